@@ -1,0 +1,134 @@
+"""Every error usdsmoke raises on purpose.
+
+    UsdSmokeError
+      ConfigError         also ValueError: a setting is unknown, of the wrong type or out of range
+      StageError          the stage cannot give what was asked for
+        VolumeNotFound
+        FieldNotFound
+        AssetNotResolved
+      GridError           a VDB file or grid cannot be used
+        GridNotFound
+        UnsupportedGrid
+        DamagedFile
+        GridTooLarge
+        BindingMissing
+      ImageError          a style image cannot be read
+      FeatureError        the feature network's parameter file is missing or wrong
+      ShapeError          also ValueError: two arrays do not fit together
+      NonFiniteError      also ArithmeticError: NaN or infinity, named where it is born
+      PlanError           the scene does not fit the machine or its limits
+      LayerError          the result cannot be written
+        OutputExists
+        WriteFailed
+      Interrupted         the user stopped the run
+
+A message says what, where, what was found against what was wanted, and what to do.
+"""
+
+__all__ = [
+    "AssetNotResolved",
+    "BindingMissing",
+    "ConfigError",
+    "DamagedFile",
+    "FeatureError",
+    "FieldNotFound",
+    "GridError",
+    "GridNotFound",
+    "GridTooLarge",
+    "ImageError",
+    "Interrupted",
+    "LayerError",
+    "NonFiniteError",
+    "OutputExists",
+    "PlanError",
+    "ShapeError",
+    "StageError",
+    "UnsupportedGrid",
+    "UsdSmokeError",
+    "VolumeNotFound",
+    "WriteFailed",
+]
+
+
+class UsdSmokeError(Exception):
+    """Base of every named error; the command line prints its text and exits with 1."""
+
+
+class ConfigError(UsdSmokeError, ValueError):
+    """A setting is unknown, of the wrong type or out of range."""
+
+
+class StageError(UsdSmokeError):
+    """The stage cannot be opened or cannot give what was asked for."""
+
+
+class VolumeNotFound(StageError):
+    """No Volume prim at the path that was named, or none on the stage at all."""
+
+
+class FieldNotFound(StageError):
+    """A Volume lacks the field relationship or the field prim that is needed."""
+
+
+class AssetNotResolved(StageError):
+    """A field's file path is empty, does not resolve, or cannot be read from disk."""
+
+
+class GridError(UsdSmokeError):
+    """A VDB file or one of its grids cannot be used."""
+
+
+class GridNotFound(GridError):
+    """The file has no grid of that name and index; the message lists those it has."""
+
+
+class UnsupportedGrid(GridError):
+    """A level set, points, or a value type that smoke cannot be read from."""
+
+
+class DamagedFile(GridError):
+    """Not a VDB file, truncated, or damaged so that reading it fails, hangs or eats memory."""
+
+
+class GridTooLarge(GridError):
+    """The active bounding box does not fit the memory limit as a dense array."""
+
+
+class BindingMissing(GridError):
+    """OpenVDB's Python bindings are absent or do not fit the installed NumPy."""
+
+
+class ImageError(UsdSmokeError):
+    """An image file cannot be read or written, or holds nothing usable."""
+
+
+class FeatureError(UsdSmokeError):
+    """The feature network's parameter file is missing, of the wrong shape or not the one asked for."""
+
+
+class ShapeError(UsdSmokeError, ValueError):
+    """Two arrays, or an array and its description, do not fit together."""
+
+
+class NonFiniteError(UsdSmokeError, ArithmeticError):
+    """NaN or infinity where a number was needed."""
+
+
+class PlanError(UsdSmokeError):
+    """What the scene needs does not fit the machine or the limits that were set."""
+
+
+class LayerError(UsdSmokeError):
+    """The result cannot be written."""
+
+
+class OutputExists(LayerError):
+    """There is a result already, and it was not asked to be replaced."""
+
+
+class WriteFailed(LayerError):
+    """A file came back from disk different from what was written, or could not be written."""
+
+
+class Interrupted(UsdSmokeError):
+    """The user stopped the run; nothing half-made was left behind."""

@@ -1,0 +1,131 @@
+"""The plain records that walk through the house: from the stage, through the core, to the layer.
+
+Matrices are 4x4 float64 in the row-vector convention that USD and OpenVDB share: a point is a row,
+``[x y z 1] @ a_to_b``, and the translation stands in the last row. Arrays are in index order
+``[i j k]``, as OpenVDB delivers them.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Mapping
+
+import numpy as np
+
+from usdsmoke.errors import ShapeError
+
+__all__ = [
+    "DenseField",
+    "FieldSource",
+    "FrameSource",
+    "StageSource",
+    "VolumeFrame",
+    "VolumeSource",
+    "WrittenFrame",
+]
+
+
+@dataclass(frozen=True)
+class FieldSource:
+    """Where the values of one field come from at one timeCode; nothing is read from disk but USD."""
+
+    relationship: str  # what the Volume calls it: "density" for field:density
+    prim_path: str  # the field prim's path
+    time_code: float
+    file_path: str  # resolved, absolute
+    authored_path: str  # as it stands in the layer
+    grid_name: str  # fieldName; "" when not authored
+    grid_index: int | None  # fieldIndex; None when not authored
+    field_to_stage: np.ndarray  # [4 4] the field prim's local-to-world at time_code
+    data_type: str = ""  # fieldDataType token as authored, "" when missing
+    field_class: str = ""  # fieldClass token as authored, "" when missing
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """One timeCode of one Volume: its fields by relationship name."""
+
+    time_code: float
+    fields: Mapping[str, FieldSource]
+
+
+@dataclass(frozen=True)
+class VolumeSource:
+    """One Volume prim and every timeCode at which any of its field files is authored."""
+
+    prim_path: str
+    frames: tuple[FrameSource, ...]  # ascending time_code; one frame when nothing is animated
+    animated: bool  # False: the files come from a default, not from time samples
+
+
+@dataclass(frozen=True)
+class StageSource:
+    """What of a stage usdsmoke needs to know, as plain values."""
+
+    file_path: str  # resolved root layer path
+    up_axis: str  # "Y" or "Z"
+    meters_per_unit: float
+    time_codes_per_second: float
+    frames_per_second: float
+    start_time_code: float | None  # None when not authored
+    end_time_code: float | None
+    default_prim: str  # "" when there is none
+    volumes: tuple[VolumeSource, ...] = ()
+
+
+@dataclass(frozen=True)
+class DenseField:
+    """A VDB grid's active bounding box as a dense array, never without its place in space.
+
+    ``values`` is float32, [i j k] or [i j k 3], C order; an empty grid has shape (0, 0, 0). A voxel
+    is taken as active when it differs from ``background``. ``index_to_world`` maps *grid* index
+    coordinates (``ijk_min`` is the index of ``values[0, 0, 0]``) to the grid's world space, which is
+    the field prim's local space.
+    """
+
+    name: str
+    values: np.ndarray
+    ijk_min: tuple[int, int, int]
+    index_to_world: np.ndarray  # [4 4] float64, row vectors
+    background: float | tuple[float, float, float] = 0.0
+    grid_class: str = "fog volume"  # "fog volume", "staggered", "unknown"
+    half: bool = False  # stored as half float
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # the grid's own, without file_* keys
+
+    def __post_init__(self) -> None:
+        if self.values.ndim not in (3, 4) or (self.values.ndim == 4 and self.values.shape[3] != 3):
+            raise ShapeError(
+                f'grid "{self.name}" has values of shape {list(self.values.shape)}; '
+                "wanted [i j k] or [i j k 3]"
+            )
+        if np.shape(self.index_to_world) != (4, 4):
+            raise ShapeError(
+                f'grid "{self.name}" has a transform of shape '
+                f"{list(np.shape(self.index_to_world))}; wanted [4 4]"
+            )
+
+    @property
+    def is_empty(self) -> bool:
+        """True when the grid has no active voxel box at all."""
+        return self.values.size == 0
+
+
+@dataclass(frozen=True)
+class VolumeFrame:
+    """The dense fields of one timeCode, ready for the core."""
+
+    time_code: float
+    density: DenseField
+    density_to_stage: np.ndarray  # [4 4] density's *grid world* to stage space
+    velocity: DenseField | None = None  # [i j k 3], stage-independent: grid-world units per second
+    velocity_to_stage: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class WrittenFrame:
+    """One finished VDB file of the result."""
+
+    time_code: float
+    file_path: str  # absolute
+    content_hash: str  # of all its grids, see grids.content_hash
+    extent_min: tuple[float, float, float] | None  # in the field prim's local space; None when empty
+    extent_max: tuple[float, float, float] | None
+    report: Mapping[str, Any] = field(default_factory=dict)  # losses, errors, times of this frame
