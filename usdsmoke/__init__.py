@@ -1,0 +1,53 @@
+"""usdsmoke stylizes the smoke of a USD stage after an example image and writes a new look layer.
+
+    >>> import usdsmoke
+    >>> usdsmoke.__version__
+    '0.1.0'
+
+    usdsmoke.inspect("shot.usda")                                     what is on the stage
+    usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the main job
+    usdsmoke.validate("look/look.usda")                               is the result sound
+
+Importing this package loads nothing heavy: each public name is looked up when it is first used.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from usdsmoke.config import Config, resolve_config
+    from usdsmoke.errors import UsdSmokeError
+    from usdsmoke.inspection import inspect
+    from usdsmoke.pipeline import stylize
+    from usdsmoke.validators import validate
+
+__all__ = [
+    "Config",
+    "UsdSmokeError",
+    "__version__",
+    "inspect",
+    "resolve_config",
+    "stylize",
+    "validate",
+]
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Config": "usdsmoke.config",
+    "UsdSmokeError": "usdsmoke.errors",
+    "inspect": "usdsmoke.inspection",
+    "resolve_config": "usdsmoke.config",
+    "stylize": "usdsmoke.pipeline",
+    "validate": "usdsmoke.validators",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})
