@@ -1,11 +1,11 @@
 """A small smoke solver: stable fluids in a closed box, on a voxel-centred grid.
 
-A step is: sources, forces (buoyancy, vorticity confinement), projection, advection, as in
-J. Stam, "Stable Fluids", 1999, and R. Fedkiw, J. Stam, H. W. Jensen, "Visual Simulation of Smoke",
-2001. Advection is MacCormack's with clamping: A. Selle et al., "An Unconditionally Stable MacCormack
-Method", 2008. The projection is exact: with slip walls each velocity component is a sine series
-along its own axis and a cosine series along the others, so that removing the divergence is a
-product in frequency space.
+A step is: sources, forces (buoyancy, vorticity confinement), projection, advection. Sources:
+J. Stam, "Stable Fluids", 1999; R. Fedkiw, J. Stam, H. W. Jensen, "Visual Simulation of Smoke", 2001;
+for the clamped advection A. Selle et al., "An Unconditionally Stable MacCormack Method", 2008.
+The projection is exact: with slip walls each velocity component is a sine series along its own
+axis and a cosine series along the others, so that removing the divergence is a product in
+frequency space.
 
 Space is in stage units with Y up, time in seconds, arrays are [i j k] and velocities [i j k 3].
 """

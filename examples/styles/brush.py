@@ -1,4 +1,4 @@
-"""Paint on a canvas: bristly strokes, smooth noise to steer them, layers of strokes along a flow."""
+"""Paint on a canvas: bristly strokes, smooth noise to steer them, layers of them along a flow."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -136,7 +136,7 @@ def palette_colour(palette: np.ndarray, place: float, rng: np.random.Generator) 
 
 
 def trace_lines(starts: np.ndarray, lengths: np.ndarray, flow: Flow) -> np.ndarray:
-    """Lines along the flow with their middles at ``starts`` [N 2], in shares of the side, [N 25 2]."""
+    """Lines [N 25 2] along the flow, their middles at ``starts`` [N 2], in shares of the side."""
     n_half = 12
     halves = []
     for sign in (-1.0, 1.0):
