@@ -155,7 +155,7 @@ def _read_grids(reader: ByteReader, version: int, n_grids: int) -> tuple[GridHea
 
 
 def _read_descriptor(reader: ByteReader) -> tuple[str, str, int, int]:
-    """The grid's stored name, its type, where its own description starts and where the grid ends."""
+    """The grid's stored name, its type, where its description starts and where the grid ends."""
     name = reader.text("a grid's name")
     grid_type = reader.text("a grid's type")
     reader.text("the name of a grid's instance parent")

@@ -1,0 +1,51 @@
+"""Which voxels of a dense field are active: those that differ from the background."""
+
+import dataclasses
+
+import numpy as np
+
+from usdsmoke.volume import DenseField
+
+__all__ = ["active_box", "active_mask", "crop_to_active"]
+
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+
+
+def active_mask(field: DenseField) -> np.ndarray:
+    """[i j k] bool: True where the value, in any component, differs from the background."""
+    differs = field.values != np.asarray(field.background, np.float32)
+    return differs.any(axis=-1) if field.values.ndim == 4 else differs
+
+
+def active_box(field: DenseField) -> Box | None:
+    """Index of the first voxel and voxels along i, j, k of the active box; None without any."""
+    span = _active_span(active_mask(field))
+    if span is None:
+        return None
+    ijk_min = tuple(int(a) + s.start for a, s in zip(field.ijk_min, span, strict=True))
+    shape = tuple(s.stop - s.start for s in span)
+    return ijk_min, shape  # type: ignore[return-value]  # three of each
+
+
+def crop_to_active(field: DenseField) -> DenseField:
+    """The same grid without the border that holds nothing but background; values are copied."""
+    span = _active_span(active_mask(field))
+    if span is None:
+        values = np.zeros((0, 0, 0, *field.values.shape[3:]), np.float32)
+        return dataclasses.replace(field, values=values, ijk_min=(0, 0, 0))
+    i, j, k = (int(a) + s.start for a, s in zip(field.ijk_min, span, strict=True))
+    return dataclasses.replace(
+        field, values=np.ascontiguousarray(field.values[span]), ijk_min=(i, j, k)
+    )
+
+
+def _active_span(mask: np.ndarray) -> tuple[slice, slice, slice] | None:
+    """Slices of the smallest box that holds every True."""
+    if not mask.any():
+        return None
+    spans = []
+    for axis in range(3):
+        others = tuple(other for other in range(3) if other != axis)
+        hits = np.flatnonzero(mask.any(axis=others))
+        spans.append(slice(int(hits[0]), int(hits[-1]) + 1))
+    return spans[0], spans[1], spans[2]

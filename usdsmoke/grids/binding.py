@@ -1,0 +1,85 @@
+"""Finding OpenVDB's Python bindings, and never letting a build for NumPy 1 meet NumPy 2.
+
+OpenVDB 11 and later call the module ``openvdb``, 10 and earlier ``pyopenvdb``. The Boost.Python
+builds that Debian and Ubuntu ship end the whole interpreter when the NumPy beside them is of
+another major version, so under NumPy 2 the import is tried in a process of its own first.
+"""
+
+import functools
+import importlib
+import importlib.util
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import numpy as np
+
+from usdsmoke.errors import BindingMissing
+
+__all__ = ["binding_version", "find_binding"]
+
+_MODULES = ("openvdb", "pyopenvdb")
+_INSTALL = (
+    "install Debian's or Ubuntu's python3-openvdb and link its pyopenvdb*.so into this "
+    "environment, or conda-forge's openvdb, or run inside Houdini or Blender"
+)
+_TRIAL_LIMIT_S = 60.0
+
+
+@functools.cache
+def find_binding() -> ModuleType:
+    """OpenVDB's Python module, imported.
+
+    Raises:
+        BindingMissing: neither ``openvdb`` nor ``pyopenvdb`` is there, it does not load, or it was
+            built for another NumPy.
+    """
+    for name in _MODULES:
+        if importlib.util.find_spec(name) is not None:
+            break
+    else:
+        raise BindingMissing(
+            f"no OpenVDB bindings for {sys.executable}: found neither "
+            f"{' nor '.join(_MODULES)}; {_INSTALL}"
+        )
+    if int(np.__version__.partition(".")[0]) >= 2:
+        _check_import(name)
+    try:
+        return importlib.import_module(name)
+    except Exception as error:  # whatever a broken extension raises while it loads
+        raise BindingMissing(
+            f"the OpenVDB bindings {name} do not load: {type(error).__name__}: {error}; {_INSTALL}"
+        ) from error
+
+
+def binding_version() -> str:
+    """Name and version of the bindings, such as ``pyopenvdb 10.0.1``.
+
+    Raises:
+        BindingMissing: see ``find_binding``.
+    """
+    binding = find_binding()
+    return f"{binding.__name__} {'.'.join(str(number) for number in binding.LIBRARY_VERSION)}"
+
+
+def _check_import(name: str) -> None:
+    """Import the module in another process, because a misfit ends the process without a word."""
+    search = os.pathsep.join(entry for entry in sys.path if entry)
+    try:
+        trial = subprocess.run(
+            [sys.executable, "-P", "-c", f"import {name}"],
+            env={**os.environ, "PYTHONPATH": search},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_TRIAL_LIMIT_S,
+            check=False,
+        )
+        fits = trial.returncode == 0
+    except subprocess.TimeoutExpired:
+        fits = False
+    if not fits:
+        raise BindingMissing(
+            f"the OpenVDB bindings {name} were built for NumPy 1, and this is NumPy "
+            f'{np.__version__}; install NumPy 1: python -m pip install "numpy<2"'
+        )

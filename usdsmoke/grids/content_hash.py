@@ -1,0 +1,85 @@
+"""A hash of what grids hold, blind to how a file happens to store it.
+
+VDB files carry a random identifier, so equal grids give different bytes. The hash covers, for every
+grid in the order of names: name, class, half or full float, background, transform, and the index
+and value of every voxel that differs from the background. Metadata is not covered.
+"""
+
+import hashlib
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import DamagedFile
+from usdsmoke.grids.active_box import active_mask, crop_to_active
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.volume import DenseField
+
+__all__ = ["CONTENT_KEY", "check_content", "hash_fields", "hash_file"]
+
+CONTENT_KEY = "usdsmoke:content_sha256"  # file metadata that holds the hash
+
+
+def hash_fields(fields: Sequence[DenseField]) -> str:
+    """SHA-256, 64 hexadecimal digits, of what the fields hold; their order and padding are no part.
+
+    The transform counts with 12 digits: OpenVDB may turn nearly equal scales into equal ones.
+    """
+    digest = hashlib.sha256(b"usdsmoke grids 1\n")
+    for field in sorted(fields, key=lambda item: item.name):
+        _add_field(digest, crop_to_active(field))
+    return digest.hexdigest()
+
+
+def hash_file(file_path: str | os.PathLike[str], config: GridsConfig) -> str:
+    """``hash_fields`` of every grid of a VDB file.
+
+    Raises:
+        GridError: see ``read_grids``; a single grid that cannot be read is enough.
+    """
+    header = read_header(file_path)
+    wanted = [GridRequest(grid.name, grid.index) for grid in header.grids]
+    return hash_fields(read_grids(file_path, wanted, config))
+
+
+def check_content(file_path: str | os.PathLike[str], config: GridsConfig) -> None:
+    """Compare what a file of ours holds with the hash that was written into it.
+
+    Raises:
+        DamagedFile: the file carries no hash, or holds something else than when it was written.
+        GridError: see ``read_grids``.
+    """
+    promised = read_header(file_path).metadata.get(CONTENT_KEY)
+    if not isinstance(promised, str):
+        raise DamagedFile(
+            f"{os.fspath(file_path)} carries no {CONTENT_KEY}; wanted a file written by usdsmoke: "
+            "check another file"
+        )
+    found = hash_file(file_path, config)
+    if found != promised:
+        raise DamagedFile(
+            f"{os.fspath(file_path)} was changed after it was written: its grids hash to "
+            f"{found[:12]}..., its metadata says {promised[:12]}...; run usdsmoke again"
+        )
+
+
+def _add_field(digest: "hashlib._Hash", field: DenseField) -> None:
+    """Add one cropped field; every part has a length or is of fixed size, so none can pose as two.
+
+    Adding 0.0 turns -0.0, which compares equal to 0.0, into 0.0.
+    """
+    for text in (field.name, field.grid_class):
+        encoded = text.encode("utf-8", errors="surrogateescape")
+        digest.update(len(encoded).to_bytes(8, "little") + encoded)
+    digest.update(b"half" if field.half else b"full")
+    rounded = " ".join(f"{number + 0.0:.12e}" for number in np.ravel(field.index_to_world))
+    digest.update(rounded.encode("ascii"))
+    background = np.atleast_1d(np.asarray(field.background, "<f4")) + np.float32(0.0)
+    mask = active_mask(field)
+    place = np.array([*field.ijk_min, *mask.shape], "<i8")
+    for array in (background, place, np.packbits(mask), field.values[mask] + np.float32(0.0)):
+        digest.update(array.size.to_bytes(8, "little"))
+        digest.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())

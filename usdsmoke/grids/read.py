@@ -1,0 +1,282 @@
+"""VDB grids as dense arrays: found by name and index, refused by their header, checked."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import (
+    BindingMissing,
+    DamagedFile,
+    GridNotFound,
+    GridTooLarge,
+    NonFiniteError,
+    UnsupportedGrid,
+)
+from usdsmoke.grids.child import ChildFailure, run_child
+from usdsmoke.grids.header import FileHeader, GridHeader, read_header
+from usdsmoke.volume import DenseField
+
+__all__ = ["GridRequest", "check_readable", "find_grid", "read_binding_version", "read_grids"]
+
+_COMPONENTS = {"float": 1, "vec3s": 3}  # the value types that every version of the bindings knows
+_STANDARD_TREE = "5_4_3"
+_KEPT_CLASSES = ("fog volume", "staggered")
+_DERIVED_KEYS = ("class", "is_saved_as_half_float", "name", "value_type")  # fields carry these
+_RESERVE_BYTES = 2**29  # address space of the reading process before it has opened anything
+
+
+@dataclass(frozen=True)
+class GridRequest:
+    """Which grid of a file is wanted."""
+
+    name: str  # fieldName; "" takes the grid by its index alone
+    index: int | None = None  # fieldIndex: tells grids of one name apart; None takes the first
+    where: str = ""  # for messages: 'field </shot/plume/density>, timeCode 42'
+    components: int | None = None  # 1 wants numbers, 3 wants vectors, None takes either
+
+
+def read_grids(
+    file_path: str | os.PathLike[str], wanted: Sequence[GridRequest], config: GridsConfig
+) -> list[DenseField]:
+    """The active boxes of the wanted grids, in the order asked for.
+
+    OpenVDB opens the file in one child process under ``config``'s memory and time limits. Values
+    are delivered as they are stored, negative ones too; a non-zero background fills the box.
+
+    Args:
+        file_path: a VDB file.
+        wanted: which grids; none gives an empty list without opening the file.
+        config: the limits, and ``repair_nan`` which replaces voxels that are not finite.
+
+    Raises:
+        AssetNotResolved: the file is missing or may not be read.
+        DamagedFile: no VDB file, truncated, or damaged so that reading fails, hangs or eats memory.
+        GridNotFound: no grid of that name and index; lists those the file has.
+        UnsupportedGrid: a level set, points, another value type, or a transform that is not linear.
+        GridTooLarge: the active box as a dense array does not fit ``memory_limit_gib``.
+        NonFiniteError: NaN or infinite voxels, with their count, while ``repair_nan`` is unset.
+        BindingMissing: OpenVDB's bindings are missing or do not fit the installed NumPy.
+    """
+    if not wanted:
+        return []
+    header = read_header(file_path)
+    grids = []
+    for request in wanted:
+        grid = find_grid(header, request)
+        check_readable(header, grid, request)
+        _check_size(header, grid, request, config)
+        grids.append(grid)
+    described, arrays = _open(header, grids, wanted, config)
+    return [
+        _dense_field(header, grid, request, entry, values, config)
+        for grid, request, entry, values in zip(grids, wanted, described, arrays, strict=True)
+    ]
+
+
+def find_grid(header: FileHeader, request: GridRequest) -> GridHeader:
+    """The grid that a request means.
+
+    The name must agree exactly. The index counts the grids of that name in the file's order and
+    matters only where there are several; without one the first is taken, as OpenVDB does. A request
+    without a name counts the nameless grids or, where all have names, all grids of the file.
+
+    Raises:
+        GridNotFound: nothing fits; the message lists what the file has.
+    """
+    same_name = [grid for grid in header.grids if grid.name == request.name]
+    if not same_name and not request.name:
+        same_name = list(header.grids)
+        if len(same_name) > 1 and request.index is None:
+            same_name = []  # any choice would be a guess
+    index = request.index or 0
+    if len(same_name) == 1 and request.name:
+        index = 0
+    if 0 <= index < len(same_name):
+        return same_name[index]
+    labels = ", ".join(_labels(header)) or "no grids at all"
+    raise GridNotFound(
+        f"no {_asked_for(request)} in {_place(header, request)}; the file has: {labels}; "
+        "correct the field's fieldName or fieldIndex, or the file"
+    )
+
+
+def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -> None:
+    """Refuse a grid that smoke cannot be read from; nothing but the header is needed.
+
+    Raises:
+        UnsupportedGrid: a level set, points, another value type, or a transform that is not linear.
+    """
+    found = f'grid "{grid.label}" in {_place(header, request)}'
+    components = _COMPONENTS.get(grid.value_type)
+    if grid.value_type == "points":
+        raise UnsupportedGrid(
+            f"{found} holds points; wanted a fog volume: rasterize the points into a density grid"
+        )
+    if components is None or grid.tree_levels != _STANDARD_TREE:
+        kind = grid.value_type + (
+            "" if grid.tree_levels == _STANDARD_TREE else f" in a {grid.tree_levels} tree"
+        )
+        raise UnsupportedGrid(
+            f"{found} holds {kind} values; wanted {' or '.join(_COMPONENTS)} (half too): "
+            "convert it and write the file again"
+        )
+    if request.components not in (None, components):
+        raise UnsupportedGrid(
+            f"{found} has {components} component{'s'[: components - 1]} per voxel; wanted "
+            f"{request.components}: name another grid"
+        )
+    if grid.grid_class == "level set":
+        raise UnsupportedGrid(
+            f"{found} is a level set; wanted a fog volume: convert the surface to fog first"
+        )
+    if grid.index_to_world is None:
+        raise UnsupportedGrid(
+            f"{found} has a {grid.transform_type}, which is not linear; wanted a transform of "
+            "scale, rotation, shear and translation: resample the grid"
+        )
+    if abs(np.linalg.det(grid.index_to_world[:3, :3])) == 0.0:
+        raise UnsupportedGrid(
+            f"{found} has a transform that flattens space; wanted one that can be inverted: "
+            "correct its voxel size"
+        )
+
+
+def read_binding_version(config: GridsConfig) -> str:
+    """Name and version of OpenVDB's bindings, such as ``pyopenvdb 10.0.1``, asked in a child.
+
+    Raises:
+        BindingMissing: the bindings are missing, do not fit the installed NumPy, or do not load.
+    """
+    try:
+        version, _ = run_child({"action": "describe"}, [], config)
+    except ChildFailure as failure:
+        raise BindingMissing(
+            f"the OpenVDB bindings cannot be loaded: {failure}; install them again, and raise "
+            "grids.memory_limit_gib if it is below 1"
+        ) from None
+    return str(version)
+
+
+def _open(
+    header: FileHeader,
+    grids: Sequence[GridHeader],
+    wanted: Sequence[GridRequest],
+    config: GridsConfig,
+) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
+    request = {
+        "action": "read",
+        "file_path": os.path.abspath(header.file_path),
+        "names": [_binding_name(header, grid) for grid in grids],
+        "dense_limit_bytes": _dense_limit(config),
+    }
+    try:
+        return run_child(request, [], config)
+    except ChildFailure as failure:
+        raise DamagedFile(
+            f"cannot read {_place(header, wanted[0])}: {failure}; the file is probably damaged: "
+            "write or copy it again, or raise the limit if it is only large"
+        ) from None
+
+
+def _binding_name(header: FileHeader, grid: GridHeader) -> str:
+    """The name by which the bindings find this very grid among those of its name."""
+    suffix = grid.stored_name[len(grid.name) + 1 :]
+    return f"{grid.name}[{suffix}]" if suffix else grid.name
+
+
+def _dense_limit(config: GridsConfig) -> int:
+    """Bytes that one dense array may take: OpenVDB's own copy of the grid needs as many again."""
+    return max(0, int((config.memory_limit_gib * 2**30 - _RESERVE_BYTES) / 2))
+
+
+def _check_size(
+    header: FileHeader, grid: GridHeader, request: GridRequest, config: GridsConfig
+) -> None:
+    shape = grid.box_shape
+    if shape is None:
+        return  # the child looks at the tree itself
+    n_bytes = 4 * _COMPONENTS[grid.value_type] * shape[0] * shape[1] * shape[2]
+    if n_bytes > _dense_limit(config):
+        raise GridTooLarge(
+            f'grid "{grid.label}" in {_place(header, request)} spans '
+            f"{shape[0]} x {shape[1]} x {shape[2]} voxels, {n_bytes / 2**30:.1f} GiB as a dense "
+            f"array; {_dense_limit(config) / 2**30:.1f} GiB are allowed: raise "
+            "grids.memory_limit_gib or cut the grid into smaller ones"
+        )
+
+
+def _dense_field(
+    header: FileHeader,
+    grid: GridHeader,
+    request: GridRequest,
+    entry: dict[str, Any],
+    values: np.ndarray,
+    config: GridsConfig,
+) -> DenseField:
+    found = f'grid "{grid.label}" in {_place(header, request)}'
+    background = np.asarray(entry["background"], np.float32)
+    ijk_min = entry["ijk_min"]
+    _check_finite(found, values, background, ijk_min, config.repair_nan)
+    if config.repair_nan is not None:
+        values = np.where(np.isfinite(values), values, np.float32(config.repair_nan))
+        background = np.where(np.isfinite(background), background, np.float32(config.repair_nan))
+    return DenseField(
+        name=grid.name,
+        values=values,
+        ijk_min=(ijk_min[0], ijk_min[1], ijk_min[2]),
+        index_to_world=np.array(grid.index_to_world),
+        background=tuple(background.tolist()) if background.ndim else float(background),
+        grid_class=grid.grid_class if grid.grid_class in _KEPT_CLASSES else "unknown",
+        half=grid.half,
+        metadata={
+            key: value
+            for key, value in grid.metadata.items()
+            if key not in _DERIVED_KEYS and not key.startswith("file_")
+        },
+    )
+
+
+def _check_finite(
+    found: str,
+    values: np.ndarray,
+    background: np.ndarray,
+    ijk_min: Sequence[int],
+    repair: float | None,
+) -> None:
+    if repair is not None or (np.isfinite(values).all() and np.isfinite(background).all()):
+        return
+    bad = ~np.isfinite(values)
+    bad = bad.any(axis=-1) if bad.ndim == 4 else bad
+    count = int(bad.sum())
+    what = "a background that is NaN or infinite"
+    if count:
+        first = np.argwhere(bad)[0] + np.asarray(ijk_min)
+        what = f"{count} NaN or infinite voxels, the first at index {first.tolist()}"
+    raise NonFiniteError(
+        f"{found} has {what}; wanted finite numbers: mend the simulation, or set grids.repair_nan "
+        "(--repair nan=0) to put a number in their place"
+    )
+
+
+def _place(header: FileHeader, request: GridRequest) -> str:
+    name = Path(header.file_path).name
+    return f"{name} ({request.where})" if request.where else f"{name} ({header.file_path})"
+
+
+def _asked_for(request: GridRequest) -> str:
+    name = f'grid "{request.name}"' if request.name else "grid without a name"
+    return name if request.index is None else f"{name} with fieldIndex {request.index}"
+
+
+def _labels(header: FileHeader) -> list[str]:
+    """Every grid's name, with an index wherever several share it."""
+    names = [grid.name for grid in header.grids]
+    return [
+        f"{grid.name}[{grid.index}]" if names.count(grid.name) > 1 or not grid.name else grid.name
+        for grid in header.grids
+    ]

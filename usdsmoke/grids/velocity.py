@@ -1,0 +1,136 @@
+"""The velocity of the smoke, under the names it usually has, brought to voxel centres."""
+
+import dataclasses
+import os
+
+import numpy as np
+
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import UnsupportedGrid
+from usdsmoke.grids.header import FileHeader, GridHeader, read_header
+from usdsmoke.grids.read import GridRequest, find_grid, read_grids
+from usdsmoke.volume import DenseField
+
+__all__ = ["centre_staggered", "find_velocity", "read_velocity"]
+
+_NAMES = ("vel", "v", "velocity")  # Houdini, Arnold and MoonRay, Blender
+_SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
+
+
+def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
+    """The grids that hold the velocity: one of vectors, three of numbers, or none.
+
+    Args:
+        header: of the file.
+        name: a grid of vectors, or the part of three names before ``.x`` or ``_x``; empty means
+            vel, v or velocity, vectors first, and of the value types that can be read.
+    """
+    names = (name,) if name else _NAMES
+    for candidate in names:
+        for grid in header.grids:
+            if grid.name == candidate and (name or grid.value_type == "vec3s"):
+                return (grid,)
+    for candidate in names:
+        for separator in _SEPARATORS:
+            parts = [_first(header, f"{candidate}{separator}{axis}") for axis in "xyz"]
+            found = tuple(part for part in parts if part is not None)
+            if len(found) == 3 and (name or all(part.value_type == "float" for part in found)):
+                return found
+    return ()
+
+
+def read_velocity(
+    file_path: str | os.PathLike[str], request: GridRequest, config: GridsConfig
+) -> DenseField | None:
+    """The velocity at voxel centres, [i j k 3], in whatever unit the file holds.
+
+    A staggered grid is averaged to the centres; three grids of numbers are put together on the box
+    that holds all of them.
+
+    Args:
+        file_path: a VDB file.
+        request: with an empty name, the usual names are tried; see ``find_velocity``.
+        config: limits of the reading process.
+
+    Returns:
+        None when no name was given and the file has no velocity.
+
+    Raises:
+        GridNotFound: the name that was given is not in the file.
+        UnsupportedGrid: not vectors or three grids of numbers, or the three do not fit together.
+        GridError: everything else that ``read_grids`` refuses.
+    """
+    header = read_header(file_path)
+    grids = find_velocity(header, request.name)
+    if not grids:
+        if not request.name:
+            return None
+        grids = (find_grid(header, request),)  # raises, and says what the file has
+    where = request.where
+    if len(grids) == 1:
+        index = request.index if request.name else grids[0].index
+        vector = GridRequest(grids[0].name, index, where, components=3)
+        return centre_staggered(read_grids(file_path, [vector], config)[0])
+    wanted = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
+    return _join(read_grids(file_path, wanted, config), where or os.fspath(file_path))
+
+
+def centre_staggered(field: DenseField) -> DenseField:
+    """The field with every component at the voxel centre; others than staggered stay as they are.
+
+    In a staggered grid the component along an axis sits on the voxel's lower face across that axis,
+    so the centre has the mean of index i and i + 1; beyond the box the background counts.
+    """
+    if field.grid_class != "staggered" or field.values.ndim != 4:
+        return field
+    background = np.broadcast_to(np.asarray(field.background, np.float32), (3,))
+    centred = np.empty_like(field.values)
+    for axis in range(3):
+        lower = field.values[..., axis]
+        upper = np.full_like(lower, background[axis])
+        inner = [slice(None)] * 3
+        outer = [slice(None)] * 3
+        inner[axis], outer[axis] = slice(1, None), slice(None, -1)
+        upper[tuple(outer)] = lower[tuple(inner)]
+        centred[..., axis] = 0.5 * (lower + upper)
+    return dataclasses.replace(field, values=centred, grid_class="unknown")
+
+
+def _first(header: FileHeader, name: str) -> GridHeader | None:
+    return next((grid for grid in header.grids if grid.name == name), None)
+
+
+def _join(parts: list[DenseField], where: str) -> DenseField:
+    """Three grids of numbers as one of vectors, on the box that holds all of them."""
+    first = parts[0]
+    tolerance = 1e-6 * np.abs(first.index_to_world[:3, :3]).max()
+    for part in parts[1:]:
+        if not np.allclose(part.index_to_world, first.index_to_world, rtol=0, atol=tolerance):
+            raise UnsupportedGrid(
+                f'the grids "{first.name}" and "{part.name}" ({where}) have different transforms; '
+                "wanted the three parts of a velocity on the same voxels: merge them into one "
+                "vector grid"
+            )
+    background = tuple(float(part.background) for part in parts)  # type: ignore[arg-type]
+    filled = [part for part in parts if not part.is_empty]
+    low = np.min([part.ijk_min for part in filled], axis=0) if filled else np.zeros(3, int)
+    high = (
+        np.max([np.add(part.ijk_min, part.values.shape) for part in filled], axis=0)
+        if filled
+        else low
+    )
+    values = np.empty((*(high - low), 3), np.float32)
+    for axis, part in enumerate(parts):
+        values[..., axis] = background[axis]
+        if not part.is_empty:
+            start = np.subtract(part.ijk_min, low)
+            box = tuple(slice(a, a + n) for a, n in zip(start, part.values.shape, strict=True))
+            values[(*box, axis)] = part.values
+    return dataclasses.replace(
+        first,
+        name=first.name[:-2],
+        values=values,
+        ijk_min=(int(low[0]), int(low[1]), int(low[2])),
+        background=(background[0], background[1], background[2]),
+        half=all(part.half for part in parts),
+    )

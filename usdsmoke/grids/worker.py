@@ -1,0 +1,142 @@
+"""The process that touches VDB files through OpenVDB; started by ``usdsmoke.grids.child``.
+
+``python -m usdsmoke.grids.worker`` reads one request as JSON from stdin, and leaves ``answer.json``
+and arrays in the folder that the request names. It holds no rules of its own: what may be read was
+decided from the file's header before, and what came out is checked by the parent.
+"""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usdsmoke.errors import BindingMissing, GridTooLarge
+from usdsmoke.grids.binding import binding_version, find_binding
+
+__all__ = ["main"]
+
+# What the bindings raise on files and values they cannot take, over all versions.
+_BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
+
+
+def main() -> int:
+    """Answer one request; 0 whenever there is an answer, be it a refusal."""
+    request = json.load(sys.stdin)
+    _limit_memory(request["memory_limit_bytes"])
+    folder = Path(request["folder"])
+    try:
+        content, n_arrays = _ACTIONS[request["action"]](request, folder)
+        answer = {"answer": content, "n_arrays": n_arrays}
+    except (BindingMissing, GridTooLarge) as error:
+        answer = {"error": type(error).__name__, "message": str(error)}
+    except MemoryError:
+        limit = request["memory_limit_bytes"] / 2**30
+        answer = {"failure": f"it needs more than {limit:g} GiB (grids.memory_limit_gib)"}
+    except _BINDING_ERRORS as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        answer = {"failure": f"OpenVDB says: {text}"}
+    (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
+    return 0
+
+
+def _limit_memory(n_bytes: int) -> None:
+    """Limit the address space, and leave no core file where there is a crash."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limits; the time limit still holds
+        return
+    for kind, limit in ((resource.RLIMIT_AS, n_bytes), (resource.RLIMIT_CORE, 0)):
+        hard = resource.getrlimit(kind)[1]
+        soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        try:
+            resource.setrlimit(kind, (soft, hard))
+        except (OSError, ValueError):  # a system that knows the limit but does not set it
+            continue
+
+
+def _describe(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
+    """Name and version of the bindings."""
+    return binding_version(), 0
+
+
+def _read(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
+    """The active boxes of the grids called ``request["names"]``, in that order."""
+    binding = find_binding()
+    grids = []
+    for n, name in enumerate(request["names"]):
+        grid = binding.read(request["file_path"], name)
+        ijk_min, ijk_max = grid.evalActiveVoxelBoundingBox()
+        is_vector = isinstance(grid.background, (tuple, list))
+        shape = [max(0, int(b) - int(a) + 1) for a, b in zip(ijk_min, ijk_max, strict=True)]
+        if 0 in shape:  # an empty grid's box runs from the largest integer to the smallest
+            shape, ijk_min = [0, 0, 0], (0, 0, 0)
+        _check_size(name, shape, 3 if is_vector else 1, request["dense_limit_bytes"])
+        values = np.zeros([*shape, 3] if is_vector else shape, np.float32)
+        if values.size:
+            grid.copyToArray(values, ijk=tuple(int(index) for index in ijk_min))
+        np.save(folder / f"out{n}.npy", values, allow_pickle=False)
+        grids.append({"ijk_min": [int(i) for i in ijk_min], "background": grid.background})
+    return grids, len(grids)
+
+
+def _check_size(name: str, shape: list[int], components: int, limit: int) -> None:
+    n_bytes = 4 * components * shape[0] * shape[1] * shape[2]
+    if n_bytes > limit:
+        raise GridTooLarge(
+            f'grid "{name}" spans {" x ".join(map(str, shape))} voxels, {n_bytes / 2**30:.1f} GiB '
+            f"as a dense array; {limit / 2**30:.1f} GiB are allowed: raise grids.memory_limit_gib"
+        )
+
+
+def _write(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
+    """Write all grids of one file; the parent checks what came of it."""
+    binding = find_binding()
+    grids = [
+        _build_grid(binding, described, np.load(folder / f"in{n}.npy", allow_pickle=False))
+        for n, described in enumerate(request["grids"])
+    ]
+    binding.write(request["file_path"], grids=grids, metadata=request["file_metadata"])
+    return None, 0
+
+
+def _build_grid(binding: Any, described: Mapping[str, Any], values: np.ndarray) -> Any:
+    """A grid whose active voxels are those that differ from the background."""
+    if described["is_vector"]:
+        grid = binding.Vec3SGrid(tuple(described["background"]))
+    else:
+        grid = binding.FloatGrid(described["background"])
+    if values.size:
+        tolerance = (0.0, 0.0, 0.0) if described["is_vector"] else 0.0
+        ijk_min = tuple(int(index) for index in described["ijk_min"])
+        grid.copyFromArray(np.ascontiguousarray(values), ijk=ijk_min, tolerance=tolerance)
+    for key, value in described["metadata"].items():
+        grid[key] = tuple(value) if isinstance(value, list) else value
+    grid.name = described["name"]
+    grid.gridClass = described["grid_class"]
+    grid.vectorType = described["vector_type"]
+    grid.saveFloatAsHalf = described["half"]
+    grid.transform = _build_transform(binding, described["index_to_world"])
+    return grid
+
+
+def _build_transform(binding: Any, index_to_world: list[list[float]]) -> Any:
+    """A transform that stores the matrix exactly.
+
+    Made from the whole matrix, OpenVDB takes a scale out of it as (s + t) - t, which rounds; so the
+    translation is added afterwards. The method that adds it in world space changed its name.
+    """
+    linear = [[*row[:3], 0.0] for row in index_to_world[:3]] + [[0.0, 0.0, 0.0, 1.0]]
+    transform = binding.createLinearTransform(linear)
+    add_translation = getattr(transform, "postTranslate", None) or transform.translate
+    add_translation(tuple(index_to_world[3][:3]))
+    return transform
+
+
+_ACTIONS = {"describe": _describe, "read": _read, "write": _write}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,218 @@
+"""Dense arrays as one VDB file of a frame: written aside, re-opened, compared, put in its place."""
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import GridError, NonFiniteError, WriteFailed
+from usdsmoke.grids.child import ChildFailure, run_child
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.publish import publish_file
+from usdsmoke.volume import DenseField
+
+__all__ = ["clean_metadata", "write_frame"]
+
+_LARGEST_HALF = 65504.0
+_INT64 = 2**63
+_VECTOR_TYPES = (
+    "invariant",
+    "covariant",
+    "covariant normalize",
+    "contravariant relative",
+    "contravariant absolute",
+)
+_OWN_KEYS = ("class", "is_saved_as_half_float", "name", "value_type", "vector_type")
+_TRANSFORM_TOLERANCE = 1e-9  # of the largest entry; OpenVDB makes nearly equal scales equal
+
+
+def write_frame(
+    file_path: str | os.PathLike[str],
+    fields: Sequence[DenseField],
+    file_metadata: Mapping[str, Any],
+    half: bool,
+    config: GridsConfig | None = None,
+) -> str:
+    """Write all grids of one frame into one VDB file, and make sure that it holds them.
+
+    Voxels equal to the background become inactive. Names, classes, transforms and the fields'
+    metadata are kept; vectors are ``invariant`` (right for colour) unless the metadata says
+    otherwise. OpenVDB reports neither a full disk nor a short write, so the file is read back by
+    another process and compared before it takes the place of an older one.
+
+    Args:
+        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        fields: [i j k] or [i j k 3] float32, finite, of different names; an empty one, or one that
+            is all background, becomes an empty grid. ``DenseField.half`` is not looked at.
+        file_metadata: texts, numbers, truth values and triples of numbers; others are left out.
+            The content hash is added as ``usdsmoke:content_sha256``.
+        half: store 16-bit floats; values are rounded to them.
+        config: limits of the writing and the reading process.
+
+    Returns:
+        The content hash, see ``content_hash.hash_fields``, of what the file holds.
+
+    Raises:
+        NonFiniteError: a voxel or background is NaN or infinite.
+        WriteFailed: a value does not fit 16 bits, two fields share a name, OpenVDB or the operating
+            system refused, or the file came back different.
+        BindingMissing: OpenVDB's bindings are missing or do not fit the installed NumPy.
+    """
+    config = dataclasses.replace(config or GridsConfig(), repair_nan=None)
+    target = Path(os.path.abspath(file_path))
+    _check_names(target, fields)
+    stored = [_as_stored(target, field, half) for field in fields]
+    content = hash_fields(stored)
+    request = {
+        "action": "write",
+        "file_metadata": clean_metadata(file_metadata) | {CONTENT_KEY: content},
+        "grids": [_described(field) for field in stored],
+    }
+
+    def write(temporary: Path) -> None:
+        arrays = [field.values for field in stored]
+        try:
+            run_child({**request, "file_path": str(temporary)}, arrays, config)
+        except ChildFailure as failure:
+            raise WriteFailed(
+                f"cannot write {target.name} in {target.parent}: {failure}; check the output "
+                "folder and its disk"
+            ) from None
+
+    publish_file(target, write, lambda temporary: _check_written(temporary, target, stored, config))
+    return content
+
+
+def clean_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Those entries that every version of the bindings writes without changing them.
+
+    Texts, truth values, 64-bit integers, finite numbers, and triples of numbers; NumPy scalars are
+    turned into Python's. Everything else is left out.
+    """
+    cleaned = {}
+    for key, value in metadata.items():
+        plain = _plain(value)
+        if key and plain is not None:
+            cleaned[str(key)] = plain
+    return cleaned
+
+
+def _plain(value: Any) -> Any:
+    """The value as Python's own type, or None when it cannot be written."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return value if -_INT64 <= value < _INT64 else None
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple | list | np.ndarray) and len(value) == 3:
+        triple = [_plain(number) for number in value]
+        if all(type(number) is int for number in triple):
+            return tuple(triple)
+        if all(type(number) in (int, float) for number in triple):
+            return tuple(float(number) for number in triple)
+    return None
+
+
+def _check_names(target: Path, fields: Sequence[DenseField]) -> None:
+    names = [field.name for field in fields]
+    if not all(names) or len(set(names)) != len(names):
+        raise WriteFailed(
+            f"cannot write {target.name}: its grids would be called {', '.join(map(repr, names))}; "
+            "wanted a name for each, and no name twice"
+        )
+
+
+def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
+    """The field exactly as the file will hold it: float32, rounded to half where asked for."""
+    values = np.ascontiguousarray(field.values, np.float32)
+    is_vector = values.ndim == 4 or np.ndim(field.background) == 1
+    if is_vector and values.ndim == 3:
+        values = np.zeros((0, 0, 0, 3), np.float32)  # an empty field does not tell its components
+    background = np.asarray(field.background, np.float32)
+    if not (np.isfinite(values).all() and np.isfinite(background).all()):
+        count = int((~np.isfinite(values)).sum())
+        raise NonFiniteError(
+            f'cannot write grid "{field.name}" of {target.name}: {count} of its numbers are NaN or '
+            "infinite; wanted finite ones: this is a fault of the run, write to its authors"
+        )
+    if half:
+        largest = max(np.abs(values).max(initial=0.0), np.abs(background).max())
+        if largest > _LARGEST_HALF:
+            raise WriteFailed(
+                f'cannot write grid "{field.name}" of {target.name} in 16-bit floats: its largest '
+                f"value is {largest:g}, they end at {_LARGEST_HALF:g}; unset grids.half (--half)"
+            )
+        values = values.astype(np.float16).astype(np.float32)
+        background = background.astype(np.float16).astype(np.float32)
+    if is_vector:
+        background = np.broadcast_to(background, (3,))
+    return dataclasses.replace(
+        field,
+        values=values,
+        background=tuple(background.tolist()) if is_vector else float(background),
+        half=half,
+    )
+
+
+def _described(field: DenseField) -> dict[str, Any]:
+    """The field without its values, as JSON can say it."""
+    metadata = {
+        key: value
+        for key, value in clean_metadata(field.metadata).items()
+        if key not in _OWN_KEYS and not key.startswith("file_")
+    }
+    vector_type = field.metadata.get("vector_type")
+    return {
+        "name": field.name,
+        "is_vector": field.values.ndim == 4,
+        "ijk_min": [int(index) for index in field.ijk_min],
+        "background": field.background,
+        "grid_class": field.grid_class,
+        "vector_type": vector_type if vector_type in _VECTOR_TYPES else "invariant",
+        "half": field.half,
+        "index_to_world": np.asarray(field.index_to_world, np.float64).tolist(),
+        "metadata": metadata,
+    }
+
+
+def _check_written(
+    temporary: Path, target: Path, stored: Sequence[DenseField], config: GridsConfig
+) -> None:
+    """Read the file back and compare every grid with what it should be."""
+    found = "an unreadable file"
+    try:
+        header = read_header(temporary)
+        if sorted(grid.name for grid in header.grids) != sorted(field.name for field in stored):
+            found = "other grids"
+        else:
+            wanted = [GridRequest(field.name) for field in stored]
+            read = read_grids(temporary, wanted, config)
+            different = [a.name for a, b in zip(stored, read, strict=True) if not _is_same(a, b)]
+            if not different:
+                return
+            found = f"other values or places in {', '.join(different)}"
+    except GridError as error:
+        found = f"an unreadable file ({error})"
+    raise WriteFailed(
+        f"{target.name} did not come back from disk as it was written: found {found}; look whether "
+        f"the disk of {target.parent} is full, and run again"
+    )
+
+
+def _is_same(written: DenseField, read: DenseField) -> bool:
+    """The transform within OpenVDB's rounding, everything else by the hash."""
+    wanted = np.asarray(written.index_to_world, np.float64)
+    tolerance = _TRANSFORM_TOLERANCE * np.abs(wanted).max()
+    if not np.allclose(read.index_to_world, wanted, rtol=0.0, atol=tolerance):
+        return False
+    return hash_fields([dataclasses.replace(read, index_to_world=wanted)]) == hash_fields([written])
