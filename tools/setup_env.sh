@@ -120,8 +120,9 @@ END
 }
 
 if [ -z "$(pythons)" ]; then
-    fail "Python 3.11 or newer is needed and none was found (${PYTHON:-python3} is" \
-        "$("${PYTHON:-python3}" -V 2>&1 || true)); install it, or name it: PYTHON=/that/python make env"
+    found=$("${PYTHON:-python3}" -V 2>/dev/null || echo "not here")
+    fail "Python 3.11 or newer is needed; ${PYTHON:-python3} is $found;" \
+        "install a newer one, or name it: PYTHON=/that/python make env"
 fi
 choose_python
 if [ -z "$python" ]; then
