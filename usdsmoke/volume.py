@@ -54,6 +54,10 @@ class VolumeSource:
     prim_path: str
     frames: tuple[FrameSource, ...]  # ascending time_code; one frame when nothing is animated
     animated: bool  # False: the files come from a default, not from time samples
+    time_codes: tuple[float, ...] = ()  # all that the density has, selected or not, gaps included
+    density: str = "density"  # relationship name of the density field
+    velocity: tuple[str, ...] = ()  # relationship names of the velocity: one vector or x, y, z
+    other_fields: tuple[str, ...] = ()  # relationship names that are left alone
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ class StageSource:
     end_time_code: float | None
     default_prim: str  # "" when there is none
     volumes: tuple[VolumeSource, ...] = ()
+    omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
 
 
 @dataclass(frozen=True)

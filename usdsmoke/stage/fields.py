@@ -1,0 +1,137 @@
+"""From a Volume's relationships to the field prims that its density and velocity come from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pxr import Sdf, Usd, UsdVol
+
+from usdsmoke.errors import FieldNotFound, StageError
+
+__all__ = [
+    "VolumeFields",
+    "describe_instance",
+    "field_relationships",
+    "find_fields",
+    "velocity_relationships",
+]
+
+_PREFIX = "field:"
+_VELOCITY_NAMES = ("vel", "v", "velocity")
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class VolumeFields:
+    """A Volume's field prims by relationship name, as far as they will be used."""
+
+    density: str  # relationship name
+    velocity: tuple[str, ...]  # relationship names; none, one vector or x, y, z
+    prims: dict[str, Usd.Prim]
+    others: tuple[str, ...]  # relationships that are left alone
+
+
+def field_relationships(volume: Usd.Prim) -> dict[str, list[Sdf.Path]]:
+    """Forwarded targets of every ``field:`` relationship by its name without that prefix.
+
+    Differs from ``UsdVol.Volume.GetFieldPaths``: names with further colons stay whole, and
+    relationships without or with several targets are kept, so that they can be reported.
+    """
+    return {
+        relationship.GetName()[len(_PREFIX) :]: list(relationship.GetForwardedTargets())
+        for relationship in volume.GetRelationships()
+        if relationship.GetName().startswith(_PREFIX)
+    }
+
+
+def velocity_relationships(names: Sequence[str], wanted: str = "") -> tuple[str, ...]:
+    """The relationships that hold the velocity: one vector, three scalars x, y, z, or none.
+
+    Args:
+        names: relationship names without ``field:``.
+        wanted: the name from the settings; empty tries vel, v and velocity in this order. Scalars
+            are called like the vector plus _x, :x or x.
+    """
+    for base in (wanted,) if wanted else _VELOCITY_NAMES:
+        if base in names:
+            return (base,)
+        for separator in ("_", ":", ""):
+            components = tuple(f"{base}{separator}{axis}" for axis in _AXES)
+            if all(name in names for name in components):
+                return components
+    return ()
+
+
+def find_fields(volume: Usd.Prim, density: str, velocity: str) -> VolumeFields:
+    """The field prims of a Volume's density and, where there is one, velocity.
+
+    A velocity relationship that leads to no OpenVDBAsset is left with the others: only the density
+    has to be there.
+
+    Args:
+        volume: a composed Volume prim.
+        density: relationship name of the density.
+        velocity: relationship name of the velocity; empty means the usual names.
+
+    Raises:
+        FieldNotFound: no relationship of the density's name, or one that leads to no OpenVDBAsset.
+        StageError: the density's field prim is an instance proxy.
+    """
+    relationships = field_relationships(volume)
+    if density not in relationships:
+        raise FieldNotFound(
+            f'Volume <{volume.GetPath()}> has no relationship "{_PREFIX}{density}"; '
+            f"it has: {_listed(relationships)}; name the density's with stage.density"
+        )
+    prims = {density: _density_prim(volume, density, relationships[density])}
+    names = velocity_relationships(sorted(relationships), velocity)
+    found = {name: _field_prim(volume, relationships[name]) for name in names}
+    if all(isinstance(prim, Usd.Prim) for prim in found.values()):
+        prims.update({name: prim for name, prim in found.items() if isinstance(prim, Usd.Prim)})
+    else:
+        names = ()
+    others = tuple(name for name in sorted(relationships) if name not in prims)
+    return VolumeFields(density, names, prims, others)
+
+
+def describe_instance(prim: Usd.Prim) -> str:
+    """The instance that an instance proxy belongs to, where its opinions stand, what to do."""
+    instance = prim
+    while instance and not instance.IsInstance():
+        instance = instance.GetParent()
+    source = prim.GetPrimStack()[0]
+    return (
+        f"it lies inside the instance <{instance.GetPath()}>, whose prims cannot be changed one by "
+        f"one; stylize its source, <{source.path}> in {source.layer.identifier}, "
+        f"or set instanceable = false on <{instance.GetPath()}>"
+    )
+
+
+def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
+    prim = _field_prim(volume, targets)
+    where = f'relationship "{_PREFIX}{density}" of Volume <{volume.GetPath()}>'
+    if isinstance(prim, str):
+        raise FieldNotFound(f"the {where} {prim}; wanted one OpenVDBAsset prim: correct its target")
+    if prim.IsInstanceProxy():
+        raise StageError(
+            f"cannot change the field <{prim.GetPath()}> of the {where}: {describe_instance(prim)}"
+        )
+    return prim
+
+
+def _field_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
+    """The OpenVDBAsset at the one target, or what is wrong in words."""
+    if not targets:
+        return "has no target"
+    if len(targets) > 1:
+        return f"has {len(targets)} targets ({', '.join(f'<{path}>' for path in targets)})"
+    prim = volume.GetStage().GetPrimAtPath(targets[0].GetPrimPath())
+    if not prim or not targets[0].IsPrimPath():
+        return f"leads to <{targets[0]}>, where there is no prim"
+    if not prim.IsA(UsdVol.OpenVDBAsset):
+        kind = prim.GetTypeName() or "none"
+        return f"leads to <{targets[0]}>, which is of type {kind}"
+    return prim
+
+
+def _listed(names: dict[str, list[Sdf.Path]]) -> str:
+    return ", ".join(f"{_PREFIX}{name}" for name in sorted(names)) or "none"

@@ -1,0 +1,215 @@
+"""Which Volumes of a stage, at which timeCodes, and what their fields show then."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pxr import Sdf, Usd, UsdGeom, UsdVol
+
+from usdsmoke.config import StageConfig
+from usdsmoke.errors import AssetNotResolved, StageError, VolumeNotFound
+from usdsmoke.stage.assets import check_assets, field_source, field_time_codes, is_blocked
+from usdsmoke.stage.fields import VolumeFields, describe_instance, find_fields
+from usdsmoke.time_codes import (
+    FrameRange,
+    format_time_code,
+    format_time_codes,
+    parse_frames,
+    select_frames,
+)
+from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
+
+__all__ = ["find_volumes"]
+
+_STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
+
+
+@dataclass(frozen=True)
+class _Outline:
+    """A Volume with its fields and timeCodes, before any are selected."""
+
+    prim: Usd.Prim
+    fields: VolumeFields
+    time_codes: tuple[float, ...]  # gaps included
+    existing: tuple[float, ...]  # gaps left out
+    animated: bool
+
+
+def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
+    """The Volumes to stylize, with every selected timeCode of their density and velocity.
+
+    A Volume's timeCodes are those at which its density's file or grid changes; other fields are
+    held in between, as USD holds them. What is not animated has one frame, at the stage's
+    startTimeCode, and is taken whatever timeCodes are asked for.
+
+    Args:
+        stage: from ``open_stage``.
+        config: the section ``stage`` of the settings.
+
+    Raises:
+        ConfigError: ``frames`` cannot be read.
+        VolumeNotFound: a named prim is missing or no Volume, or the stage has no Volume at all.
+        FieldNotFound: the density's relationship or its field prim is missing.
+        AssetNotResolved: a selected file cannot be read from disk.
+        StageError: a Volume is an instance proxy, or a timeCode is asked for that does not exist.
+    """
+    ranges = parse_frames(config.frames)
+    prims, omitted = _choose_volumes(stage, config.prims)
+    outlines = [_outline_volume(prim, config) for prim in prims]
+    selections = _select_time_codes(outlines, ranges, config.frames)
+    volumes = []
+    for outline, selected in zip(outlines, selections, strict=True):
+        if selected:
+            volumes.append(_read_volume(outline, selected))
+            continue
+        reason = (
+            f"none of its timeCodes {format_time_codes(outline.existing)} is in {config.frames!r}"
+        )
+        if config.prims:
+            raise StageError(
+                f"Volume <{outline.prim.GetPath()}> was named, but {reason}; "
+                "choose other frames or leave it out"
+            )
+        omitted[str(outline.prim.GetPath())] = reason
+    return _describe_stage(stage, tuple(volumes), omitted)
+
+
+def _describe_stage(
+    stage: Usd.Stage, volumes: tuple[VolumeSource, ...], omitted: dict[str, str]
+) -> StageSource:
+    root = stage.GetRootLayer()
+    return StageSource(
+        file_path=root.realPath or root.identifier,
+        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+        meters_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
+        time_codes_per_second=stage.GetTimeCodesPerSecond(),
+        frames_per_second=stage.GetFramesPerSecond(),
+        start_time_code=_authored_time(stage, "startTimeCode"),
+        end_time_code=_authored_time(stage, "endTimeCode"),
+        default_prim=root.defaultPrim,
+        volumes=volumes,
+        omitted=omitted,
+    )
+
+
+def _authored_time(stage: Usd.Stage, key: str) -> float | None:
+    return float(stage.GetMetadata(key)) if stage.HasAuthoredMetadata(key) else None
+
+
+def _choose_volumes(
+    stage: Usd.Stage, named: Sequence[str]
+) -> tuple[list[Usd.Prim], dict[str, str]]:
+    """The Volumes to take, and why others are left out."""
+    predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+    there = [prim for prim in Usd.PrimRange.Stage(stage, predicate) if prim.IsA(UsdVol.Volume)]
+    if named:
+        return [_named_volume(stage, path, there) for path in named], {}
+    volumes = [prim for prim in there if not prim.IsInstanceProxy()]
+    inside = {
+        str(prim.GetPath()): describe_instance(prim) for prim in there if prim.IsInstanceProxy()
+    }
+    if volumes:
+        return volumes, inside
+    if inside:
+        path, reason = next(iter(inside.items()))
+        raise StageError(f"cannot stylize Volume <{path}>: {reason}")
+    raise VolumeNotFound(
+        f"no Volume on the stage {stage.GetRootLayer().identifier}; wanted a prim of type Volume "
+        f"with a density field{_composition_hint(stage)}"
+    )
+
+
+def _composition_hint(stage: Usd.Stage) -> str:
+    """What to look at when an arc is broken: the Volume may lie behind it."""
+    errors = stage.GetCompositionErrors()
+    if not errors:
+        return "; usdsmoke does not make smoke of meshes or particles"
+    return f"; a part of the stage is missing, perhaps that one: {' '.join(str(errors[0]).split())}"
+
+
+def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
+    listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
+    advice = f"wanted one of the stage's Volumes: {listed}"
+    if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
+        raise VolumeNotFound(f"{path!r} is no path of a prim, as /World/smoke is; {advice}")
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise VolumeNotFound(f"no prim <{path}> on the stage; {advice}")
+    if not prim.IsActive():
+        raise VolumeNotFound(f"the prim <{path}> is inactive; activate it, or {advice}")
+    if not prim.IsA(UsdVol.Volume):
+        kind = prim.GetTypeName() or "none"
+        raise VolumeNotFound(f"the prim <{path}> is of type {kind}; {advice}")
+    if prim.IsInstanceProxy():
+        raise StageError(f"cannot stylize Volume <{path}>: {describe_instance(prim)}")
+    return prim
+
+
+def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
+    fields = find_fields(prim, config.density, config.velocity)
+    density = fields.prims[fields.density]
+    codes = field_time_codes(density)
+    animated = bool(codes)
+    if not animated:
+        start = _authored_time(prim.GetStage(), "startTimeCode")
+        codes = [_STATIC_TIME_CODE if start is None else start]
+    existing = tuple(code for code in codes if not is_blocked(density, code))
+    if not existing:
+        raise AssetNotResolved(
+            f"the field <{density.GetPath()}> of Volume <{prim.GetPath()}> has no filePath at any "
+            "timeCode; wanted a default or time samples that name .vdb files"
+        )
+    return _Outline(prim, fields, tuple(codes), existing, animated)
+
+
+def _select_time_codes(
+    outlines: Sequence[_Outline], ranges: Sequence[FrameRange], text: str
+) -> list[tuple[float, ...]]:
+    """The selected timeCodes of each Volume; a single one must exist on one Volume at least."""
+    if not all(outline.animated for outline in outlines):
+        everywhere_missing: set[float] = set()
+    else:
+        in_vain = [set(select_frames(ranges, outline.existing)[1]) for outline in outlines]
+        everywhere_missing = set.intersection(*in_vain)
+    selections = [
+        select_frames(ranges, outline.existing)[0] if outline.animated else outline.existing
+        for outline in outlines
+    ]
+    if not everywhere_missing and any(selections):
+        return selections
+    wanted = (
+        f"timeCode {', '.join(format_time_code(code) for code in sorted(everywhere_missing))}"
+        if everywhere_missing
+        else f"any timeCode in {text!r}"
+    )
+    there = "; ".join(
+        f"<{outline.prim.GetPath()}> has {format_time_codes(outline.existing)}"
+        for outline in outlines
+    )
+    raise StageError(f"no density is authored at {wanted}; {there}; choose frames among these")
+
+
+def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
+    frames = []
+    for time_code in selected:
+        xforms = UsdGeom.XformCache(time_code)
+        found = {
+            name: field_source(name, prim, time_code, xforms)
+            for name, prim in outline.fields.prims.items()
+        }
+        fields = {name: source for name, source in found.items() if source is not None}
+        frames.append(FrameSource(time_code, fields))
+    for name, prim in outline.fields.prims.items():
+        check_assets(prim, _of_field(frames, name))
+    return VolumeSource(
+        prim_path=str(outline.prim.GetPath()),
+        frames=tuple(frames),
+        animated=outline.animated,
+        time_codes=outline.time_codes,
+        density=outline.fields.density,
+        velocity=outline.fields.velocity,
+        other_fields=outline.fields.others,
+    )
+
+
+def _of_field(frames: Sequence[FrameSource], name: str) -> list[FieldSource]:
+    return [frame.fields[name] for frame in frames if name in frame.fields]

@@ -1,0 +1,136 @@
+"""Selections of timeCodes: "1-24x2,30" into ranges, ranges into the timeCodes that exist, and back."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from usdsmoke.errors import ConfigError
+
+__all__ = ["FrameRange", "format_time_code", "format_time_codes", "parse_frames", "select_frames"]
+
+_TOLERANCE = 1e-6  # layer offsets with a scale leave rounding in timeCodes
+_NUMBER = r"-?\d+(?:\.\d+)?"
+_PART = re.compile(rf"({_NUMBER})(?:\s*-\s*({_NUMBER})(?:\s*x\s*({_NUMBER}))?)?")
+
+
+@dataclass(frozen=True)
+class FrameRange:
+    """One part of a selection: the timeCodes from ``first`` to ``last``, both included."""
+
+    first: float
+    last: float
+    step: float | None = None  # None takes every timeCode in between, fractional ones too
+
+    @property
+    def is_single(self) -> bool:
+        """True for a timeCode that was named by itself, and so has to exist."""
+        return self.first == self.last
+
+    def holds(self, time_code: float) -> bool:
+        """Whether ``time_code`` belongs to this range."""
+        if not self.first - _TOLERANCE <= time_code <= self.last + _TOLERANCE:
+            return False
+        if self.step is None:
+            return True
+        n_steps = (time_code - self.first) / self.step
+        return abs(n_steps - round(n_steps)) * self.step <= _TOLERANCE
+
+
+def parse_frames(text: str) -> tuple[FrameRange, ...]:
+    """The ranges that a text such as ``1-24``, ``1,5,9``, ``1-24x2`` or ``-3-5,7.5`` names.
+
+    An empty text gives no range at all, which means every timeCode there is.
+
+    >>> parse_frames("-3-5, 8-12x2")
+    (FrameRange(first=-3.0, last=5.0, step=None), FrameRange(first=8.0, last=12.0, step=2.0))
+
+    Raises:
+        ConfigError: a part is neither a number nor a range, a range runs backwards, or a step is
+            not above 0.
+    """
+    if not text.strip():
+        return ()
+    return tuple(_parse_part(part.strip(), text) for part in text.split(","))
+
+
+def select_frames(
+    ranges: Sequence[FrameRange], time_codes: Iterable[float]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Which of the existing timeCodes are selected, and which single ones do not exist.
+
+    Args:
+        ranges: from ``parse_frames``; none selects everything.
+        time_codes: those that exist, in any order.
+
+    Returns:
+        The selected timeCodes, ascending, and the timeCodes that were named singly in vain.
+    """
+    existing = sorted(time_codes)
+    if not ranges:
+        return tuple(existing), ()
+    selected = tuple(code for code in existing if any(part.holds(code) for part in ranges))
+    missing = tuple(
+        part.first
+        for part in ranges
+        if part.is_single and not any(part.holds(code) for code in existing)
+    )
+    return selected, missing
+
+
+def format_time_code(time_code: float) -> str:
+    """A timeCode as people write it: 7 for 7.0, 7.5 for 7.5."""
+    return f"{round(time_code, 6):g}" if abs(time_code) < 1e6 else f"{time_code:.12g}"
+
+
+def format_time_codes(time_codes: Iterable[float]) -> str:
+    """Many timeCodes in the selection's own spelling, runs of three and more joined.
+
+    >>> format_time_codes([1, 2, 3, 4, 10, 12, 14, 20])
+    '1-4,10-14x2,20'
+    """
+    codes = sorted(time_codes)
+    parts = []
+    start = 0
+    while start < len(codes):
+        end = _end_of_run(codes, start)
+        if end - start < 2:
+            parts.append(format_time_code(codes[start]))
+            start += 1
+            continue
+        step = codes[start + 1] - codes[start]
+        suffix = "" if abs(step - 1.0) <= _TOLERANCE else f"x{format_time_code(step)}"
+        parts.append(f"{format_time_code(codes[start])}-{format_time_code(codes[end])}{suffix}")
+        start = end + 1
+    return ",".join(parts)
+
+
+def _end_of_run(codes: Sequence[float], start: int) -> int:
+    """Index of the last timeCode that follows ``start`` at one constant step."""
+    end = min(start + 1, len(codes) - 1)
+    while end + 1 < len(codes):
+        if abs((codes[end + 1] - codes[end]) - (codes[start + 1] - codes[start])) > _TOLERANCE:
+            break
+        end += 1
+    return end
+
+
+def _parse_part(part: str, text: str) -> FrameRange:
+    match = _PART.fullmatch(part)
+    if match is None:
+        raise ConfigError(
+            f"cannot read {part!r} in the frames {text!r}; "
+            "wanted timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5"
+        )
+    first = float(match[1])
+    last = float(match[2]) if match[2] is not None else first
+    step = float(match[3]) if match[3] is not None else None
+    if last < first:
+        raise ConfigError(
+            f"the range {part!r} in the frames {text!r} runs backwards; "
+            f"wanted the smaller timeCode first: {match[2]}-{match[1]}"
+        )
+    if step is not None and step <= 0.0:
+        raise ConfigError(
+            f"the step of {part!r} in the frames {text!r} is {match[3]}; wanted one above 0"
+        )
+    return FrameRange(first, last, step)
