@@ -221,8 +221,8 @@ class OptimizeConfig:
     iterations: int | None = _setting(
         None, "total iterations of each step; scales its octaves' lists", low=1
     )
-    octave_scale: float = _setting(
-        2.0, "resolution ratio of neighbouring octaves; the reference uses 1.8", low=1.2, high=4.0
+    tolerance: float = _setting(
+        2e-3, "stop an octave when its loss fell by less than this share; 0 never stops early", low=0.0
     )
     strength: float = _setting(
         1.0, "share of the effect that is kept: 0 gives the source back", low=0.0, high=1.0

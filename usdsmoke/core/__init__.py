@@ -1,0 +1,3 @@
+"""The stylization core: torch and numpy only; it knows neither USD nor VDB."""
+
+__all__: list[str] = []

@@ -1,0 +1,28 @@
+"""Where the core computes, and that it computes the same bits again."""
+
+import os
+
+import torch
+
+from usdsmoke.config import OptimizeConfig
+from usdsmoke.errors import ConfigError
+
+__all__ = ["choose_device"]
+
+
+def choose_device(config: OptimizeConfig) -> torch.device:
+    """The configured device, with threads and determinism set for the process.
+
+    Raises:
+        ConfigError: the device is unknown here; the message lists those there are.
+    """
+    available = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
+    wanted = available[-1] if config.device == "auto" else config.device
+    if wanted.split(":")[0] not in available:
+        raise ConfigError(
+            f"optimize.device is {config.device!r}; this machine has: auto, {', '.join(available)}"
+        )
+    torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
+    torch.backends.cudnn.benchmark = False
+    torch.backends.cudnn.deterministic = True
+    return torch.device(wanted)

@@ -1,0 +1,79 @@
+"""Feature maps of pictures by layer name, whatever network makes them.
+
+A network is built for one style image, because the embedded one learns from it, and is then called with a
+picture and the names of the layers that are wanted; layers deeper than those are not evaluated.
+"""
+
+from typing import Callable, Protocol
+
+from torch import Tensor
+
+from usdsmoke.config import FeaturesConfig
+from usdsmoke.core.learned import LearnedFeatures
+from usdsmoke.core.oriented import OrientedFeatures
+from usdsmoke.core.vgg19 import DEFAULT_STYLE_LAYERS, Vgg19Features
+from usdsmoke.errors import ConfigError
+
+__all__ = ["EmbeddedFeatures", "Network", "build_network", "layer_names", "style_layers"]
+
+
+class Network(Protocol):
+    """Feature maps [1 C h w] of a picture [H W 3], display-encoded, by layer name."""
+
+    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]: ...
+
+
+class EmbeddedFeatures:
+    """The default: oriented filters and filters learned from the style image; no weights file, no download."""
+
+    names = OrientedFeatures.names + LearnedFeatures.names
+
+    def __init__(self, style: Tensor, seed: int = 0) -> None:
+        self._parts = (OrientedFeatures(style, seed), LearnedFeatures(style, seed))
+
+    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+        maps: dict[str, Tensor] = {}
+        for part in self._parts:
+            maps.update(part(picture, wanted & frozenset(part.names)))
+        return maps
+
+
+def layer_names(config: FeaturesConfig) -> tuple[str, ...]:
+    """Every layer that the configured network has, shallow to deep."""
+    return EmbeddedFeatures.names if config.network == "embedded" else Vgg19Features.names
+
+
+def style_layers(config: FeaturesConfig) -> dict[str, float]:
+    """The style layers and their weights; those of weight 0 are left out.
+
+    Raises:
+        ConfigError: an unknown layer, or weights that do not match the layers in number.
+    """
+    known = layer_names(config)
+    default = EmbeddedFeatures.names if config.network == "embedded" else DEFAULT_STYLE_LAYERS
+    names = config.layers or list(default)
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"features.layers names {name!r}, which the {config.network} network has not; "
+                f"it has: {', '.join(known)}"
+            )
+    weights = config.weights or [1.0] * len(names)
+    if len(weights) != len(names):
+        raise ConfigError(
+            f"features.weights holds {len(weights)} numbers for {len(names)} style layers "
+            f"({', '.join(names)}); give one for each or none"
+        )
+    return {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}
+
+
+def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:
+    """A function that gives the network for a style image [H W 3].
+
+    Raises:
+        FeatureError: the VGG-19 file is missing or wrong.
+    """
+    if config.network == "embedded":
+        return lambda style: EmbeddedFeatures(style, seed)
+    vgg19 = Vgg19Features.from_file(config.vgg19_file)
+    return lambda style: vgg19.to(style)

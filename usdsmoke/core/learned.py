@@ -1,0 +1,123 @@
+"""Filters learned from the style image itself by clustering its patches: three layers in well under a second.
+
+Each layer is a spherical k-means dictionary [Coates2012] of whitened patches of the layer below, followed by
+relu; max-pooling stands between layers.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.core.oriented import colour_whitening
+
+__all__ = ["LearnedFeatures"]
+
+N_FILTERS = (64, 96, 128)
+
+
+def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator) -> Tensor:
+    """Up to ``n_patches`` random patches [N C*size*size] of feature maps [1 C H W]."""
+    padded = F.pad(maps, (size // 2,) * 4, mode="replicate")
+    columns = F.unfold(padded, size)[0].T
+    if len(columns) > n_patches:
+        chosen = torch.randperm(len(columns), generator=generator)[:n_patches]
+        columns = columns[chosen.to(columns.device)]
+    return columns
+
+
+def _cluster_directions(points: Tensor, n: int, n_iterations: int, generator: torch.Generator) -> Tensor:
+    """[n D] unit vectors: spherical k-means of points [N D]; empty clusters are drawn anew."""
+    points = points / points.norm(dim=1, keepdim=True).clamp_min(1e-8)
+    start = torch.randint(len(points), (n,), generator=generator).to(points.device)
+    centres = points[start].clone()
+    for _ in range(n_iterations):
+        nearest = (points @ centres.T).argmax(dim=1)
+        sums = torch.zeros_like(centres).index_add_(0, nearest, points)
+        empty = sums.norm(dim=1) < 1e-8
+        if bool(empty.any()):
+            drawn = torch.randint(len(points), (int(empty.sum()),), generator=generator)
+            sums[empty] = points[drawn.to(points.device)] + 1e-6
+        centres = sums / sums.norm(dim=1, keepdim=True).clamp_min(1e-8)
+    return centres
+
+
+def _principal_axes(points: Tensor, n: int) -> Tensor:
+    """[n D] whitening rows of the leading principal axes, with a floor against near-empty ones."""
+    centred = (points - points.mean(0)).double()
+    values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
+    n = min(n, len(values))
+    values, vectors = values[-n:], vectors[:, -n:]
+    floor = 0.02 * values[-1].clamp_min(1e-12)
+    return ((values.clamp_min(0) + floor).rsqrt()[:, None] * vectors.T).to(points)
+
+
+class LearnedFeatures:
+    """Feature maps ``learned0`` (whitened colour) to ``learned3`` of pictures.
+
+    Args:
+        style: [H W 3], display-encoded; the filters are learned from it.
+        seed: of the patches drawn and the clusters started from.
+    """
+
+    names = ("learned0", "learned1", "learned2", "learned3")
+
+    def __init__(self, style: Tensor, seed: int = 0) -> None:
+        generator = torch.Generator().manual_seed(seed)
+        self._mean, self._matrix = colour_whitening(style, 1e-6, relative=0.1)
+        self._layers: list[tuple[Tensor, Tensor]] = []
+        maps = self._colour(style)
+        for number, n_filters in enumerate(N_FILTERS):
+            size = 5 if number == 0 else 3
+            if number:
+                maps = F.max_pool2d(maps, 2, ceil_mode=True)
+            weight = self._learn(maps, size, n_filters, number, generator)
+            response = self._respond(maps, weight, None)
+            deviation = response.std(dim=(0, 2, 3), correction=0)
+            # a floor, or filters that the style hardly excites explode on noise
+            deviation = torch.sqrt(deviation**2 + (0.1 * deviation.max()) ** 2) + 1e-6
+            bias = -response.mean(dim=(0, 2, 3)) / deviation
+            self._layers.append((weight / deviation[:, None, None, None], bias))
+            maps = torch.relu(self._respond(maps, *self._layers[-1]))
+
+    @staticmethod
+    def _learn(
+        maps: Tensor, size: int, n_filters: int, number: int, generator: torch.Generator
+    ) -> Tensor:
+        channels = maps.shape[1]
+        if number == 0:
+            patches = _patches(maps, size, 20000, generator)
+            patches = patches - patches.mean(dim=1, keepdim=True)
+            filters = _cluster_directions(patches, n_filters, 12, generator)
+            filters = filters - filters.mean(dim=1, keepdim=True)
+        else:
+            patches = _patches(maps, size, 8000, generator)
+            axes = _principal_axes(patches, 64)
+            whitened = (patches - patches.mean(0)) @ axes.T
+            filters = _cluster_directions(whitened, n_filters, 10, generator) @ axes
+        return filters.view(n_filters, channels, size, size)
+
+    @staticmethod
+    def _respond(maps: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        padded = F.pad(maps, (weight.shape[-1] // 2,) * 4, mode="replicate")
+        return F.conv2d(padded, weight, bias)
+
+    def _colour(self, picture: Tensor) -> Tensor:
+        return ((picture - self._mean) @ self._matrix).permute(2, 0, 1)[None]
+
+    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+        """[1 C H W] maps of a picture [H W 3], halved after each layer; none deeper than the deepest wanted.
+
+        Gradients: through ``picture``.
+        """
+        deepest = max((int(name[-1]) for name in wanted), default=-1)
+        if deepest < 0:
+            return {}
+        maps = self._colour(picture)
+        found = {"learned0": maps} if "learned0" in wanted else {}
+        for number in range(1, deepest + 1):
+            if number > 1:
+                maps = F.max_pool2d(maps, 2, ceil_mode=True)
+            maps = torch.relu(self._respond(maps, *self._layers[number - 1]))
+            if f"learned{number}" in wanted:
+                found[f"learned{number}"] = maps
+        return found

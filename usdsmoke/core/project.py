@@ -1,0 +1,183 @@
+r"""Projection of active voxels onto the image plane, and its exact adjoint.
+
+A voxel is splatted bilinearly on the pixels around its centre: the empty part of the box is never
+touched, and the adjoint is a plain gather. Two linear maps come out of it:
+
+- ``column_map``: density -> column integral of density per pixel, for the grey picture;
+- ``colour_map``: voxel colour -> composited picture, for fixed density. The density is splatted
+  trilinearly into view-aligned slabs, the slabs are weighted by ``optics.segment_weights``, and each
+  voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.core.optics import attenuation_ratio
+from usdsmoke.core.views import View
+
+__all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
+
+
+class _Apply(torch.autograd.Function):
+    """values [N C] -> picture [P C]; both directions are sums over sorted runs, so they repeat bit by bit."""
+
+    @staticmethod
+    def forward(ctx, values: Tensor, image: "SparseImage") -> Tensor:  # type: ignore[override]
+        ctx.image = image
+        return F.embedding_bag(
+            image.voxel, values, image.pixel_start, mode="sum", per_sample_weights=image.by_pixel
+        )
+
+    @staticmethod
+    def backward(ctx, upstream: Tensor):  # type: ignore[override]
+        return ctx.image.adjoint(upstream.contiguous()), None
+
+
+@dataclass(frozen=True)
+class SparseImage:
+    """A linear map from N voxels to H x W pixels with at most four pixels a voxel.
+
+    ``pixel`` and ``weight`` are [N 4]; ``voxel``, ``by_pixel`` and ``pixel_start`` are the same
+    entries sorted by pixel. Weights of pixels outside the image are 0.
+    """
+
+    height: int
+    width: int
+    pixel: Tensor
+    weight: Tensor
+    voxel: Tensor
+    by_pixel: Tensor
+    pixel_start: Tensor
+
+    def apply(self, values: Tensor) -> Tensor:
+        """Picture [H W C] of voxel values [N C]. Gradients: through ``values``, exact adjoint."""
+        return _Apply.apply(values, self).view(self.height, self.width, -1)
+
+    def adjoint(self, picture: Tensor) -> Tensor:
+        """Voxel values [N C] of a picture [H W C] or [P C]: the transpose of ``apply``."""
+        flat = picture.reshape(self.height * self.width, -1)
+        start = torch.arange(0, self.pixel.numel(), 4, device=flat.device)
+        return F.embedding_bag(
+            self.pixel.reshape(-1), flat, start, mode="sum", per_sample_weights=self.weight.reshape(-1)
+        )
+
+
+@dataclass(frozen=True)
+class _Footprint:
+    """Where voxels fall: pixel indices and bilinear weights [N 4], depth [N], length per volume [N]."""
+
+    pixel: Tensor
+    weight: Tensor
+    depth: Tensor
+    per_area: Tensor  # 1 / area that a pixel covers at the voxel, perpendicular to the ray
+
+
+def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footprint:
+    """Bilinear footprints of points in a view.
+
+    Args:
+        positions: [N 3], stage space, float64: smoke may be far from the origin.
+        view: orthographic or perspective; points behind a perspective eye get weight 0.
+        dtype: of the result.
+    """
+    axes = torch.as_tensor(np.stack([view.right, view.up, view.forward]), device=positions.device)
+    centre = torch.as_tensor(view.centre, dtype=positions.dtype, device=positions.device)
+    right, up, depth = ((positions - centre) @ axes.T.to(positions.dtype)).to(dtype).unbind(-1)
+    if view.focal is None:
+        scale = torch.full_like(depth, 1.0 / view.pixel_size)
+        per_area = scale**2
+        visible = torch.ones_like(depth)
+    else:
+        visible = (depth > 1e-6 * depth.abs().amax()).to(depth.dtype)
+        scale = view.focal / torch.where(visible > 0, depth, torch.ones_like(depth))
+        slant = torch.sqrt(1 + (right**2 + up**2) / torch.where(visible > 0, depth, torch.ones_like(depth)) ** 2)
+        per_area = scale**2 * slant  # the area seen at a slant is smaller by its cosine
+    x = (view.width - 1) / 2 + right * scale
+    y = (view.height - 1) / 2 - up * scale
+    x0, y0 = torch.floor(x), torch.floor(y)
+    fx, fy = x - x0, y - y0
+    pixels, weights = [], []
+    for dy in (0, 1):
+        for dx in (0, 1):
+            px, py = x0 + dx, y0 + dy
+            inside = (px >= 0) & (px < view.width) & (py >= 0) & (py < view.height)
+            w = (fx if dx else 1 - fx) * (fy if dy else 1 - fy) * visible
+            weights.append(torch.where(inside, w, torch.zeros_like(w)))
+            index = py.clamp(0, view.height - 1) * view.width + px.clamp(0, view.width - 1)
+            pixels.append(index.to(torch.int64))
+    return _Footprint(torch.stack(pixels, 1), torch.stack(weights, 1), depth, per_area)
+
+
+def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
+    flat = pixel.reshape(-1)
+    keep = torch.nonzero(weight.reshape(-1) > 0).squeeze(1)
+    order = keep[torch.argsort(flat[keep], stable=True)]
+    n_pixels = view.height * view.width
+    start = torch.zeros(n_pixels, dtype=torch.int64, device=flat.device)
+    counts = torch.bincount(flat[order], minlength=n_pixels)
+    start[1:] = torch.cumsum(counts, 0)[:-1]
+    return SparseImage(
+        view.height, view.width, pixel, weight, order // 4, weight.reshape(-1)[order], start
+    )
+
+
+def column_map(
+    positions: Tensor, voxel_volume: float, view: View, dtype: torch.dtype = torch.float32
+) -> SparseImage:
+    """The map from voxel density [N 1] to its column integral per pixel, density x stage unit.
+
+    Args:
+        positions: voxel centres, [N 3] float64, stage space.
+        voxel_volume: stage unit^3.
+        view: with pixels at least as large as the voxels, or gaps appear between them.
+    """
+    foot = project_voxels(positions, view, dtype)
+    return _sorted_image(view, foot.pixel, foot.weight * (voxel_volume * foot.per_area)[:, None])
+
+
+def colour_map(
+    positions: Tensor, density: Tensor, voxel_volume: float, gamma_w: float, view: View, step: float
+) -> tuple[SparseImage, Tensor]:
+    """The map from voxel colour [N 3] to the picture of fixed smoke, and its opacity [H W].
+
+    Args:
+        positions: voxel centres, [N 3] float64, stage space.
+        density: [N], >= 0.
+        voxel_volume: stage unit^3.
+        gamma_w: extinction per density, 1/stage unit.
+        view: see ``column_map``.
+        step: thickness of the slabs, stage units; about the voxel's size.
+
+    Returns:
+        The map, and alpha = 1 - exp(-gamma_w * column integral), which is what white smoke gives.
+
+    Gradients: none through density; it is fixed in the colour step.
+    """
+    foot = project_voxels(positions, view, density.dtype)
+    n_pixels = view.height * view.width
+    if len(positions) == 0:
+        return _sorted_image(view, foot.pixel, foot.weight), density.new_zeros(view.height, view.width)
+    slab = (foot.depth - foot.depth.min()) / step
+    slab0 = torch.floor(slab)
+    far = slab - slab0
+    n_slabs = int(slab0.max()) + 2
+    mass = gamma_w * density * voxel_volume * foot.per_area
+    cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel
+    share = foot.weight * mass[:, None]
+    depths = torch.zeros(n_slabs * n_pixels, dtype=density.dtype, device=density.device)
+    for cell, part in ((cell0, 1 - far), (cell0 + n_pixels, far)):
+        depths += torch.bincount(
+            cell.reshape(-1), (share * part[:, None]).reshape(-1), minlength=n_slabs * n_pixels
+        )
+    depths = depths.view(n_slabs, n_pixels)
+    before = torch.cumsum(depths, 0) - depths
+    per_depth = (torch.exp(-before) * attenuation_ratio(depths)).view(-1)
+    weight = share * (
+        per_depth[cell0] * (1 - far)[:, None] + per_depth[cell0 + n_pixels] * far[:, None]
+    )
+    alpha = -torch.expm1(-depths.sum(0)).view(view.height, view.width)
+    return _sorted_image(view, foot.pixel, weight), alpha

@@ -1,0 +1,101 @@
+"""Pictures of finished fields: what the optimiser saw, from any camera."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from usdsmoke.core.project import colour_map
+from usdsmoke.core.refine import refine_field
+from usdsmoke.core.scene import fit_view
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.core.style import encode_srgb
+from usdsmoke.core.views import View, orbit_view
+from usdsmoke.volume import DenseField
+
+__all__ = ["display_picture", "render_fields", "render_view"]
+
+MOST_REFINEMENT = 6
+
+
+def render_view(
+    density: DenseField,
+    emission: DenseField | None,
+    to_stage: np.ndarray,
+    gamma_w: float,
+    up_axis: str,
+    azimuth: float = 0.0,
+    elevation: float = 0.0,
+    image_size: int = 256,
+) -> np.ndarray:
+    """An orthographic picture that just holds the smoke; see ``render_fields`` for the result.
+
+    Args:
+        azimuth, elevation: degrees, see ``views.orbit_view``.
+        image_size: pixels of the longer side.
+    """
+    smoke = activate(density, to_stage, torch.device("cpu"))
+    if len(smoke.ijk) == 0:
+        return np.zeros((image_size, image_size, 4), np.float32)
+    tiny = orbit_view(azimuth, elevation, up_axis, np.zeros(3), 1, 1, 1e-3 * smoke.voxel_size)
+    fitted = fit_view(tiny, smoke, margin=0)
+    pixel_size = max(fitted.height, fitted.width) * fitted.pixel_size / (image_size - 4)
+    view = fit_view(replace(tiny, pixel_size=pixel_size), smoke)
+    return render_fields(density, emission, to_stage, gamma_w, view)
+
+
+def render_fields(
+    density: DenseField,
+    emission: DenseField | None,
+    to_stage: np.ndarray,
+    gamma_w: float,
+    view: View,
+) -> np.ndarray:
+    """The picture that a view has of the fields.
+
+    Voxels larger than the pixels are subdivided first, or gaps would show between them.
+
+    Args:
+        density: [i j k].
+        emission: [i j k 3], C x sigma, co-registered with the density; None draws white smoke.
+        to_stage: [4 4], grid world to stage.
+        gamma_w: extinction per density, 1/stage unit.
+        view: orthographic or perspective.
+
+    Returns:
+        [H W 4] float32: scene-linear colour premultiplied by alpha, and alpha. ``display_picture`` makes it presentable.
+    """
+    smoke = activate(density, to_stage, torch.device("cpu"))
+    if len(smoke.ijk) == 0:
+        return np.zeros((view.height, view.width, 4), np.float32)
+    factor = min(MOST_REFINEMENT, math.ceil(_pixels_per_voxel(smoke, view) - 1e-3))
+    if factor > 1:
+        smoke = activate(refine_field(density, factor), to_stage, torch.device("cpu"))
+        emission = refine_field(emission, factor) if emission is not None else None
+    colours = torch.ones(len(smoke.ijk), 3)
+    if emission is not None:
+        index = (smoke.ijk - torch.tensor(emission.ijk_min)).numpy()
+        sigma = (gamma_w * smoke.density).clamp_min(1e-30)
+        # a quotient of interpolated C x sigma and sigma: colour weighted by density, no bleeding from outside
+        colours = torch.from_numpy(emission.values[tuple(index.T)]) / sigma[:, None]
+    image, alpha = colour_map(
+        smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+    )
+    return torch.cat([image.apply(colours), alpha[..., None]], dim=-1).numpy()
+
+
+def display_picture(picture: np.ndarray, background: float | tuple[float, float, float] = 0.0) -> np.ndarray:
+    """Display-encoded [H W 3] in [0, 1] of a premultiplied linear picture [H W 4] over a linear background."""
+    behind = (1 - picture[..., 3:]) * np.asarray(background, np.float32)
+    return encode_srgb(torch.from_numpy(picture[..., :3] + behind)).clamp(0, 1).numpy()
+
+
+def _pixels_per_voxel(smoke: ActiveSmoke, view: View) -> float:
+    """How many pixels the longest edge of a voxel covers, at its nearest."""
+    edges = [np.linalg.norm(smoke.index_to_stage[n, :3]) for n in range(3) if n != smoke.thin_axis]
+    if view.focal is None:
+        return float(max(edges)) / view.pixel_size
+    depth = (smoke.positions.double().numpy() - view.centre) @ view.forward
+    visible = depth[depth > 0]
+    return float(max(edges)) * view.focal / float(visible.min()) if len(visible) else 1.0

@@ -1,0 +1,164 @@
+"""What every frame of a shot shares: extinction and image scale. Measured once, so that exposure does not jump."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from usdsmoke.config import Config
+from usdsmoke.core.project import column_map
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.core.views import View, orbit_view, sample_angles
+from usdsmoke.volume import VolumeFrame
+
+__all__ = ["Scene", "face_view", "fit_view", "frame_views", "measure_scene"]
+
+MARGIN = 2  # pixels around the smoke
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Lengths in stage units, extinctions in 1/stage unit per density."""
+
+    gamma_w: float  # colour step
+    gamma_w_shape: float  # shape step
+    pixel_size: float  # of the finest octave's pictures
+    up_axis: str
+    reference_voxel_size: float  # of the source, before any refinement; gamma = gamma_w * this
+    image_size: int  # pixels of the longer side of the largest picture, which the style is scaled to
+    grey_mean: float = 0.5  # of the grey picture inside the smoke, which the grey style is matched to
+    grey_deviation: float = 0.2
+
+
+def _corners(smoke: ActiveSmoke) -> np.ndarray:
+    """The eight corners of the active box, half a voxel padded, [8 3], stage space."""
+    low, high = smoke.box
+    choice = np.array([[n >> 2 & 1, n >> 1 & 1, n & 1] for n in range(8)])
+    ijk = np.where(choice, high + 0.5, low - 0.5)
+    return ijk @ smoke.index_to_stage[:3, :3] + smoke.index_to_stage[3, :3]
+
+
+def fit_view(view: View, smoke: ActiveSmoke, margin: int = MARGIN) -> View:
+    """The same orthographic view, moved and sized so that its image just holds the smoke."""
+    corners = _corners(smoke)
+    across, up = (corners @ axis for axis in (view.right, view.up))
+    middle = corners.mean(0)
+    middle = middle + view.right * ((across.min() + across.max()) / 2 - middle @ view.right)
+    middle = middle + view.up * ((up.min() + up.max()) / 2 - middle @ view.up)
+    width, height = (
+        max(1, math.ceil(float(np.ptp(side)) / view.pixel_size - 1e-6)) + 2 * margin
+        for side in (across, up)
+    )
+    return View(
+        view.right, view.up, view.forward, middle, height, width, view.pixel_size,
+        azimuth=view.azimuth, elevation=view.elevation,
+    )  # fmt: skip
+
+
+def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
+    """The view straight onto a one-voxel-thick slab: pixels lie along its own axes."""
+    axis = smoke.thin_axis
+    if axis is None:
+        raise ValueError("the smoke is not one voxel thick")
+    sides = [smoke.index_to_stage[n, :3] for n in range(3) if n != axis]
+    world_up = np.array([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0])
+    sides.sort(key=lambda side: abs(side @ world_up) / np.linalg.norm(side))
+    up = sides[1] * (1.0 if sides[1] @ world_up >= 0 else -1.0)
+    up = up / np.linalg.norm(up)
+    right = sides[0] - (sides[0] @ up) * up
+    right = right / np.linalg.norm(right)
+    if right[np.argmax(np.abs(right))] < 0:
+        right = -right
+    view = View(right, up, np.cross(up, right), np.zeros(3), 1, 1, pixel_size)
+    return fit_view(view, smoke)
+
+
+def frame_views(
+    smoke: ActiveSmoke, config: Config, scene: Scene, seed: int, factor: int = 1
+) -> list[View]:
+    """The pool of views of one frame and octave, each just large enough for the smoke.
+
+    Args:
+        smoke: decides the images' extent, and a single face-on view when it is one voxel thick.
+        factor: pixels are this many times the scene's.
+    """
+    pixel_size = scene.pixel_size * factor
+    if smoke.thin_axis is not None:
+        return [face_view(smoke, scene.up_axis, pixel_size)]
+    return [
+        fit_view(orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size), smoke)
+        for a, e in sample_angles(config.views, config.views.pool, seed)
+    ]
+
+
+def _middle_view(smoke: ActiveSmoke, config: Config, up_axis: str, pixel_size: float) -> View:
+    if smoke.thin_axis is not None:
+        return face_view(smoke, up_axis, pixel_size)
+    views = config.views
+    view = orbit_view(
+        views.centre_azimuth, views.centre_elevation, up_axis, np.zeros(3), 1, 1, pixel_size
+    )
+    return fit_view(view, smoke)
+
+
+def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
+    """Column integrals of density where there is smoke, [P], density x stage unit."""
+    columns = column_map(smoke.positions, smoke.voxel_volume, view).apply(smoke.density[:, None])
+    return columns[columns > 1e-3 * columns.max()].double().numpy()
+
+
+def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -> Scene:
+    """Extinction and pixel size from a few frames of the shot; empty frames are passed over.
+
+    An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the optical depth
+    ``optics.depth``, seen from the middle view, in the median of the frames; likewise ``gamma_shape``. A set gamma is
+    per voxel, the paper's meaning, and is divided by the voxel size.
+
+    Args:
+        frames: sampled over the *whole* shot, so that windows and machines agree.
+        up_axis: "Y" or "Z".
+
+    Returns:
+        The scene; with nothing but empty frames, harmless values.
+    """
+    device = torch.device("cpu")
+    filled = []
+    for frame in frames:
+        smoke = activate(frame.density, frame.density_to_stage, device)
+        if len(smoke.ijk):
+            filled.append(smoke)
+    if not filled:
+        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
+    voxel = float(np.median([smoke.voxel_size for smoke in filled]))
+    longest = max(_longest_side(smoke, config, up_axis) for smoke in filled)
+    # pixels smaller than the voxels would leave gaps between them
+    pixel_size = max(longest / config.views.image_size, voxel / config.grids.refine)
+    coarse = max(pixel_size, voxel)
+    columns = [_columns(s, _middle_view(s, config, up_axis, coarse)) for s in filled]
+    thick = float(np.median([np.percentile(c, config.optics.percentile) for c in columns]))
+    gamma_w, gamma_w_shape = (
+        per_voxel / voxel if per_voxel is not None else depth / thick
+        for per_voxel, depth in (
+            (config.optics.gamma, config.optics.depth),
+            (config.optics.gamma_shape, config.optics.depth_shape),
+        )
+    )
+    grey = -np.expm1(-gamma_w_shape * np.concatenate(columns))
+    inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
+    return Scene(
+        gamma_w,
+        gamma_w_shape,
+        pixel_size,
+        up_axis,
+        voxel,
+        math.ceil(longest / pixel_size - 1e-6),
+        float(inside.mean()),
+        float(inside.std()),
+    )
+
+
+def _longest_side(smoke: ActiveSmoke, config: Config, up_axis: str) -> float:
+    view = _middle_view(smoke, config, up_axis, 1e-3 * smoke.voxel_size)
+    return max(view.height, view.width) * view.pixel_size

@@ -1,0 +1,148 @@
+"""The active voxels of a frame, and the same smoke at half the resolution."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.volume import DenseField
+
+__all__ = ["ActiveSmoke", "activate", "coarsen", "densify", "make_octaves", "sample_colours"]
+
+
+@dataclass(frozen=True)
+class ActiveSmoke:
+    """Voxels that hold smoke: nothing in the core touches the empty rest of the box.
+
+    ``ijk`` are absolute voxel indices of this resolution, so that neither noise nor octaves depend on how the
+    box was cropped.
+    """
+
+    ijk: Tensor  # [N 3] int64
+    density: Tensor  # [N], > 0
+    index_to_stage: np.ndarray  # [4 4]
+
+    @property
+    def voxel_volume(self) -> float:
+        """Stage unit^3."""
+        return float(abs(np.linalg.det(self.index_to_stage[:3, :3])))
+
+    @property
+    def thin_axis(self) -> int | None:
+        """The index axis along which the smoke is one voxel thick, or None when it is not 2-D."""
+        low, high = self.box
+        thin = np.flatnonzero(high == low)
+        return int(thin[0]) if len(thin) == 1 else None
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge of the cube of a voxel's volume (2-D: of the square of its face), stage units."""
+        if len(self.ijk) == 0 or self.thin_axis is None:
+            return self.voxel_volume ** (1 / 3)
+        sides = [self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis]
+        return float(np.linalg.norm(np.cross(*sides))) ** 0.5
+
+    @property
+    def positions(self) -> Tensor:
+        """Voxel centres, [N 3] float64, stage space."""
+        matrix = torch.as_tensor(self.index_to_stage, dtype=torch.float64, device=self.ijk.device)
+        return self.ijk.double() @ matrix[:3, :3] + matrix[3, :3]
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest active index, [3] each."""
+        return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
+
+
+def activate(
+    density: DenseField, to_stage: np.ndarray, device: torch.device, above: float = 0.0
+) -> ActiveSmoke:
+    """The voxels of a dense field with density above a threshold; negative density counts as none.
+
+    Args:
+        density: [i j k].
+        to_stage: [4 4], the field's grid world to stage space.
+        above: voxels at or below this density are left out.
+    """
+    chosen = np.argwhere(density.values > max(above, 0.0))
+    values = density.values[tuple(chosen.T)] if len(chosen) else np.zeros(0, np.float32)
+    ijk = torch.from_numpy(chosen + np.asarray(density.ijk_min, np.int64)).to(device)
+    matrix = np.asarray(density.index_to_world, float) @ np.asarray(to_stage, float)
+    return ActiveSmoke(ijk, torch.from_numpy(values.astype(np.float32)).to(device), matrix)
+
+
+def _flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:
+    shifted = ijk - low
+    return (shifted[:, 0] * shape[1] + shifted[:, 1]) * shape[2] + shifted[:, 2]
+
+
+def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
+    """The smoke at half the resolution along every axis that has more than one voxel; mass is kept.
+
+    Blocks are aligned to even absolute indices, and the coarse transform maps block centres, so column integrals of
+    density agree between octaves.
+    """
+    if len(smoke.ijk) == 0:
+        return smoke
+    low, high = smoke.box
+    factor = np.where(high > low, 2, 1)
+    divisor = torch.as_tensor(factor, device=smoke.ijk.device)
+    blocks = torch.div(smoke.ijk, divisor, rounding_mode="floor")
+    first = blocks.amin(0)
+    shape = blocks.amax(0) - first + 1
+    keys, inverse = torch.unique(_flat_key(blocks, first, shape), return_inverse=True)
+    sums = torch.bincount(inverse, smoke.density.double(), minlength=len(keys))
+    density = (sums / float(np.prod(factor))).to(smoke.density.dtype)
+    ijk = torch.stack(
+        [keys // (shape[1] * shape[2]), keys // shape[2] % shape[1], keys % shape[2]], dim=1
+    )
+    block_to_index = np.diag([*factor, 1.0]).astype(float)
+    block_to_index[3, :3] = (factor - 1) / 2  # the centre of a block of 2 lies between its voxels
+    return ActiveSmoke(ijk + first, density, block_to_index @ smoke.index_to_stage)
+
+
+def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: tuple[int, int, int]) -> Tensor:
+    """Voxel values [N C] as a dense box [I J K C], zero elsewhere."""
+    dense = values.new_zeros(shape[0] * shape[1] * shape[2], values.shape[1])
+    dense[_flat_key(ijk, low, torch.as_tensor(shape, device=ijk.device))] = values
+    return dense.view(*shape, -1)
+
+
+def sample_colours(smoke: ActiveSmoke, colours: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
+    """Colours at points, trilinear between those voxels that hold smoke, and how much smoke was near.
+
+    Empty voxels take no part (normalised weights), so nothing bleeds in from outside the smoke.
+
+    Args:
+        colours: [N C], at the smoke's voxels.
+        positions: [P 3], stage space, float64.
+
+    Returns:
+        [P C], and the trilinear weight of active voxels [P 1] in [0, 1]; the colour is 0 where that is 0.
+    """
+    matrix = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=positions.device)
+    low = smoke.ijk.amin(0) - 1
+    shape = tuple(int(n) for n in (smoke.ijk.amax(0) - low + 2))
+    ones = torch.ones_like(colours[:, :1])
+    box = densify(smoke.ijk, torch.cat([colours, ones], 1), low, shape).view(-1, colours.shape[1] + 1)
+    place = positions @ matrix[:3, :3] + matrix[3, :3] - low
+    base = torch.floor(place)
+    part = (place - base).to(colours.dtype)
+    limit = torch.as_tensor(shape, device=place.device) - 1
+    summed = torch.zeros(len(place), box.shape[1], dtype=colours.dtype, device=place.device)
+    for corner in range(8):
+        offset = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=place.device)
+        index = torch.minimum((base.long() + offset).clamp_min(0), limit)
+        weight = torch.where(offset.bool(), part, 1 - part).prod(1, keepdim=True)
+        summed += weight * box[(index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]]
+    near = summed[:, -1:]
+    return summed[:, :-1] / near.clamp_min(1e-12), near
+
+
+def make_octaves(smoke: ActiveSmoke, n: int) -> list[ActiveSmoke]:
+    """The smoke at 1/2^(n-1), ..., 1/2, 1 of its resolution, coarse to fine."""
+    octaves = [smoke]
+    for _ in range(n - 1):
+        octaves.insert(0, coarsen(octaves[0]))
+    return octaves

@@ -1,0 +1,70 @@
+"""The style image at the scale of the rendered picture, and colour spaces."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.config import StyleConfig
+
+__all__ = ["decode_srgb", "encode_srgb", "match_grey", "scale_style"]
+
+SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
+
+
+def encode_srgb(linear: Tensor) -> Tensor:
+    """Display-encoded sRGB of scene-linear values [...], clipped below 0. [IEC 61966-2-1]
+
+    Gradients: through ``linear``; finite everywhere.
+    """
+    linear = linear.clamp_min(0.0)
+    curve = 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, curve)
+
+
+def decode_srgb(encoded: Tensor) -> Tensor:
+    """Scene-linear values of display-encoded sRGB [...]; the inverse of ``encode_srgb``."""
+    curve = ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+    return torch.where(encoded <= 0.04045, encoded / 12.92, curve)
+
+
+def scale_style(
+    style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor
+) -> Tensor:
+    """The style image tiled and resized for pictures of a given size, [h w 3].
+
+    Args:
+        style: [H W 3], display-encoded, in [0, 1].
+        longer_side: pixels of the rendered picture's longer side.
+        config: ``tiling`` repeats the image, ``size`` enlarges its structures.
+        like: gives dtype and device.
+    """
+    pixels = torch.as_tensor(np.ascontiguousarray(style)).to(like).permute(2, 0, 1)[None]
+    height, width = pixels.shape[-2:]
+    scale = longer_side * config.size / config.tiling / max(height, width)
+    size = [max(1, round(height * scale)), max(1, round(width * scale))]
+    if size != [height, width]:
+        pixels = F.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
+    pixels = pixels.repeat(1, 1, config.tiling, config.tiling)
+    height, width = pixels.shape[-2:]
+    if min(height, width) < SMALLEST:
+        factor = SMALLEST / min(height, width)
+        size = [round(height * factor), round(width * factor)]
+        pixels = F.interpolate(pixels, size=size, mode="nearest")
+    return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+
+
+def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
+    """The style's luminance with the mean and contrast of the smoke's grey pictures, [H W 3].
+
+    Unmatched, the first Gram losses are huge and the optimiser only chases contrast.
+
+    Args:
+        style: [H W 3], display-encoded.
+        mean, deviation: of the grey level inside the smoke's silhouette.
+    """
+    luminance = style @ style.new_tensor([0.2126, 0.7152, 0.0722])
+    spread = luminance.std(correction=0).clamp_min(1e-4)
+    wanted = max(deviation, 0.12)  # nearly flat smoke still takes visible structure
+    matched = (luminance - luminance.mean()) / spread * wanted + mean
+    return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()

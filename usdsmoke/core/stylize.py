@@ -1,0 +1,197 @@
+"""One window of frames in, the same frames stylized out: shape step, then colour step, frame by frame."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.config import Config
+from usdsmoke.core.colour import run_colour_step
+from usdsmoke.core.device import choose_device
+from usdsmoke.core.optimize import Minimum
+from usdsmoke.core.progress import Progress, ProgressCallback
+from usdsmoke.core.refine import refine_field
+from usdsmoke.core.scene import Scene
+from usdsmoke.core.schedule import octave_iterations
+from usdsmoke.core.shape import Displaced, run_shape_step
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.core.style import decode_srgb
+from usdsmoke.core.targets import StyleTargets
+from usdsmoke.core.warm import carry_colours
+from usdsmoke.errors import NonFiniteError
+from usdsmoke.volume import DenseField, VolumeFrame
+
+__all__ = ["StylizedFrame", "stylize_window"]
+
+
+@dataclass(frozen=True)
+class StylizedFrame:
+    """One finished frame: what is written, and what it took."""
+
+    time_code: float
+    density: DenseField
+    emission: DenseField | None  # None without a colour step
+    report: dict[str, Any] = field(default_factory=dict)  # plain numbers and texts
+
+
+@dataclass(frozen=True)
+class _Neighbour:
+    """What the next frame of a window starts from."""
+
+    time_code: float
+    displaced: Displaced | None
+    smoke: ActiveSmoke | None
+    colours: Tensor | None
+
+
+def stylize_window(
+    frames: Iterable[VolumeFrame],
+    styles: Sequence[np.ndarray],
+    scene: Scene,
+    config: Config,
+    progress: ProgressCallback | None = None,
+    time_codes_per_second: float = 24.0,
+) -> Iterator[StylizedFrame]:
+    """The stylized frames of one window, one by one, so that memory is a frame's and not the shot's.
+
+    The first frame starts from noise; each later one starts from its neighbour's result, carried along by the
+    velocity, with ``windows.warm_iterations`` of the iterations. Equal inputs and settings give equal bits on the same machine.
+
+    Args:
+        frames: ascending time_code; pulled one at a time.
+        styles: display-encoded style images [H W 3] in [0, 1].
+        scene: see ``scene.measure_scene``; the same for every window of the shot.
+        progress: called after every iteration.
+        time_codes_per_second: of the stage, for the velocity.
+
+    Raises:
+        NonFiniteError: a frame holds NaN or infinity, or the optimisation diverges beyond rescue.
+        FeatureError, ConfigError: see ``StyleTargets``.
+    """
+    device = choose_device(config.optimize)
+    targets = StyleTargets(styles, scene, config, device)
+    n_frames = len(frames) if isinstance(frames, Sequence) else 0
+    before: _Neighbour | None = None
+    for number, frame in enumerate(frames):
+        watch = _watcher(progress, frame.time_code, number, n_frames)
+        seconds = (
+            (frame.time_code - before.time_code) / time_codes_per_second if before is not None else 0.0
+        )
+        stylized, before = _stylize_frame(
+            frame, before, seconds, targets, scene, config, device, watch
+        )
+        yield stylized
+
+
+def _watcher(
+    progress: ProgressCallback | None, time_code: float, frame: int, n_frames: int
+) -> Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]:
+    """Turns the optimiser's states of a step into progress records."""
+
+    def of_step(step: str, iterations: Sequence[int]) -> Callable[[int, Minimum], None]:
+        def report(octave: int, state: Minimum) -> None:
+            if progress is not None:
+                done = sum(iterations[:octave]) + state.iteration
+                progress(
+                    Progress(
+                        step, time_code, frame, n_frames, octave, len(iterations), done,
+                        sum(iterations), state.smoothed,
+                    )
+                )  # fmt: skip
+
+        return report
+
+    return of_step
+
+
+def _stylize_frame(
+    frame: VolumeFrame,
+    before: _Neighbour | None,
+    seconds: float,
+    targets: StyleTargets,
+    scene: Scene,
+    config: Config,
+    device: torch.device,
+    watch: Callable[[str, Sequence[int]], Callable[[int, Minimum], None]],
+) -> tuple[StylizedFrame, _Neighbour]:
+    _check_finite(frame)
+    density = refine_field(frame.density, config.grids.refine)
+    source = activate(density, frame.density_to_stage, device)
+    steps, report = config.optimize.steps, {"voxels": len(source.ijk)}
+    warm = before is not None
+    if len(source.ijk) == 0 or config.optimize.strength == 0:
+        empty = _empty_emission(density) if "colour" in steps else None
+        report["left out"] = "empty frame" if len(source.ijk) == 0 else "strength 0"
+        kept = before or _Neighbour(frame.time_code, None, None, None)
+        return StylizedFrame(frame.time_code, density, empty, report), replace(kept, time_code=frame.time_code)
+    displaced, smoke = None, source
+    if "shape" in steps:
+        started = time.perf_counter()
+        plan = octave_iterations(config.shape.iterations, config, warm and before.displaced is not None)
+        displaced = run_shape_step(
+            density, source, frame, before.displaced if before else None, seconds,
+            targets, scene, config, plan, watch("shape", plan),
+        )  # fmt: skip
+        density = displaced.density
+        smoke = activate(density, frame.density_to_stage, device)
+        report["shape"] = {**displaced.report, "seconds": time.perf_counter() - started}
+    colours = emission = None
+    if "colour" in steps:
+        started = time.perf_counter()
+        start = None
+        if before is not None and before.smoke is not None and before.colours is not None:
+            start = carry_colours(
+                before.smoke, before.colours, frame, smoke, seconds, config.optimize.seed
+            )
+        plan = octave_iterations(config.colour.iterations, config, start is not None)
+        colours, ends = run_colour_step(
+            smoke, start, targets, scene, config, plan, watch("colour", plan)
+        )
+        emission = _emission_field(density, smoke, colours, scene, config.optimize.strength)
+        report["colour"] = {**summarize(ends), "seconds": time.perf_counter() - started}
+    return (
+        StylizedFrame(frame.time_code, density, emission, report),
+        _Neighbour(frame.time_code, displaced, smoke, colours),
+    )
+
+
+def summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
+    """How the octaves of a step ended, as plain values."""
+    return {
+        "loss": [end.smoothed for end in ends],
+        "iterations": [end.iteration + 1 for end in ends],
+        "rollbacks": sum(end.rollbacks for end in ends),
+        "ended": [end.reason for end in ends],
+    }
+
+
+def _check_finite(frame: VolumeFrame) -> None:
+    for item in (frame.density, frame.velocity):
+        if item is not None and not np.isfinite(item.values).all():
+            count = int((~np.isfinite(item.values)).sum())
+            raise NonFiniteError(
+                f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or infinite; '
+                "set grids.repair_nan to the value that shall replace them"
+            )
+
+
+def _empty_emission(density: DenseField) -> DenseField:
+    values = np.zeros((*density.values.shape, 3), np.float32)
+    return DenseField(
+        "emission", values, density.ijk_min, density.index_to_world, (0.0, 0.0, 0.0), "unknown", density.half
+    )
+
+
+def _emission_field(
+    density: DenseField, smoke: ActiveSmoke, colours: Tensor, scene: Scene, strength: float
+) -> DenseField:
+    """C x sigma in 1/stage unit, scene-linear, zero where there is no smoke."""
+    emission = _empty_emission(density)
+    light = decode_srgb(colours) * (strength * scene.gamma_w * smoke.density)[:, None]
+    index = smoke.ijk.cpu().numpy() - np.asarray(density.ijk_min)
+    emission.values[tuple(index.T)] = light.cpu().numpy()
+    return emission

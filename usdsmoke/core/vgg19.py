@@ -1,0 +1,143 @@
+"""VGG-19 feature maps for those who have the weights; nothing is downloaded.
+
+Takes torchvision's state dict (``vgg19-dcbb9e9d.pth``) or the same tensors in a safetensors file, from the configured path, the
+environment variable ``USDSMOKE_VGG19`` or torch's hub cache, in this order.
+"""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.errors import FeatureError
+
+__all__ = ["DEFAULT_STYLE_LAYERS", "Vgg19Features", "find_vgg19_file"]
+
+DEFAULT_STYLE_LAYERS = ("relu2_1", "relu3_1")  # [Christen2020, section 4]
+FILE_NAME = "vgg19-dcbb9e9d.pth"
+_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
+_MEAN = (0.485, 0.456, 0.406)
+_DEVIATION = (0.229, 0.224, 0.225)
+
+
+def _convolutions() -> list[tuple[str, int, int, int]]:
+    """(layer name, torchvision index, channels in, channels out) of the 16 convolutions."""
+    found, index, channels = [], 0, 3
+    for block, (width, count) in enumerate(_BLOCKS, start=1):
+        for number in range(1, count + 1):
+            found.append((f"relu{block}_{number}", index, channels, width))
+            channels, index = width, index + 2
+        index += 1  # the pooling
+    return found
+
+
+def find_vgg19_file(configured: str = "") -> Path:
+    """The weights file: as configured, from ``USDSMOKE_VGG19``, or in torch's hub cache.
+
+    Raises:
+        FeatureError: there is none; the message lists where it was looked for.
+    """
+    cache = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch"))
+    named = configured or os.environ.get("USDSMOKE_VGG19", "")
+    places = [Path(named)] if named else [cache / "hub" / "checkpoints" / FILE_NAME]
+    for place in places:
+        if place.is_file():
+            return place
+    raise FeatureError(
+        f"no VGG-19 weights at {places[0]}; give torchvision's {FILE_NAME} or a safetensors file as "
+        "features.vgg19_file or in USDSMOKE_VGG19, or use features.network=embedded"
+    )
+
+
+def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
+    """The float tensors of a safetensors file: a length, a JSON table and raw little-endian data."""
+    data = file_path.read_bytes()
+    length = int.from_bytes(data[:8], "little")
+    if not 2 <= length <= len(data) - 8:
+        raise ValueError(f"the table claims {length} bytes of {len(data)}")
+    table = json.loads(data[8 : 8 + length])
+    kinds = {"F32": np.float32, "F16": np.float16, "F64": np.float64}
+    found = {}
+    for name, entry in table.items():
+        if name == "__metadata__":
+            continue
+        begin, end = entry["data_offsets"]
+        raw = np.frombuffer(data[8 + length + begin : 8 + length + end], kinds[entry["dtype"]])
+        found[name] = torch.from_numpy(raw.reshape(entry["shape"]).astype(np.float32))
+    return found
+
+
+class Vgg19Features:
+    """Rectified maps ``relu1_1`` .. ``relu5_4`` of VGG-19 [Simonyan2015] with max-pooling.
+
+    Differs from the original in replicated instead of zero borders, which leave no dark comb along the edge of the picture.
+    """
+
+    names = tuple(name for name, *_ in _convolutions())
+
+    def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]], sha256: str) -> None:
+        self._parameters = parameters
+        self.sha256 = sha256
+
+    @classmethod
+    def from_file(cls, configured: str = "") -> "Vgg19Features":
+        """The network with the weights of a file.
+
+        Raises:
+            FeatureError: no file, not readable, or not VGG-19's tensors.
+        """
+        file_path = find_vgg19_file(configured)
+        sha256 = hashlib.sha256(file_path.read_bytes()).hexdigest()
+        if file_path.name == FILE_NAME and not sha256.startswith("dcbb9e9d"):
+            raise FeatureError(
+                f"{file_path} has SHA-256 {sha256[:8]}..., wanted dcbb9e9d... as in its name; "
+                "the file is damaged, fetch it again"
+            )
+        try:
+            if file_path.suffix == ".safetensors":
+                tensors = _read_safetensors(file_path)
+            else:
+                tensors = torch.load(file_path, map_location="cpu", weights_only=True)
+        except Exception as error:  # torch.load raises many kinds on a bad file
+            raise FeatureError(f"cannot read VGG-19 weights from {file_path}: {error}") from None
+        parameters = {}
+        for name, index, n_in, n_out in _convolutions():
+            weight, bias = (tensors.get(f"features.{index}.{kind}") for kind in ("weight", "bias"))
+            if weight is None or bias is None or tuple(weight.shape) != (n_out, n_in, 3, 3):
+                found = "nothing" if weight is None else list(weight.shape)
+                raise FeatureError(
+                    f"features.{index}.weight in {file_path} is {found}; wanted [{n_out}, {n_in}, 3, 3] "
+                    "as in torchvision's VGG-19"
+                )
+            parameters[name] = (weight.float(), bias.float())
+        return cls(parameters, sha256)
+
+    def to(self, like: Tensor) -> "Vgg19Features":
+        """The same network with the dtype and device of a tensor."""
+        moved = {name: (w.to(like), b.to(like)) for name, (w, b) in self._parameters.items()}
+        return Vgg19Features(moved, self.sha256)
+
+    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+        """[1 C h w] maps of a picture [H W 3]; stops after the deepest layer wanted.
+
+        Gradients: through ``picture``.
+        """
+        mean, deviation = (picture.new_tensor(v) for v in (_MEAN, _DEVIATION))
+        maps = ((picture - mean) / deviation).permute(2, 0, 1)[None]
+        found: dict[str, Tensor] = {}
+        for name in self.names:
+            if len(found) == len(wanted):
+                break
+            if name.endswith("_1") and name != "relu1_1":
+                maps = F.max_pool2d(maps, 2, ceil_mode=True)
+            maps = torch.relu(
+                F.conv2d(F.pad(maps, (1, 1, 1, 1), mode="replicate"), *self._parameters[name])
+            )
+            if name in wanted:
+                found[name] = maps
+        return found

@@ -1,0 +1,152 @@
+"""From where the smoke is seen: rigid views in stage space, orthographic or perspective."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdsmoke.config import ViewsConfig
+
+__all__ = ["View", "camera_view", "orbit_view", "sample_angles", "sample_views"]
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole or parallel camera; rows of the image go down.
+
+    ``right``, ``up``, ``forward`` are orthonormal in stage space. A point projects to
+    pixel x = W/2 - 1/2 + s * (p - centre).right and y = H/2 - 1/2 - s * (p - centre).up, where
+    s = 1 / pixel_size (orthographic) or focal / depth (perspective, ``centre`` is the eye, ``focal`` in pixels).
+    """
+
+    right: np.ndarray
+    up: np.ndarray
+    forward: np.ndarray
+    centre: np.ndarray
+    height: int
+    width: int
+    pixel_size: float  # stage units; orthographic only
+    focal: float | None = None  # pixels; None is orthographic
+    azimuth: float = 0.0
+    elevation: float = 0.0
+
+
+def orbit_view(
+    azimuth: float,
+    elevation: float,
+    up_axis: str,
+    centre: np.ndarray,
+    height: int,
+    width: int,
+    pixel_size: float,
+) -> View:
+    """An orthographic view that looks at ``centre`` from an angle around the stage's up axis.
+
+    Args:
+        azimuth: degrees around up; 0 looks along -Z on a Y-up stage and along +Y on a Z-up stage,
+            with +X to the right of the picture.
+        elevation: degrees; positive looks down from above.
+        up_axis: "Y" or "Z".
+        centre: [3], stage space.
+        height, width: pixels.
+        pixel_size: stage units.
+    """
+    a, e = math.radians(azimuth), math.radians(elevation)
+    right = np.array([math.cos(a), 0.0, -math.sin(a)])
+    forward = np.array([-math.sin(a) * math.cos(e), -math.sin(e), -math.cos(a) * math.cos(e)])
+    if up_axis == "Z":  # turn Y-up into Z-up: (x, y, z) -> (x, -z, y)
+        right, forward = (np.array([v[0], -v[2], v[1]]) for v in (right, forward))
+    up = np.cross(right, forward)
+    return View(
+        right, up, forward, np.asarray(centre, float), height, width, pixel_size,
+        azimuth=azimuth, elevation=elevation,
+    )  # fmt: skip
+
+
+def camera_view(
+    camera_to_stage: np.ndarray,
+    focal_length: float,
+    horizontal_aperture: float,
+    height: int,
+    width: int,
+) -> View:
+    """A perspective view with a UsdGeomCamera's parameters.
+
+    Args:
+        camera_to_stage: [4 4], row vectors, rigid; the camera looks along its own -Z with +Y up.
+        focal_length, horizontal_aperture: in one unit, the aperture spanning the image's width.
+        height, width: pixels.
+    """
+    axes = np.asarray(camera_to_stage, float)[:3, :3]
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    eye = np.asarray(camera_to_stage, float)[3, :3]
+    focal = focal_length / horizontal_aperture * width
+    return View(axes[0], axes[1], -axes[2], eye, height, width, 0.0, focal)
+
+
+def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
+    """``n`` (azimuth, elevation) pairs in degrees, [n 2], spread over the configured ranges.
+
+    ``fixed`` and ``uniform`` lay out a lattice (fixed always contains the middle and takes rings
+    around it), ``poisson`` keeps the most distant of many random candidates, one point after the other, which is
+    a Poisson-disc set without a radius that could fail [Mitchell1991]. Every count and every range
+    is valid, a zero range included: the angle is then constant.
+    """
+    half = np.array([config.azimuth, config.elevation])
+    middle = np.array([config.centre_azimuth, config.centre_elevation])
+    if config.sampling == "poisson":
+        unit = _spread_points(n, half, seed)
+    else:
+        unit = _lattice(n, half, with_middle=config.sampling == "fixed")
+    return middle + unit * half
+
+
+def _spread_points(n: int, half: np.ndarray, seed: int) -> np.ndarray:
+    """[n 2] in [-1, 1]^2: best candidate sampling, distances measured in degrees."""
+    generator = np.random.default_rng([seed, 0x5EED])
+    points = generator.uniform(-1, 1, (1, 2))
+    scale = np.where(half > 0, half, 0.0)
+    while len(points) < n:
+        candidates = generator.uniform(-1, 1, (24, 2))
+        gap = (candidates[:, None] - points[None]) * scale
+        if half[0] >= 180:  # all round: the two ends of the range are one angle
+            gap[..., 0] -= 360 * np.round(gap[..., 0] / 360)
+        nearest = np.min((gap**2).sum(-1), axis=1)
+        points = np.vstack([points, candidates[np.argmax(nearest)]])
+    return points
+
+
+def _lattice(n: int, half: np.ndarray, with_middle: bool) -> np.ndarray:
+    """[n 2] in [-1, 1]^2, row by row; the middle first when asked for."""
+    if n == 1:
+        return np.zeros((1, 2))
+    n_free = n - 1 if with_middle else n
+    n_rows = 1 if half[1] == 0 else max(1, round(math.sqrt(n_free * half[1] / max(half[0], 1e-9))))
+    n_rows = min(n_rows, n_free) if half[0] > 0 else n_free
+    counts = [n_free // n_rows + (row < n_free % n_rows) for row in range(n_rows)]
+    points = []
+    for row, count in enumerate(counts):
+        y = 0.0 if n_rows == 1 else -1 + 2 * row / (n_rows - 1)
+        for column in range(count):
+            full_turn = half[0] >= 180
+            x = 0.0 if count == 1 else -1 + 2 * column / (count if full_turn else count - 1)
+            points.append((x, y))
+    middle = [(0.0, 0.0)] if with_middle else []
+    return np.array(middle + points)
+
+
+def sample_views(
+    config: ViewsConfig,
+    n: int,
+    seed: int,
+    up_axis: str,
+    centre: np.ndarray,
+    height: int,
+    width: int,
+    pixel_size: float,
+) -> list[View]:
+    """``n`` orthographic views at sampled angles; see ``sample_angles`` and ``orbit_view``."""
+    return [
+        orbit_view(float(a), float(e), up_axis, centre, height, width, pixel_size)
+        for a, e in sample_angles(config, n, seed)
+    ]

@@ -1,0 +1,71 @@
+"""Starting a frame from its neighbour's result, carried along by the smoke's own velocity."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.core.noise import white_noise
+from usdsmoke.core.sample import sample_linear
+from usdsmoke.core.smoke import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.volume import VolumeFrame
+
+__all__ = ["carry_colours", "departure_points"]
+
+FILL_LEVELS = 4  # halvings over which smoke that was not there before takes its neighbours' colour
+
+
+def departure_points(frame: VolumeFrame, positions: Tensor, seconds: float) -> Tensor:
+    """Where the smoke at some points was a while ago: one Euler step back, [N 3] float64, stage space.
+
+    Args:
+        frame: its velocity is sampled at the points; without one they stay where they are.
+        positions: [N 3] float64, stage space.
+        seconds: how long ago.
+    """
+    velocity = frame.velocity
+    if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
+        return positions
+    to_stage = np.asarray(frame.velocity_to_stage, float)
+    stage_to_index = np.linalg.inv(np.asarray(velocity.index_to_world, float) @ to_stage)
+    matrix = torch.as_tensor(stage_to_index, device=positions.device)
+    low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=positions.device)
+    place = positions @ matrix[:3, :3] + matrix[3, :3] - low
+    values = torch.from_numpy(velocity.values).to(positions.device)
+    found = sample_linear(values, place.to(values.dtype), boundary="nearest").double()
+    return positions - seconds * found @ torch.as_tensor(to_stage[:3, :3], device=positions.device)
+
+
+def carry_colours(
+    before: ActiveSmoke,
+    colours: Tensor,
+    frame: VolumeFrame,
+    smoke: ActiveSmoke,
+    seconds: float,
+    seed: int,
+) -> Tensor:
+    """The neighbouring frame's colours at this frame's voxels, [N 3].
+
+    Smoke that has come from nowhere takes the colour of the nearest coarser voxels that had smoke, and white noise where
+    even those had none.
+
+    Args:
+        before, colours: the neighbour's smoke and its colours.
+        frame: this frame, for its velocity.
+        smoke: this frame's smoke.
+        seconds: time between the two frames; negative when the neighbour is later.
+    """
+    departures = departure_points(frame, smoke.positions, seconds)
+    carried, near = sample_colours(before, colours, departures)
+    level, level_colours = before, colours
+    for _ in range(FILL_LEVELS):
+        missing = torch.nonzero(near[:, 0] < 1e-3).squeeze(1)
+        if len(missing) == 0:
+            return carried
+        coarser = coarsen(level)
+        level_colours, _ = sample_colours(level, level_colours, coarser.positions)
+        level = coarser
+        found, near_found = sample_colours(level, level_colours, departures[missing])
+        carried[missing], near[missing] = found, near_found
+    missing = torch.nonzero(near[:, 0] < 1e-3).squeeze(1)
+    carried[missing] = white_noise(smoke.ijk[missing], 3, seed).to(carried)
+    return carried
