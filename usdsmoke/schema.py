@@ -1,0 +1,50 @@
+"""The codeless schema UsdSmokeLookAPI: its names, and making it known to USD.
+
+The schema's source is schemas/usdSmoke/schema.usda; ``make schema`` makes the files in
+``usdsmoke/plugin`` from it, which are part of the package.
+"""
+
+from pathlib import Path
+
+from pxr import Plug, Usd
+
+__all__ = [
+    "COLOR_SPACE",
+    "EMISSION_ABSOLUTE",
+    "EMISSION_MODE",
+    "EXTINCTION_PER_DENSITY",
+    "LIN_REC709",
+    "LOOK_API",
+    "PLUGIN_FOLDER",
+    "RUN",
+    "SEED",
+    "STYLE",
+    "register_schema",
+]
+
+PLUGIN_FOLDER = Path(__file__).resolve().parent / "plugin"
+
+LOOK_API = "UsdSmokeLookAPI"  # the schema's name, as it stands in apiSchemas
+
+EXTINCTION_PER_DENSITY = "usdSmoke:extinctionPerDensity"  # float, 1/(stage unit) per density
+EMISSION_MODE = "usdSmoke:emissionMode"  # token
+COLOR_SPACE = "usdSmoke:colorSpace"  # token
+RUN = "usdSmoke:run"  # string
+STYLE = "usdSmoke:style"  # string[], "name sha256" each
+SEED = "usdSmoke:seed"  # int
+
+EMISSION_ABSOLUTE = "absolute"  # EMISSION_MODE: radiance per stage unit of length
+LIN_REC709 = "lin_rec709"  # COLOR_SPACE: scene-linear, Rec.709 primaries
+
+
+def register_schema() -> bool:
+    """Make the schema known to this process; True when USD knows it afterwards.
+
+    USD reads all schemas once, when the first stage is opened or the schema registry is first
+    asked; call this before. When that has happened already without ours (and it was not found
+    through PXR_PLUGINPATH_NAME either) the answer is False: attributes can still be authored and
+    read by their names, but have no fallbacks, and ``Usd.Prim.CanApplyAPI`` does not know LOOK_API.
+    Calling it again does no harm.
+    """
+    Plug.Registry().RegisterPlugins(str(PLUGIN_FOLDER))
+    return Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(LOOK_API) is not None
