@@ -8,7 +8,7 @@ from usdsmoke.volume import DenseField
 
 __all__ = ["active_box", "active_mask", "crop_to_active"]
 
-Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+Ijk = tuple[int, int, int]
 
 
 def active_mask(field: DenseField) -> np.ndarray:
@@ -17,14 +17,14 @@ def active_mask(field: DenseField) -> np.ndarray:
     return differs.any(axis=-1) if field.values.ndim == 4 else differs
 
 
-def active_box(field: DenseField) -> Box | None:
+def active_box(field: DenseField) -> tuple[Ijk, Ijk] | None:
     """Index of the first voxel and voxels along i, j, k of the active box; None without any."""
     span = _active_span(active_mask(field))
     if span is None:
         return None
-    ijk_min = tuple(int(a) + s.start for a, s in zip(field.ijk_min, span, strict=True))
-    shape = tuple(s.stop - s.start for s in span)
-    return ijk_min, shape  # type: ignore[return-value]  # three of each
+    i, j, k = (int(a) + s.start for a, s in zip(field.ijk_min, span, strict=True))
+    n_i, n_j, n_k = (s.stop - s.start for s in span)
+    return (i, j, k), (n_i, n_j, n_k)
 
 
 def crop_to_active(field: DenseField) -> DenseField:

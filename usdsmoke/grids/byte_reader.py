@@ -14,9 +14,14 @@ _MAX_BYTES = 33_554_432  # bytes of all headers together
 
 
 class ByteReader:
-    """Takes bytes from a file after checking that they are there and within the budget."""
+    """Takes bytes from a file after checking that they are there and within the budget.
+
+    Every method that meets numbers that cannot be true raises ``DamagedFile``; ``what`` names the
+    part of the file in its message.
+    """
 
     def __init__(self, stream: BinaryIO, size: int, where: str) -> None:
+        """Start at byte 0 of a file of ``size`` bytes; ``where`` is its path, for messages."""
         self._stream = stream
         self._size = size
         self.position = 0
@@ -24,21 +29,25 @@ class ByteReader:
         self.where = where
 
     def damage(self, found: str) -> DamagedFile:
+        """The error to raise when ``found`` shows that the file cannot be right."""
         return DamagedFile(
             f"{Path(self.where).name} is not a usable VDB file: {found} (in {self.where}); "
             "write or copy the file again"
         )
 
     def seek(self, position: int, what: str) -> None:
+        """Go to a byte of the file."""
         if not 0 <= position <= self._size:
             raise self.damage(f"{what} lie at byte {position}, but the file has {self._size} bytes")
         self.position = position
         self._stream.seek(position)
 
     def skip(self, count: int, what: str) -> None:
+        """Pass over bytes without reading them."""
         self.seek(self.position + count, what)
 
     def take(self, count: int, what: str) -> bytes:
+        """The next bytes."""
         left = self._size - self.position
         if count > left:
             raise self.damage(
@@ -54,9 +63,11 @@ class ByteReader:
         return taken
 
     def unpack(self, layout: str, what: str) -> tuple[Any, ...]:
+        """The next numbers, by a layout of ``struct``."""
         return struct.unpack(layout, self.take(struct.calcsize(layout), what))
 
     def text(self, what: str) -> str:
+        """The next text, which is stored after its length."""
         (length,) = self.unpack("<I", what)
         if length > _MAX_TEXT:
             raise self.damage(f"{what} claims a length of {length} bytes")

@@ -195,16 +195,18 @@ def _read_grid(reader: ByteReader, stored_name: str, index: int, grid_type: str)
 
 
 def _active_box(metadata: Mapping[str, Any]) -> tuple[tuple[int, int, int], ...] | None:
-    low, high = metadata.get("file_bbox_min"), metadata.get("file_bbox_max")
-    if not (_is_ijk(low) and _is_ijk(high)) or any(
-        a > b for a, b in zip(low, high, strict=True)
-    ):
+    low, high = _ijk(metadata, "file_bbox_min"), _ijk(metadata, "file_bbox_max")
+    if low is None or high is None or any(a > b for a, b in zip(low, high, strict=True)):
         return None  # an empty grid's box runs from the largest integer to the smallest
     return low, high
 
 
-def _is_ijk(value: Any) -> bool:
-    return isinstance(value, tuple) and len(value) == 3 and all(isinstance(n, int) for n in value)
+def _ijk(metadata: Mapping[str, Any], key: str) -> tuple[int, int, int] | None:
+    value = metadata.get(key)
+    if not isinstance(value, tuple) or len(value) != 3:
+        return None
+    i, j, k = value
+    return (i, j, k) if all(isinstance(index, int) for index in value) else None
 
 
 def _read_metadata(reader: ByteReader) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, find_grid, read_grids
 from usdsmoke.volume import DenseField
 
-__all__ = ["centre_staggered", "find_velocity", "read_velocity"]
+__all__ = ["centre_staggered", "find_velocity", "join_components", "read_velocity"]
 
 _NAMES = ("vel", "v", "velocity")  # Houdini, Arnold and MoonRay, Blender
 _SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
@@ -72,7 +73,7 @@ def read_velocity(
         vector = GridRequest(grids[0].name, index, where, components=3)
         return centre_staggered(read_grids(file_path, [vector], config)[0])
     wanted = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
-    return _join(read_grids(file_path, wanted, config), where or os.fspath(file_path))
+    return join_components(read_grids(file_path, wanted, config), where or os.fspath(file_path))
 
 
 def centre_staggered(field: DenseField) -> DenseField:
@@ -100,8 +101,16 @@ def _first(header: FileHeader, name: str) -> GridHeader | None:
     return next((grid for grid in header.grids if grid.name == name), None)
 
 
-def _join(parts: list[DenseField], where: str) -> DenseField:
-    """Three grids of numbers as one of vectors, on the box that holds all of them."""
+def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
+    """Three grids of numbers, x, y, z, as one of vectors on the box that holds all of them.
+
+    Args:
+        parts: [i j k] each, with the same transform; the boxes may differ.
+        where: for messages.
+
+    Raises:
+        UnsupportedGrid: the transforms differ.
+    """
     first = parts[0]
     tolerance = 1e-6 * np.abs(first.index_to_world[:3, :3]).max()
     for part in parts[1:]:
@@ -111,7 +120,7 @@ def _join(parts: list[DenseField], where: str) -> DenseField:
                 "wanted the three parts of a velocity on the same voxels: merge them into one "
                 "vector grid"
             )
-    background = tuple(float(part.background) for part in parts)  # type: ignore[arg-type]
+    background = tuple(float(part.background) for part in parts)
     filled = [part for part in parts if not part.is_empty]
     low = np.min([part.ijk_min for part in filled], axis=0) if filled else np.zeros(3, int)
     high = (

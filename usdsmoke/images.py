@@ -1,0 +1,277 @@
+"""Images: the style image in, previews out.
+
+Style images are pictures made for display, so their pixels are display-encoded (sRGB). OpenEXR
+files are scene-linear; they are clipped to [0, 1] and encoded, so that the network sees them as a
+screen would show them. Embedded colour profiles are not applied: sRGB is taken for granted.
+"""
+
+import hashlib
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from usdsmoke.errors import ImageError, WriteFailed
+from usdsmoke.publish import publish_file
+
+__all__ = [
+    "StyleImage",
+    "decode_srgb",
+    "encode_srgb",
+    "read_style_image",
+    "write_exr",
+    "write_png",
+]
+
+# Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
+_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
+
+# What Pillow and OpenEXR raise on files they cannot take.
+_READ_ERRORS = (OSError, RuntimeError, SyntaxError, TypeError, ValueError, EOFError, MemoryError)
+
+
+@dataclass(frozen=True)
+class StyleImage:
+    """A picture to take the style from."""
+
+    name: str  # the file's name
+    pixels: np.ndarray  # [H W 3] float32, display-encoded sRGB in [0, 1], row 0 at the top
+    sha256: str  # of the file's bytes, 64 hexadecimal digits
+    alpha: np.ndarray | None = None  # [H W] float32 in [0, 1]; None when all pixels are opaque
+
+
+def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
+    """The style image, whatever its format, as display-encoded RGB.
+
+    Grey, palette, CMYK and alpha are converted, and the camera's orientation is applied; 16-bit
+    grey keeps its precision, 16-bit RGB is taken in 8 bits. Of several pages or frames the first
+    is read; of an OpenEXR file the first part, R, G and B or else Y. Colour is not premultiplied.
+
+    Raises:
+        ImageError: the file is missing, of no format that can be read, damaged, larger than 100
+            megapixels, has pixels that are NaN or infinite, or is fully transparent.
+    """
+    where = Path(file_path)
+    try:
+        with open(where, "rb") as stream:
+            is_exr = stream.read(4) == _EXR_MAGIC
+            stream.seek(0)
+            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise ImageError(
+            f"cannot read the style image {where}: {error.strerror or error}; check the path and "
+            "its permissions"
+        ) from None
+    pixels, alpha = _read_exr(where) if is_exr else _read_pillow(where)
+    if alpha is not None and alpha.min() >= 1.0:
+        alpha = None
+    if alpha is not None and alpha.max() <= 0.0:
+        raise ImageError(
+            f"the style image {where} is fully transparent; wanted visible pixels: "
+            "save it without its alpha channel"
+        )
+    return StyleImage(where.name, np.ascontiguousarray(pixels, np.float32), sha256, alpha)
+
+
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
+    """Display-encoded values of linear light, by IEC 61966-2-1.
+
+    12.92 x up to 0.0031308, 1.055 x^(1/2.4) - 0.055 above. Nothing is clipped; negative values stay
+    on the straight part.
+    """
+    bent = np.maximum(linear, 0.0031308)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * bent ** (1.0 / 2.4) - 0.055)
+
+
+def decode_srgb(encoded: np.ndarray) -> np.ndarray:
+    """Linear light of display-encoded values, by IEC 61966-2-1; the inverse of ``encode_srgb``."""
+    bent = np.maximum(encoded, 0.04045)
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((bent + 0.055) / 1.055) ** 2.4)
+
+
+def write_png(file_path: str | os.PathLike[str], pixels: np.ndarray) -> None:
+    """Write display-encoded pixels as an 8-bit PNG, in one step.
+
+    Args:
+        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        pixels: [H W 3] or [H W 4] (straight alpha) in [0, 1]; values outside are clipped.
+
+    Raises:
+        ImageError: another shape, or numbers that are NaN or infinite.
+        WriteFailed: the operating system refused, or the file came back different.
+    """
+    _check_pixels(file_path, pixels, (3, 4))
+    levels = np.rint(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+    def check(temporary: Path) -> None:
+        with Image.open(temporary) as image:
+            _check_same(file_path, {"pixels": levels}, {"pixels": np.asarray(image)})
+
+    publish_file(
+        Path(file_path), lambda temporary: Image.fromarray(levels).save(temporary, "PNG"), check
+    )
+
+
+def write_exr(file_path: str | os.PathLike[str], channels: Mapping[str, np.ndarray]) -> None:
+    """Write channels as a scanline OpenEXR file with lossless compression, in one step.
+
+    Args:
+        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        channels: [H W] each, all of one size, under names such as R, G, B, A, Z; float16 stays
+            half, all else becomes float32. Scene-linear, premultiplied, by OpenEXR's rules.
+
+    Raises:
+        ImageError: no channels, other shapes, or numbers that are NaN or infinite.
+        WriteFailed: the operating system refused, or the file came back different.
+    """
+    sizes = {np.shape(values) for values in channels.values()}
+    if len(sizes) != 1 or len(next(iter(sizes))) != 2:
+        raise ImageError(
+            f"cannot write {os.fspath(file_path)}: its channels have the shapes "
+            f"{sorted(map(list, sizes))}; wanted one shape [H W] for all"
+        )
+    stored = {}
+    for name, values in channels.items():
+        _check_finite(f"cannot write {os.fspath(file_path)}: its channel {name}", values)
+        kind = np.float16 if values.dtype == np.float16 else np.float32
+        stored[name] = np.ascontiguousarray(values, kind)
+
+    def write(temporary: Path) -> None:
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        try:
+            with OpenEXR.File(header, dict(stored)) as image:
+                image.write(os.fspath(temporary))
+        except RuntimeError as error:
+            raise OSError(None, str(error)) from None
+
+    def check(temporary: Path) -> None:
+        found = {name: values for name, values in _exr_channels(temporary).items()}
+        _check_same(file_path, stored, found)
+
+    publish_file(Path(file_path), write, check)
+
+
+def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    Image.init()
+    formats = [name for name in _FORMATS if name in Image.OPEN]
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of what it thinks too large; our own limit is checked below.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(where, formats=formats) as image:
+                _check_size(where, image.width, image.height)
+                return _pillow_pixels(where, ImageOps.exif_transpose(image))
+    except UnidentifiedImageError:
+        raise ImageError(
+            f"{where} is no image that can be read; wanted one of EXR, {', '.join(formats)}: "
+            "save it as PNG"
+        ) from None
+    except Image.DecompressionBombError as error:
+        raise ImageError(f"the style image {where} is too large: {error}; scale it down") from None
+    except _READ_ERRORS as error:
+        raise ImageError(
+            f"the style image {where} cannot be decoded: {error}; save it again, as PNG"
+        ) from None
+
+
+def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+    if image.mode.startswith("I"):  # whole numbers of 16 bits, also where Pillow keeps 32
+        grey = np.asarray(image).astype(np.float32)
+        if grey.min() < 0.0 or grey.max() > 65535.0:
+            raise ImageError(
+                f"the style image {where} has values from {grey.min():g} to {grey.max():g}; "
+                "wanted 0 to 65535: save it with 8 or 16 bits"
+            )
+        return _grey_to_rgb(grey / 65535.0), None
+    if image.mode == "F":  # floating point means linear light, as in OpenEXR
+        grey = np.asarray(image)
+        _check_finite(f"the style image {where}", grey)
+        return _grey_to_rgb(encode_srgb(np.clip(grey, 0.0, 1.0))), None
+    if image.has_transparency_data:
+        rgba = np.asarray(image.convert("RGBA")).astype(np.float32) / 255.0
+        return rgba[..., :3], np.ascontiguousarray(rgba[..., 3])
+    return np.asarray(image.convert("RGB")).astype(np.float32) / 255.0, None
+
+
+def _grey_to_rgb(grey: np.ndarray) -> np.ndarray:
+    return np.repeat(grey[..., None].astype(np.float32), 3, axis=-1)
+
+
+def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    try:
+        with OpenEXR.File(os.fspath(where), header_only=True) as image:
+            low, high = image.header()["dataWindow"]
+        _check_size(where, int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1)
+        channels = _exr_channels(where)
+    except _READ_ERRORS as error:
+        raise ImageError(
+            f"the style image {where} cannot be decoded: {error}; save it again, as PNG or EXR"
+        ) from None
+    names = ("R", "G", "B") if {"R", "G", "B"} <= set(channels) else ("Y", "Y", "Y")
+    if names[0] not in channels or {"RY", "BY"} & set(channels):
+        raise ImageError(
+            f"the style image {where} has the channels {', '.join(channels) or 'none'}; "
+            "wanted R, G and B, or Y alone: save it with one of these sets"
+        )
+    linear = np.stack([channels[name].astype(np.float32) for name in names], axis=-1)
+    _check_finite(f"the style image {where}", linear)
+    alpha = channels.get("A")
+    if alpha is not None:
+        alpha = np.clip(alpha.astype(np.float32), 0.0, 1.0)
+        _check_finite(f"the alpha channel of the style image {where}", alpha)
+        linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
+    return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32), alpha
+
+
+def _exr_channels(file_path: Path) -> dict[str, np.ndarray]:
+    with OpenEXR.File(os.fspath(file_path), separate_channels=True) as image:
+        return {name: np.array(channel.pixels) for name, channel in image.channels().items()}
+
+
+def _check_size(where: Path, width: int, height: int) -> None:
+    if width * height > _MAX_PIXELS:
+        raise ImageError(
+            f"the style image {where} has {width} x {height} pixels; wanted at most "
+            f"{_MAX_PIXELS // 1_000_000} million: scale it down"
+        )
+
+
+def _check_finite(what: str, values: np.ndarray) -> None:
+    count = int((~np.isfinite(values)).sum())
+    if count:
+        raise ImageError(
+            f"{what} has {count} numbers that are NaN or infinite; wanted finite ones: mend it in "
+            "a compositor"
+        )
+
+
+def _check_pixels(
+    file_path: str | os.PathLike[str], pixels: np.ndarray, components: tuple[int, ...]
+) -> None:
+    if pixels.ndim != 3 or pixels.shape[2] not in components or 0 in pixels.shape:
+        raise ImageError(
+            f"cannot write {os.fspath(file_path)}: the pixels have the shape "
+            f"{list(pixels.shape)}; wanted [H W C] with C one of {', '.join(map(str, components))}"
+        )
+    _check_finite(f"cannot write {os.fspath(file_path)}: it", pixels)
+
+
+def _check_same(
+    file_path: str | os.PathLike[str],
+    written: Mapping[str, np.ndarray],
+    found: Mapping[str, np.ndarray],
+) -> None:
+    """Compare what came back from disk: neither library reports a short write for certain."""
+    for name, values in written.items():
+        if name not in found or not np.array_equal(values, found[name]):
+            raise WriteFailed(
+                f"{os.fspath(file_path)} did not come back from disk as it was written; look "
+                "whether the disk is full, and write it again"
+            )
