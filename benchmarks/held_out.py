@@ -1,0 +1,182 @@
+"""Pictures of a finished result from views that the optimiser never had, and their scores."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.display import composite, mean_colour
+from benchmarks.measures import score_views
+from benchmarks.raymarch import march_rays
+from usdsmoke.config import GridsConfig
+from usdsmoke.core.render import render_fields
+from usdsmoke.core.views import View, orbit_view
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.volume import DenseField
+
+__all__ = [
+    "RENDERERS",
+    "Result",
+    "cover_box",
+    "draw_march",
+    "draw_splats",
+    "fit_view",
+    "held_out_angles",
+    "read_result",
+    "read_style",
+    "score_result",
+]
+
+GAMMA_KEY = "usdsmoke:gamma_w"  # file metadata of our results
+MARGIN = 2  # pixels around the smoke
+
+
+@dataclass(frozen=True)
+class Result:
+    """A stylized frame as it stands in its file; both grids over one box."""
+
+    density: DenseField
+    emission: DenseField
+    to_stage: np.ndarray  # [4 4] grid world to stage space
+    gamma_w: float  # extinction per density, 1/stage unit
+    up_axis: str = "Y"
+
+
+def read_result(vdb_file: Path, to_stage: np.ndarray | None = None, up_axis: str = "Y") -> Result:
+    """A result from its VDB file; gamma_w comes from the file's metadata.
+
+    Raises:
+        ValueError: the file carries no gamma_w, so it is none of usdsmoke's results.
+        UsdSmokeError: the file cannot be read.
+    """
+    metadata = read_header(vdb_file).metadata
+    if GAMMA_KEY not in metadata:
+        raise ValueError(
+            f"{vdb_file} has no metadata {GAMMA_KEY}, only {', '.join(metadata)}; wanted a result "
+            "of usdsmoke stylize; name its VDB file"
+        )
+    requests = [GridRequest("density"), GridRequest("emission", components=3)]
+    density, emission = read_grids(vdb_file, requests, GridsConfig())
+    matrix = np.eye(4) if to_stage is None else to_stage
+    return Result(
+        density, cover_box(emission, density), matrix, float(metadata[GAMMA_KEY]), up_axis
+    )
+
+
+def cover_box(field: DenseField, box: DenseField) -> DenseField:
+    """The field over exactly the box of another one of the same transform; zero outside its own."""
+    values = np.zeros((*box.values.shape[:3], *field.values.shape[3:]), np.float32)
+    offset = np.subtract(field.ijk_min, box.ijk_min)
+    low = np.maximum(offset, 0)
+    high = np.minimum(offset + field.values.shape[:3], box.values.shape[:3])
+    target = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    source = tuple(slice(a, b) for a, b in zip(low - offset, high - offset, strict=True))
+    values[target] = field.values[source]
+    return replace(field, values=values, ijk_min=box.ijk_min)
+
+
+def read_style(
+    image_file: Path, longer_side: int, size: float = 1.0, tiling: int = 1
+) -> np.ndarray:
+    """The style at the scale at which a stylization with these settings was asked to show it.
+
+    Returns:
+        Display-encoded [h w 3]; ``longer_side`` * ``size`` pixels along its longer side.
+    """
+    with Image.open(image_file) as image:
+        picture = image.convert("RGB")
+    scale = longer_side * size / tiling / max(picture.size)
+    extent = [max(1, round(side * scale)) for side in picture.size]
+    pixels = np.asarray(picture.resize(extent, Image.Resampling.BILINEAR), np.float32) / 255.0
+    return np.tile(pixels, (tiling, tiling, 1))
+
+
+def held_out_angles(n: int, azimuth: float, elevation: float, seed: int = 2020) -> np.ndarray:
+    """``n`` pairs of azimuth and elevation in degrees [n 2], one at random per cell of a lattice.
+
+    The optimiser draws its views from another generator; with real-valued angles none coincides.
+    """
+    rng = np.random.default_rng(seed)
+    rows = max(1, round(np.sqrt(n * elevation / max(azimuth, 1e-9))))
+    rows = max(divisor for divisor in range(1, rows + 1) if n % divisor == 0)
+    row, column = np.divmod(np.arange(n), n // rows)
+    unit = np.stack([column + rng.random(n), row + rng.random(n)], axis=1) / [n // rows, rows]
+    return (2.0 * unit - 1.0) * [azimuth, elevation]
+
+
+def draw_march(result: Result, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Premultiplied linear picture and opacity, by rays through trilinear grids."""
+    density = result.density
+    to_stage = density.index_to_world.copy()
+    to_stage[3] = np.array([*density.ijk_min, 1.0]) @ density.index_to_world
+    return march_rays(
+        np.maximum(density.values, 0.0), result.emission.values, to_stage @ result.to_stage,
+        result.gamma_w, view,
+    )  # fmt: skip
+
+
+def draw_splats(result: Result, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The same by the optimiser's own projection."""
+    drawn = render_fields(result.density, result.emission, result.to_stage, result.gamma_w, view)
+    return drawn[..., :3], drawn[..., 3]
+
+
+RENDERERS: dict[str, Callable[[Result, View], tuple[np.ndarray, np.ndarray]]] = {
+    "rays": draw_march,
+    "splats": draw_splats,
+}
+
+
+def score_result(
+    result: Result,
+    style: np.ndarray,
+    angles: Sequence[Sequence[float]] | np.ndarray,
+    image_size: int,
+    renderer: str = "rays",
+) -> tuple[dict[str, dict[str, Any]], list[np.ndarray]]:
+    """Scores of the result's held-out views (see `measures.score_views`) and their pictures.
+
+    Args:
+        result: as read from its file.
+        style: display-encoded, at the scale of the pictures (see `read_style`).
+        angles: azimuth and elevation in degrees, [n 2].
+        image_size: pixels of the smoke's longer side in the middle view; not finer than the voxels.
+        renderer: a key of RENDERERS.
+    """
+    fill = mean_colour(style)
+    images, masks = [], []
+    for azimuth, elevation in angles:
+        view = fit_view(result, float(azimuth), float(elevation), image_size)
+        premultiplied, alpha = RENDERERS[renderer](result, view)
+        images.append(composite(premultiplied, alpha, fill))
+        masks.append(alpha)
+    return score_views(style, images, masks), images
+
+
+def fit_view(result: Result, azimuth: float, elevation: float, image_size: int) -> View:
+    """An orthographic view that just holds the density's box, at the middle view's pixel size."""
+    corners = _corners(result)
+    middle = orbit_view(0.0, 0.0, result.up_axis, np.zeros(3), 1, 1, 1.0)
+    longest = max(np.ptp(corners @ middle.right), np.ptp(corners @ middle.up))
+    matrix = result.density.index_to_world @ result.to_stage
+    voxel = abs(np.linalg.det(matrix[:3, :3])) ** (1 / 3)
+    pixel_size = max(float(longest) / image_size, voxel)
+    view = orbit_view(azimuth, elevation, result.up_axis, np.zeros(3), 1, 1, pixel_size)
+    width, height = (
+        int(np.ceil(np.ptp(corners @ axis) / pixel_size)) + 2 * MARGIN
+        for axis in (view.right, view.up)
+    )
+    return replace(view, centre=corners.mean(axis=0), width=width, height=height)
+
+
+def _corners(result: Result) -> np.ndarray:
+    """Corners of the density's box [8 3], voxels taken whole, stage space."""
+    low = np.array(result.density.ijk_min) - 0.5
+    high = low + result.density.values.shape
+    ijk = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+    matrix = result.density.index_to_world @ result.to_stage
+    return ijk @ matrix[:3, :3] + matrix[3, :3]
