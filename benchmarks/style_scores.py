@@ -1,0 +1,186 @@
+"""How near stylized real smoke comes to its style, on views that the optimiser never had.
+
+    python -m benchmarks.style_scores [--styles A.png B.png] [--set views.count=3] [--quick]
+
+Runs ``usdsmoke stylize`` in a child process for every style, once for cameras within +-12 degrees
+of azimuth and +-6 of elevation and once for cameras all round, reads the VDB file that it wrote,
+draws held-out views with a renderer of its own and prints the table (also into --report).
+Without --styles it paints the example styles, and adds those of the data folder if there are any.
+"""
+
+import argparse
+import datetime
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
+from benchmarks.stages import find_stages
+from usdsmoke.errors import UsdSmokeError
+
+__all__ = ["Run", "main", "stylize_in_child"]
+
+RANGES = {"front": (12.0, 6.0), "all round": (180.0, 6.0)}
+N_VIEWS = 12
+IMAGE_SIZE = 192  # the default of views.image_size
+MEASURES = ("patch", "colour", "spectrum", "spectrum_root")
+PAINTED = ("strokes", "waves")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One stylization and what it cost."""
+
+    style: str
+    cameras: str  # key of RANGES
+    wall_s: float
+    cpu_s: float
+    peak_gib: float
+    scores: dict[str, dict[str, Any]]
+
+
+def stylize_in_child(
+    stage: Path, style: Path, out_folder: Path, settings: Sequence[str]
+) -> tuple[float, float, float]:
+    """Run the installed command and return its wall seconds, CPU seconds and peak memory in GiB.
+
+    Raises:
+        RuntimeError: the command failed; its own message went to stderr.
+    """
+    command = [sys.executable, "-m", "usdsmoke", "stylize", str(stage), "--style", str(style)]
+    command += ["-o", str(out_folder), "--force"]
+    command += [word for setting in settings for word in ("--set", setting)]
+    print("$", " ".join(command[1:]), file=sys.stderr, flush=True)
+    begin = time.perf_counter()
+    child = subprocess.Popen(command, stdout=sys.stderr)
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    wall = time.perf_counter() - begin
+    if child.returncode:
+        raise RuntimeError(f"usdsmoke stylize ended with {child.returncode}; see its message above")
+    return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    options = _parse(arguments)
+    try:
+        stage = find_stages(options.data, options.out)["real_plume"]
+        styles = options.styles or _default_styles(options.data, options.out)
+        runs = [
+            _measure(stage, style, cameras, options)
+            for style in styles
+            for cameras in (["front"] if options.quick else list(RANGES))
+        ]
+    except (OSError, RuntimeError, ValueError, UsdSmokeError) as error:
+        print(f"benchmarks.style_scores: {error}", file=sys.stderr)
+        return 1
+    report = _report(runs, arguments if arguments is not None else sys.argv[1:])
+    print(report)
+    if options.report:
+        options.report.parent.mkdir(parents=True, exist_ok=True)
+        options.report.write_text(report, encoding="utf-8")
+    return 0
+
+
+def _parse(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--styles", type=Path, nargs="+", help="style images")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder to write into")
+    parser.add_argument("--report", type=Path, help="Markdown file for the table")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser.add_argument("--quick", action="store_true", help="front cameras only")
+    parser.add_argument("--reuse", action="store_true", help="score results that are there already")
+    return parser.parse_args(arguments)
+
+
+def _default_styles(data_folder: Path, out_folder: Path) -> list[Path]:
+    painted = out_folder / "styles"
+    if not all((painted / f"{name}.png").is_file() for name in PAINTED):
+        command = [sys.executable, "examples/styles/paint.py", str(painted), "--only", *PAINTED]
+        subprocess.run(command, check=True, stdout=sys.stderr)
+    extra = sorted((data_folder / "styles").glob("*.jpg"))
+    return [painted / f"{name}.png" for name in PAINTED] + extra
+
+
+def _measure(stage: Path, style: Path, cameras: str, options: argparse.Namespace) -> Run:
+    azimuth, elevation = RANGES[cameras]
+    folder = options.out / f"{style.stem}_{cameras.replace(' ', '_')}"
+    cost = (0.0, 0.0, 0.0)
+    if not (options.reuse and folder.is_dir()):
+        ranges = [f"views.azimuth={azimuth}", f"views.elevation={elevation}"]
+        cost = stylize_in_child(stage, style, folder, [*ranges, *options.settings])
+    (vdb_file,) = sorted(folder.rglob("*.vdb"))
+    result = read_result(vdb_file)
+    angles = held_out_angles(N_VIEWS, azimuth, elevation)
+    picture = read_style(style, IMAGE_SIZE)
+    scores, images = score_result(result, picture, angles, IMAGE_SIZE)
+    _write_sheet(options.out / f"{folder.name}.png", picture, images[:4])
+    return Run(style.stem, cameras, *cost, scores)
+
+
+def _write_sheet(image_file: Path, style: np.ndarray, images: Sequence[np.ndarray]) -> None:
+    """The style and a few views side by side, to look at."""
+    pictures = [style, *images]
+    height = max(len(picture) for picture in pictures)
+    padded = [np.pad(p, ((0, height - len(p)), (0, 4), (0, 0))) for p in pictures]
+    row = np.rint(np.concatenate(padded, axis=1) * 255.0).astype(np.uint8)
+    Image.fromarray(row).save(image_file)
+
+
+def _report(runs: Sequence[Run], arguments: Sequence[str]) -> str:
+    lines = [
+        "# Closeness of style on the real plume",
+        "",
+        f"{N_VIEWS} held-out views a row, drawn from the written file by `benchmarks/raymarch.py`.",
+        "Closure 0 is the smoke tinted with the style's mean colour, 1 the style pasted through its",
+        "mask (`benchmarks/measures.py`): mean over the views, in brackets the worst view; ± is the",
+        "standard deviation of a single paste, the noise of the 1 itself.",
+        "",
+        "| style | cameras | " + " | ".join(MEASURES) + " | wall s | CPU s | peak GiB |",
+        "|---|---|" + "---|" * (len(MEASURES) + 3),
+        *(_row(run) for run in runs),
+        "",
+        *_circumstances(arguments),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(run: Run) -> str:
+    cells = [
+        f"{run.scores[name]['mean']:.2f} ({run.scores[name]['min']:.2f})"
+        f" ± {np.mean(run.scores[name]['noise']):.2f}"
+        for name in MEASURES
+    ]
+    cost = [f"{run.wall_s:.0f}", f"{run.cpu_s:.0f}", f"{run.peak_gib:.1f}"]
+    return "| " + " | ".join([run.style, run.cameras, *cells, *cost]) + " |"
+
+
+def _circumstances(arguments: Sequence[str]) -> list[str]:
+    """Date, commit, machine and command, so that the table can be made again."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    return [
+        f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
+        f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, {memory:.0f} GiB, "
+        f"Python {platform.python_version()}.",
+        f"- `{' '.join(['python -m benchmarks.style_scores', *arguments])}`",
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""Held-out views of a result, and the stage that the benchmark makes over a real file."""
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdVol
+
+from benchmarks.display import decode_display
+from benchmarks.held_out import (
+    RENDERERS,
+    Result,
+    cover_box,
+    fit_view,
+    held_out_angles,
+    read_result,
+    read_style,
+    score_result,
+)
+from benchmarks.stages import author_plume_stage, main
+from usdsmoke.grids.write import write_frame
+from usdsmoke.volume import DenseField
+
+VOXEL = 0.25
+
+
+def make_field(name: str, values: np.ndarray, ijk_min: tuple[int, int, int]) -> DenseField:
+    matrix = np.diag([VOXEL, VOXEL, VOXEL, 1.0])
+    matrix[3, :3] = (3.0, -2.0, 1.0)
+    return DenseField(name, values.astype(np.float32), ijk_min, matrix)
+
+
+def make_result(colour: tuple[float, float, float] = (0.5, 0.2, 0.1)) -> Result:
+    """Thick smoke of one colour in a box of 16 x 24 x 12 voxels."""
+    density = np.full((16, 24, 12), 3.0)
+    emission = density[..., None] * 0.8 * np.array(colour)
+    return Result(
+        make_field("density", density, (-5, 2, 7)),
+        make_field("emission", emission, (-5, 2, 7)),
+        np.eye(4),
+        0.8,
+    )
+
+
+def test_angles_stay_in_range_fill_it_and_repeat():
+    angles = held_out_angles(12, 12.0, 6.0)
+    assert angles.shape == (12, 2)
+    assert (np.abs(angles) <= [12.0, 6.0]).all()
+    assert (np.ptp(angles, axis=0) > [16.0, 7.0]).all()
+    assert np.array_equal(angles, held_out_angles(12, 12.0, 6.0))
+    assert not np.array_equal(angles, held_out_angles(12, 12.0, 6.0, seed=1))
+
+
+def test_a_smaller_and_shifted_grid_lands_on_its_own_voxels():
+    box = make_field("density", np.zeros((4, 5, 6)), (10, 20, 30))
+    values = np.arange(2 * 2 * 3 * 3).reshape(2, 2, 3, 3)
+    covered = cover_box(make_field("emission", values, (12, 19, 31)), box)
+    assert covered.values.shape == (4, 5, 6, 3)
+    assert np.array_equal(covered.values[2:4, 0:1, 1:4], values[:, 1:])
+    assert covered.values.sum() == values[:, 1:].sum()
+
+
+@pytest.mark.parametrize("renderer", sorted(RENDERERS))
+def test_smoke_of_one_colour_is_drawn_in_that_colour_in_the_middle(renderer: str):
+    result = make_result()
+    view = fit_view(result, 0.0, 0.0, 48)
+    picture, alpha = RENDERERS[renderer](result, view)
+    centre = (view.height // 2, view.width // 2)
+    wanted = 1.0 - np.exp(-0.8 * 3.0 * 12 * VOXEL)
+    assert alpha[centre] == pytest.approx(wanted, rel=1e-3)
+    assert picture[centre] / alpha[centre] == pytest.approx([0.5, 0.2, 0.1], rel=1e-3)
+    assert alpha[0].max() < 0.02 and alpha[:, -1].max() < 0.02  # all of the smoke is in the picture
+
+
+def test_pixels_are_never_smaller_than_voxels():
+    assert fit_view(make_result(), 0.0, 0.0, 1000).pixel_size == pytest.approx(VOXEL)
+    assert fit_view(make_result(), 0.0, 0.0, 12).pixel_size == pytest.approx(2 * VOXEL)
+
+
+def test_smoke_painted_straight_through_scores_near_one_from_the_front():
+    rng = np.random.default_rng(2)
+    style = np.kron(rng.uniform(0.1, 0.9, (12, 12, 3)), np.ones((4, 4, 1))).astype(np.float32)
+    density = np.full((48, 48, 8), 10.0)
+    colour = decode_display(style)[::-1].transpose(1, 0, 2)[:, :, None]
+    result = Result(
+        make_field("density", density, (0, 0, 0)),
+        make_field("emission", density[..., None] * colour, (0, 0, 0)),
+        np.eye(4),
+        1.0,
+    )
+    scores, images = score_result(result, style, [(0.0, 0.0)], 48)
+    assert len(images) == 1
+    assert all(scores[name]["mean"] > 0.9 for name in ("patch", "colour", "spectrum"))
+
+
+def test_a_result_is_read_with_the_extinction_that_its_file_names(tmp_path):
+    made = make_result()
+    file_path = tmp_path / "result.0001.vdb"
+    fields = [made.density, made.emission]
+    write_frame(file_path, fields, {"usdsmoke:gamma_w": 0.8}, False)
+    result = read_result(file_path)
+    assert result.gamma_w == pytest.approx(0.8)
+    assert np.array_equal(result.emission.values, made.emission.values)
+    write_frame(tmp_path / "bare.vdb", fields, {}, False)
+    with pytest.raises(ValueError, match="wanted a result of usdsmoke stylize"):
+        read_result(tmp_path / "bare.vdb")
+
+
+def test_the_style_is_scaled_by_its_longer_side_and_tiled(tmp_path):
+    from PIL import Image
+
+    Image.new("RGB", (80, 40), (255, 0, 51)).save(tmp_path / "style.png")
+    assert read_style(tmp_path / "style.png", 64).shape == (32, 64, 3)
+    tiled = read_style(tmp_path / "style.png", 64, tiling=2)
+    assert tiled.shape == (32, 64, 3)
+    assert tiled[5, 5] == pytest.approx([1.0, 0.0, 0.2])
+
+
+def test_the_plume_stage_finds_its_file_by_a_relative_path_and_frames_the_smoke(tmp_path):
+    vdb_file = tmp_path / "data" / "smoke.vdb"
+    vdb_file.parent.mkdir()
+    write_frame(vdb_file, [make_result().density], {}, False)
+    stage_file = author_plume_stage(vdb_file, tmp_path / "out" / "plume.usda")
+    assert "../data/smoke.vdb" in stage_file.read_text()
+    stage = Usd.Stage.Open(str(stage_file))
+    volume = UsdVol.Volume(stage.GetPrimAtPath("/plume/smoke"))
+    extent = np.array(volume.GetExtentAttr().Get())
+    wanted = VOXEL * np.array([[-5.5, 1.5, 6.5], [10.5, 25.5, 18.5]]) + [3.0, -2.0, 1.0]
+    assert np.allclose(extent, wanted)
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/cameras/front")).GetCamera(1.0)
+    seen = camera.frustum.ComputeCorners()
+    assert all(seen[0][n] < extent[0][n] and seen[7][n] > extent[1][n] for n in (0, 1))
+
+
+def test_missing_data_ends_in_one_line_and_exit_code_one(tmp_path, capsys):
+    assert main(["--data", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+    assert "name it with --data" in capsys.readouterr().err
