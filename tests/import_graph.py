@@ -1,0 +1,123 @@
+"""The package's modules and what each imports, read from the source without running it."""
+
+import ast
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["PACKAGE", "PROJECT", "Module", "closure", "find_cycle", "read_modules"]
+
+PROJECT = Path(__file__).resolve().parents[1]
+PACKAGE = PROJECT / "usdsmoke"
+
+
+@dataclass(frozen=True)
+class Module:
+    """One source file of the package; names are relative to it: ``grids.read``, "" for itself."""
+
+    name: str
+    file_path: Path
+    tree: ast.Module
+    ours: frozenset[str]  # modules of the package that it imports, anywhere in the file
+    foreign: frozenset[str]  # top-level packages outside the standard library, likewise
+    ours_at_top: frozenset[str]  # those imported when the module is
+    foreign_at_top: frozenset[str]
+
+
+def read_modules() -> dict[str, Module]:
+    """Every module of the package by name."""
+    files = sorted(PACKAGE.rglob("*.py"))
+    known = {_name_of(file_path) for file_path in files}
+    return {_name_of(file_path): _read_module(file_path, known) for file_path in files}
+
+
+def closure(modules: dict[str, Module], name: str) -> set[str]:
+    """``name`` and all modules of ours that it imports, directly or not."""
+    reached, waiting = set(), [name]
+    while waiting:
+        current = waiting.pop()
+        if current not in reached:
+            reached.add(current)
+            waiting += modules[current].ours
+    return reached
+
+
+def find_cycle(modules: dict[str, Module]) -> list[str]:
+    """A ring of modules that import one another, or an empty list."""
+    done: set[str] = set()
+
+    def visit(name: str, trail: list[str]) -> list[str]:
+        if name in trail:
+            return [*trail[trail.index(name) :], name]
+        if name in done:
+            return []
+        for other in sorted(modules[name].ours):
+            ring = visit(other, [*trail, name])
+            if ring:
+                return ring
+        done.add(name)
+        return []
+
+    for name in modules:
+        ring = visit(name, [])
+        if ring:
+            return ring
+    return []
+
+
+def _name_of(file_path: Path) -> str:
+    parts = file_path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _read_module(file_path: Path, known: set[str]) -> Module:
+    tree = ast.parse(file_path.read_text(encoding="utf-8"), str(file_path))
+    everywhere = _imported(tree, file_path, nested=True)
+    at_top = _imported(tree, file_path, nested=False)
+    name = _name_of(file_path)
+    return Module(
+        name,
+        file_path,
+        tree,
+        frozenset(_ours(everywhere, known) - {name}),
+        frozenset(_foreign(everywhere)),
+        frozenset(_ours(at_top, known) - {name}),
+        frozenset(_foreign(at_top)),
+    )
+
+
+def _imported(tree: ast.AST, file_path: Path, nested: bool) -> set[str]:
+    """Dotted names that the code imports; what is for type checkers alone is left out."""
+    names: set[str] = set()
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            continue
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, (
+                f"{file_path}:{node.lineno}: relative import; write usdsmoke...."
+            )
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif nested or not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+            names |= _imported(node, file_path, nested)
+    return names
+
+
+def _ours(names: set[str], known: set[str]) -> set[str]:
+    """The modules behind dotted names: usdsmoke.grids.read.read_grids is grids.read."""
+    found = set()
+    for name in names:
+        parts = name.split(".")
+        if parts[0] != PACKAGE.name:
+            continue
+        inner = parts[1:]
+        while inner and ".".join(inner) not in known:
+            inner = inner[:-1]
+        found.add(".".join(inner))
+    return found
+
+
+def _foreign(names: set[str]) -> set[str]:
+    tops = {name.split(".")[0] for name in names}
+    return {top for top in tops if top not in sys.stdlib_module_names and top != PACKAGE.name}
