@@ -1,0 +1,30 @@
+#!/bin/sh
+# Simulate the plume, paint the styles, stylize the one with the other, and say where everything is.
+#
+#   sh examples/plume/demo.sh OUT_FOLDER [STYLE]     (run by `make demo`; STYLE: strokes, waves, petals)
+set -eu
+here=$(dirname "$0")
+out=${1:?"usage: demo.sh OUT_FOLDER [STYLE]"}
+style=${2:-strokes}
+bin=.venv/bin
+
+"$bin/python" "$here/simulate.py" "$out/source"
+"$bin/python" "$here/../styles/paint.py" "$out/styles"
+"$bin/usdsmoke" stylize "$out/source/plume.usda" --style "$out/styles/$style.png" \
+    --config "$here/config.yaml" -o "$out/look" --force
+
+cat <<END
+
+The stylized plume is ready.
+
+  look at it     $out/look/contact_sheet.png
+  open it        $out/look/plume_look.usda  (usdview, Blender, Houdini; camera /cameras/front)
+  the source     $out/source/plume.usda
+  the styles     $out/styles/
+
+Next:
+  $bin/usdsmoke validate $out/look/plume_look.usda
+  $bin/usdsmoke inspect $out/source/plume.usda
+  sh $here/demo.sh $out waves      (another style)
+  $bin/usdsmoke stylize YOUR_STAGE.usd --style YOUR_IMAGE.png -o YOUR_FOLDER
+END
