@@ -52,6 +52,9 @@ __all__ = [
 ]
 
 
+_END_MARK = "...\n"  # yaml puts it behind a bare scalar
+
+
 class _StrictLoader(yaml.SafeLoader):
     """YAML without objects in it; a key that stands twice is an error, not a silent choice."""
 
@@ -159,10 +162,9 @@ def config_to_yaml(config: Config, comments: bool = True) -> str:
             value = yaml.safe_dump(
                 getattr(settings, setting.name),
                 default_flow_style=True,
-                allow_unicode=True,
                 width=math.inf,
             )
-            lines.append(f"  {setting.name}: {value.removesuffix('...' + chr(10)).strip()}")
+            lines.append(f"  {setting.name}: {value.removesuffix(_END_MARK).strip(chr(10))}")
         lines.append("")
     return "\n".join(lines)
 

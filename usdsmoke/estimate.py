@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usdsmoke.config import Config, ViewsConfig
+from usdsmoke.core.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
 __all__ = [
     "Estimate",
@@ -30,7 +31,6 @@ __all__ = [
     "estimate_run",
     "free_disk_bytes",
     "n_different_views",
-    "octave_iterations",
     "usable_cpus",
 ]
 
@@ -90,28 +90,6 @@ def estimate_run(
         seconds=seconds / threads**GAIN,
         bytes_written=sum(_frame_bytes(frame, config) for frame in frames),
     )
-
-
-def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]:
-    """Iterations of each octave, coarse to fine, when a step's total is given or not.
-
-    >>> octave_iterations([60, 50, 40], 30)
-    [12, 10, 8]
-
-    Args:
-        per_octave: the configured list, every element >= 1.
-        total: wanted sum; None leaves the list as it is. No octave falls below one iteration.
-    """
-    if total is None:
-        return list(per_octave)
-    whole = sum(per_octave)
-    done = wanted = 0
-    scaled = []
-    for n in per_octave:
-        wanted += n
-        scaled.append(max(1, round(wanted * total / whole) - done))
-        done += scaled[-1]
-    return scaled
 
 
 def n_different_views(views: ViewsConfig) -> int:
@@ -178,17 +156,20 @@ def _frame_seconds(frame: FrameSize, config: Config, n_styles: int) -> float:
     active, _ = _refined(frame, config)
     if active == 0 or config.optimize.strength == 0:
         return FRAME
-    share = 1.0 if frame.window_start else config.windows.warm_iterations
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config)
     n_views = n_different_views(config.views)
     total = FRAME
     for step in config.optimize.steps:
         per_octave = getattr(config, step).iterations
         octaves = octave_iterations(per_octave, config.optimize.iterations)
+        if not frame.window_start:
+            octaves = warm_iterations(octaves, config.windows.warm_iterations)
         for number, n_iterations in enumerate(octaves):
-            scale = config.optimize.octave_scale ** -(len(octaves) - 1 - number)
+            if n_iterations == 0:
+                continue
+            scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
             picture = pixels * scale**2 + VOXEL_TIME * active * scale**3
-            total += share * n_iterations * (ITERATION + config.views.count * picture)
+            total += n_iterations * (ITERATION + config.views.count * picture)
             total += n_views * VIEW_TIME * active * scale**3
     return total
 

@@ -1,66 +1,18 @@
-"""How far a run is, told on the error stream: bars on a terminal, a line now and then in a log."""
+"""How far a run is, told on the error stream: a bar on a terminal, a line now and then in a log."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from usdsmoke.config import Config
-from usdsmoke.estimate import octave_iterations
+from usdsmoke.run_progress import RunProgress
 
-if TYPE_CHECKING:
-    from usdsmoke.core.progress import Progress as Report
-
-__all__ = ["ConsoleProgress", "WorkMeter", "format_seconds"]
+__all__ = ["ConsoleProgress", "format_seconds"]
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log
-
-
-class WorkMeter:
-    """The share of a run that is done, counted in iterations weighted by what an octave costs.
-
-    Args:
-        config: gives steps, octaves and iterations.
-    """
-
-    def __init__(self, config: Config) -> None:
-        self._scale = config.optimize.octave_scale
-        self._octaves = {
-            step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-            for step in config.optimize.steps
-        }
-
-    def share(self, report: "Report") -> float | None:
-        """The share of all frames that is done, 0 to 1; None for a step without iterations."""
-        if report.step not in self._octaves or report.n_frames == 0:
-            return None
-        work = {step: sum(self._octave_work(octaves)) for step, octaves in self._octaves.items()}
-        steps = list(work)
-        done = sum(work[step] for step in steps[: steps.index(report.step)])
-        part = min((report.iteration + 1) / max(report.n_iterations, 1), 1.0)
-        within = (done + self._work_until(report.step, part)) / sum(work.values())
-        return min((report.frame + within) / report.n_frames, 1.0)
-
-    def _octave_work(self, iterations: Sequence[int]) -> list[float]:
-        """Each octave's work: pixels fall with the square of the scale, and some cost is fixed."""
-        last = len(iterations) - 1
-        return [
-            n * (0.15 + self._scale ** (-2 * (last - octave)))
-            for octave, n in enumerate(iterations)
-        ]
-
-    def _work_until(self, step: str, part: float) -> float:
-        """Work of a step when this part of its iterations is done, all octaves taken together."""
-        iterations = self._octaves[step]
-        left = part * sum(iterations)
-        done = 0.0
-        for n, work in zip(iterations, self._octave_work(iterations), strict=True):
-            done += work * min(left / n, 1.0)
-            left = max(left - n, 0.0)
-        return done
+_LEARN_FOR = 2.0  # seconds before a time that is left is told
 
 
 class ConsoleProgress:
@@ -70,18 +22,15 @@ class ConsoleProgress:
 
     Args:
         console: on the error stream; results never go there.
-        config: gives steps, octaves and iterations.
         clock: seconds, for tests.
     """
 
-    def __init__(
-        self, console: Console, config: Config, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console
         self._clock = clock
-        self._meter = WorkMeter(config)
-        self._began: tuple[float, float] | None = None  # time and share when stylizing began
+        self._began: tuple[float, float] | None = None  # time and share at the first iteration
         self._last_line = clock()
+        self._last_step = ""
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
@@ -105,31 +54,29 @@ class ConsoleProgress:
     ) -> None:
         self._bars.stop()
 
-    def __call__(self, report: "Report") -> None:
+    def __call__(self, report: RunProgress) -> None:
         """Shows one record of a run."""
-        share = self._meter.share(report)
-        where = f"{report.step} frame {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
-        if share is None:
-            self._bars.update(self._task, description=where)
-            return
-        where += f" octave {report.octave + 1}/{report.n_octaves} loss {report.loss:.3g}"
-        left = self._time_left(share)
-        self._bars.update(self._task, description=where, completed=share, left=left)
         now = self._clock()
-        if not self._console.is_terminal and now - self._last_line >= _LINE_EVERY:
-            self._last_line = now
-            self.say(f"{share:4.0%} {where} {left}".rstrip())
+        where = f"{report.step} frame {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
+        left = ""
+        if report.n_octaves:
+            where += f" octave {report.octave + 1}/{report.n_octaves} loss {report.loss:.3g}"
+            left = self._time_left(now, report.share)
+        self._bars.update(self._task, description=where, completed=report.share, left=left)
+        is_due = report.step != self._last_step or now - self._last_line >= _LINE_EVERY
+        if not self._console.is_terminal and is_due:
+            self._last_line, self._last_step = now, report.step
+            self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
     def say(self, message: str) -> None:
         """Writes a message above the bar."""
         self._console.print(message, markup=False, highlight=False, soft_wrap=True)
 
-    def _time_left(self, share: float) -> str:
-        now = self._clock()
+    def _time_left(self, now: float, share: float) -> str:
         if self._began is None:
             self._began = (now, share)
         elapsed, done = now - self._began[0], share - self._began[1]
-        if elapsed < 2.0 or done <= 0:
+        if elapsed < _LEARN_FOR or done <= 0:
             return ""
         return f"{format_seconds(elapsed * (1 - share) / done)} left"
 

@@ -188,7 +188,7 @@ class ShapeConfig:
     mass_correction: bool = _setting(True, "scale the moved density back to the source's mass")
     learning_rate: float = _setting(0.06, "Adam's step for the displacement potential", above=0.0)
     iterations: list[int] = _setting(
-        [60, 50, 40], "iterations per octave, coarse to fine", low=1, least=1
+        [60, 50, 40], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
 
 
@@ -203,7 +203,7 @@ class ColourConfig:
         0.05, "Adam's step for display-encoded colour in [0, 1]", above=0.0
     )
     iterations: list[int] = _setting(
-        [120, 120, 120], "iterations per octave, coarse to fine", low=1, least=1
+        [120, 120, 120], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
 
 
@@ -222,7 +222,9 @@ class OptimizeConfig:
         None, "total iterations of each step; scales its octaves' lists", low=1
     )
     tolerance: float = _setting(
-        2e-3, "stop an octave when its loss fell by less than this share; 0 never stops early", low=0.0
+        2e-3,
+        "stop an octave when its loss fell by less than this share; 0 never stops early",
+        low=0.0,
     )
     strength: float = _setting(
         1.0, "share of the effect that is kept: 0 gives the source back", low=0.0, high=1.0

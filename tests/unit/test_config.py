@@ -161,7 +161,7 @@ def test_assignments_are_read_as_yaml(assignment: str, section: str, key: str, v
         ("optimize.steps=[]", r"optimize\.steps has 0 elements; wanted at least 1"),
         ("optimize.steps=[shape, shape]", r"wanted every element once"),
         ("optimize.steps=[color]", r"optimize\.steps\[0\] is 'color'; wanted one of shape, colour"),
-        ("colour.iterations=[3, 0]", r"colour\.iterations\[1\] is 0; wanted >= 1"),
+        ("colour.iterations=[3, -1]", r"colour\.iterations\[1\] is -1; wanted >= 0"),
         ("layer.name=../elsewhere", r"layer\.name is '\.\./elsewhere'; wanted letters"),
         ("windows.size=[3", r"cannot read the value of windows\.size: .*; wanted YAML"),
         ("windows.size=!!python/name:os.system", r"cannot read the value of windows\.size"),

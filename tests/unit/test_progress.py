@@ -10,33 +10,34 @@ from rich.console import Console
 
 from usdsmoke.config import Config, resolve_config
 from usdsmoke.core.progress import Progress
-from usdsmoke.estimate import octave_iterations
-from usdsmoke.progress import ConsoleProgress, WorkMeter, format_seconds
+from usdsmoke.core.schedule import octave_iterations, warm_iterations
+from usdsmoke.progress import ConsoleProgress, format_seconds
+from usdsmoke.run_progress import RunProgress, WorkMeter
 
 
-def reports_of(config: Config, n_frames: int) -> list[Progress]:
-    """Every record of a run, as the core sends them."""
+def reports_of(config: Config, warm: list[bool]) -> list[tuple[int, Progress]]:
+    """Every record of a run with its frame, as the core sends them."""
     reports = []
-    for frame in range(n_frames):
+    for frame, is_warm in enumerate(warm):
         for step in config.optimize.steps:
-            octaves = octave_iterations(
-                getattr(config, step).iterations, config.optimize.iterations
-            )
-            numbers = [octave for octave, n in enumerate(octaves) for _ in range(n)]
+            plan = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+            if is_warm:
+                plan = warm_iterations(plan, config.windows.warm_iterations)
+            octaves = [octave for octave, n in enumerate(plan) for _ in range(n)]
             reports += [
-                Progress(step, frame + 1, frame, n_frames, octave, len(octaves), i, len(numbers), 2)
-                for i, octave in enumerate(numbers)
+                (frame, Progress(step, frame, 0, 1, octave, len(plan), n, len(octaves), 2.0))
+                for n, octave in enumerate(octaves)
             ]
     return reports
 
 
 @given(
     st.lists(st.integers(1, 6), min_size=1, max_size=4),
-    st.integers(1, 3),
+    st.lists(st.booleans(), min_size=1, max_size=4),
     st.sampled_from([["shape"], ["colour"], ["shape", "colour"]]),
 )
 def test_the_share_rises_with_every_iteration_and_ends_at_one(
-    iterations: list[int], n_frames: int, steps: list[str]
+    iterations: list[int], warm: list[bool], steps: list[str]
 ) -> None:
     config = resolve_config(
         {
@@ -45,68 +46,81 @@ def test_the_share_rises_with_every_iteration_and_ends_at_one(
             "colour": {"iterations": iterations},
         }
     )
-    meter = WorkMeter(config)
-    shares = [meter.share(report) for report in reports_of(config, n_frames)]
-    assert all(earlier < later for earlier, later in pairwise(shares))  # type: ignore[operator]
+    meter = WorkMeter(config, warm)
+    shares = [meter.share(report, frame) for frame, report in reports_of(config, warm)]
+    assert all(earlier < later for earlier, later in pairwise([0.0, *shares]))
     assert shares[-1] == pytest.approx(1.0)
+    assert meter.share_before(0) == 0.0
+    assert meter.share_before(len(warm)) == pytest.approx(1.0)
 
 
 def test_the_fine_octave_counts_for_more_than_the_coarse_one() -> None:
     config = resolve_config({"optimize": {"steps": ["colour"]}, "colour": {"iterations": [10, 10]}})
-    meter = WorkMeter(config)
-    coarse_done = meter.share(Progress("colour", 1, 0, 1, 0, 2, 9, 20, 1.0))
+    coarse_done = WorkMeter(config, [False]).share(Progress("colour", 1, 0, 1, 0, 2, 9, 20, 1.0), 0)
     assert coarse_done == pytest.approx(0.4 / (0.4 + 1.15))  # 0.15 + 1/4 against 0.15 + 1
 
 
-def test_steps_without_iterations_have_no_share() -> None:
-    assert WorkMeter(Config()).share(Progress("check", 1, 0, 1, 0, 0, 0, 0, 0.0)) is None
+def test_a_frame_that_starts_from_its_neighbour_counts_for_less() -> None:
+    meter = WorkMeter(Config(), [False, True])
+    assert 0.5 < meter.share_before(1) < 0.9
 
 
-def run_in_log(config: Config, n_frames: int) -> str:
+def run_in_log(steps: list[str], n_iterations: int) -> list[str]:
+    """The lines that a log gets when an iteration takes one second."""
     stream, now = io.StringIO(), [0.0]
 
     def clock() -> float:
-        now[0] += 0.5
+        now[0] += 1.0
         return now[0]
 
-    console = Console(file=stream, force_terminal=False, width=100)
-    with ConsoleProgress(console, config, clock) as progress:
-        for report in reports_of(config, n_frames):
-            progress(report)
-    return stream.getvalue()
+    with ConsoleProgress(Console(file=stream, force_terminal=False, width=40), clock) as progress:
+        for step in steps:
+            for n in range(n_iterations):
+                share = (n + 1) / n_iterations
+                progress(RunProgress(step, 7.0, 0, 2, share, octave=1, n_octaves=3, loss=0.25))
+    return stream.getvalue().splitlines()
 
 
 def test_a_log_gets_a_line_now_and_then_with_step_octave_loss_and_time_left() -> None:
-    lines = run_in_log(Config(), 1).splitlines()
-    assert 5 < len(lines) < 60
-    assert any(
-        "shape frame 1/1 (t=1) octave 2/3 loss 2" in line and line.endswith("left")
-        for line in lines
-    )
+    lines = run_in_log(["shape"], 100)
+    assert len(lines) == 10
+    assert lines[3] == " 31% shape frame 1/2 (t=7) octave 2/3 loss 0.25 1 min 9 s left"
     assert not any("\x1b" in line or "\r" in line for line in lines)
 
 
-def test_the_time_left_is_what_the_rest_takes_at_the_same_pace() -> None:
-    config = resolve_config({"optimize": {"steps": ["colour"]}, "colour": {"iterations": [100]}})
-    line = run_in_log(config, 1).splitlines()[1]
-    share = float(line.split("%")[0])
-    left = line.rsplit("loss 2 ", 1)[1].removesuffix(" left")
-    assert left == format_seconds(100 - share)  # two readings of half a second an iteration
+def test_a_log_gets_a_line_when_a_step_begins() -> None:
+    lines = run_in_log(["shape", "colour"], 5)
+    assert [line.split()[1] for line in lines] == ["shape", "colour"]
+
+
+def test_steps_without_iterations_tell_neither_loss_nor_time() -> None:
+    stream = io.StringIO()
+    with ConsoleProgress(Console(file=stream, force_terminal=False)) as progress:
+        progress(RunProgress("check", 3.5, 1, 4, 0.0))
+    assert stream.getvalue() == "  0% check frame 2/4 (t=3.5)\n"
 
 
 def test_a_terminal_gets_a_bar() -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=120)
-    with ConsoleProgress(console, Config()) as progress:
-        for report in reports_of(Config(), 1)[:50]:
-            progress(report)
+    with ConsoleProgress(console) as progress:
+        progress(RunProgress("colour", 1.0, 0, 1, 0.5, octave=0, n_octaves=3, loss=1.0))
         progress._bars.refresh()
     assert "octave 1/3" in stream.getvalue()
     assert "━" in stream.getvalue()
+    assert " 50%" in stream.getvalue()
 
 
 def test_a_message_is_shown_as_it_is() -> None:
     stream = io.StringIO()
-    with ConsoleProgress(Console(file=stream, width=20), Config()) as progress:
+    with ConsoleProgress(Console(file=stream, width=20)) as progress:
         progress.say("[red]no markup[/red] and no wrapping of long lines")
     assert stream.getvalue() == "[red]no markup[/red] and no wrapping of long lines\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0 s"), (59.6, "1 min 0 s"), (3599.4, "59 min 59 s"), (3600, "1 h 0 min")],
+)
+def test_durations_are_told_in_the_units_people_use(seconds: float, text: str) -> None:
+    assert format_seconds(seconds) == text

@@ -1,0 +1,137 @@
+"""One timeCode of one Volume as dense fields: which grids, from which files, in which units."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdsmoke.config import Config
+from usdsmoke.errors import UnsupportedGrid
+from usdsmoke.grids.header import FileHeader, GridHeader
+from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
+from usdsmoke.grids.velocity import find_velocity, read_velocity
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+
+__all__ = [
+    "VelocitySource",
+    "find_density",
+    "find_frame_velocity",
+    "read_frame",
+    "read_velocity_grids",
+]
+
+
+@dataclass(frozen=True)
+class VelocitySource:
+    """Where a frame's velocity comes from: one grid of vectors or three of numbers in one file."""
+
+    field: FieldSource  # gives file and place in space
+    name: str  # what ``read_velocity`` is asked for
+    grids: tuple[GridHeader, ...]
+
+
+def find_density(volume: VolumeSource, frame: FrameSource, header: FileHeader) -> GridHeader:
+    """The density's grid, from its file's header alone.
+
+    Raises:
+        GridNotFound: the file has no such grid.
+        UnsupportedGrid: smoke cannot be read from it.
+    """
+    request = _density_request(frame.fields[volume.density])
+    grid = find_grid(header, request)
+    check_readable(header, grid, request)
+    return grid
+
+
+def find_frame_velocity(
+    volume: VolumeSource, frame: FrameSource, headers: Mapping[str, FileHeader], config: Config
+) -> VelocitySource | None:
+    """The velocity that belongs to a frame's density; None when there is none.
+
+    It is looked for in the Volume's own relationships first, then among the grids of the density's
+    file, where simulations usually leave it without saying so on the stage.
+
+    Args:
+        volume: names its velocity relationships.
+        frame: one timeCode of it.
+        headers: by file path, of the frame's files.
+        config: ``stage.velocity`` names it, empty tries the usual names.
+    """
+    sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
+    if sources and len({source.file_path for source in sources}) == 1:
+        names = [source.grid_name for source in sources]
+        base = names[0].removesuffix(".x").removesuffix("_x")  # three parts are asked for as one
+        grids = find_velocity(headers[sources[0].file_path], base) if base else ()
+        if grids:
+            return VelocitySource(sources[0], base, grids)
+    density = frame.fields[volume.density]
+    grids = find_velocity(headers[density.file_path], config.stage.velocity)
+    return VelocitySource(density, config.stage.velocity, grids) if grids else None
+
+
+def read_frame(
+    volume: VolumeSource,
+    frame: FrameSource,
+    config: Config,
+    velocity: VelocitySource | None = None,
+    time_codes_per_second: float = 24.0,
+) -> VolumeFrame:
+    """The dense fields of one timeCode.
+
+    Args:
+        volume: says which field is the density.
+        frame: its files at one timeCode.
+        config: limits of reading, and the velocity's unit.
+        velocity: from ``find_frame_velocity``; None reads no velocity.
+        time_codes_per_second: turns velocities per frame into velocities per second.
+
+    Raises:
+        GridError: a file or grid cannot be used.
+        NonFiniteError: NaN or infinite voxels, unless ``grids.repair_nan`` replaces them.
+    """
+    source = frame.fields[volume.density]
+    (density,) = read_grids(source.file_path, [_density_request(source)], config.grids)
+    moving = None
+    if velocity is not None:
+        request = GridRequest(velocity.name, velocity.field.grid_index, _where(velocity.field))
+        moving = read_velocity(velocity.field.file_path, request, config.grids)
+    if moving is not None and config.stage.velocity_unit == "frame":
+        values = moving.values * np.float32(time_codes_per_second)
+        moving = dataclasses.replace(moving, values=values)
+    return VolumeFrame(
+        time_code=frame.time_code,
+        density=density,
+        density_to_stage=source.field_to_stage,
+        velocity=moving,
+        velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
+    )
+
+
+def read_velocity_grids(
+    velocity: VelocitySource, density: FieldSource, config: Config
+) -> list[DenseField]:
+    """The velocity's grids as they are in the file, to be written beside the density.
+
+    Raises:
+        UnsupportedGrid: the stage places the velocity elsewhere than the density, so that one field
+            prim cannot hold both.
+        GridError: they cannot be read.
+    """
+    where = _where(velocity.field)
+    if not np.allclose(velocity.field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0):
+        raise UnsupportedGrid(
+            f"cannot copy the velocity ({where}): the xform of its field prim differs from that of "
+            f"<{density.prim_path}>; wanted the same: unset layer.copy_velocity"
+        )
+    wanted = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
+    return read_grids(velocity.field.file_path, wanted, config.grids)
+
+
+def _density_request(source: FieldSource) -> GridRequest:
+    return GridRequest(source.grid_name, source.grid_index, _where(source), components=1)
+
+
+def _where(source: FieldSource) -> str:
+    return f"field <{source.prim_path}>, timeCode {format_time_code(source.time_code)}"

@@ -1,0 +1,76 @@
+"""What the files of a result are called: one stem per Volume, one number per timeCode."""
+
+import math
+import re
+from collections.abc import Sequence
+
+from usdsmoke.errors import LayerError
+
+__all__ = ["frame_file_names", "volume_stems"]
+
+_DECIMALS = 6  # of a timeCode that is no whole number, at most
+
+
+def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:
+    """A file stem for each Volume, all different, also where upper and lower case are the same.
+
+    >>> volume_stems(["/shot/plume", "/a/fog", "/b/fog"])
+    ('plume', 'a_fog', 'b_fog')
+
+    Args:
+        prim_paths: of the Volumes.
+        name: takes the place of the prim's name; with several Volumes it stands before it.
+    """
+    if name and len(prim_paths) == 1:
+        return (name,)
+    last = [_clean(path.rsplit("/", 1)[-1]) for path in prim_paths]
+    whole = [_clean(path.strip("/").replace("/", "_")) for path in prim_paths]
+    folded = [stem.casefold() for stem in last]
+    stems: list[str] = []
+    for short, long in zip(last, whole, strict=True):
+        stem = short if folded.count(short.casefold()) == 1 else long
+        stem = f"{name}_{stem}" if name else stem
+        taken = {other.casefold() for other in stems}
+        number, unique = 2, stem
+        while unique.casefold() in taken:
+            unique, number = f"{stem}_{number}", number + 1
+        stems.append(unique)
+    return tuple(stems)
+
+
+def frame_file_names(stem: str, time_codes: Sequence[float]) -> tuple[str, ...]:
+    """``STEM.####.vdb`` for each timeCode; the numbers are the timeCodes, padded to one width.
+
+    With any timeCode that is no whole number, all get the same count of decimals.
+
+    >>> frame_file_names("plume", [1, 2])
+    ('plume.0001.vdb', 'plume.0002.vdb')
+    >>> frame_file_names("plume", [1, 1.5])
+    ('plume.0001.0.vdb', 'plume.0001.5.vdb')
+
+    Raises:
+        LayerError: two timeCodes lie so close that their names would be the same.
+    """
+    decimals = 0
+    while decimals < _DECIMALS and not _is_exact(time_codes, decimals):
+        decimals += 1
+    digits = max((len(str(abs(math.trunc(code)))) for code in time_codes), default=0)
+    width = max(4, digits) + (decimals + 1 if decimals else 0)
+    names = []
+    for code in time_codes:
+        sign = "-" if code < 0 else ""
+        names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}.vdb")
+    if len(set(names)) < len(names):
+        raise LayerError(
+            f"timeCodes of {stem} lie closer than 1e-{_DECIMALS}; wanted each far enough from the "
+            "next for a file name of its own: select other frames"
+        )
+    return tuple(names)
+
+
+def _clean(text: str) -> str:
+    return re.sub(r"[^\w-]", "_", text) or "volume"
+
+
+def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
+    return all(abs(code - round(code, decimals)) < 0.5 * 10**-_DECIMALS for code in time_codes)

@@ -1,0 +1,171 @@
+"""What a run needs and what it leaves out, in sentences, each omission with its reason."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from usdsmoke.config import Config
+from usdsmoke.core.schedule import octave_iterations
+from usdsmoke.estimate import n_different_views
+from usdsmoke.time_codes import format_time_codes
+from usdsmoke.volume import StageSource
+
+if TYPE_CHECKING:
+    from usdsmoke.plan import FramePlan, VolumePlan
+
+__all__ = ["Omission", "list_needed", "list_omitted"]
+
+
+@dataclass(frozen=True)
+class Omission:
+    """Something that is not read, computed or written."""
+
+    what: str
+    reason: str
+
+
+def list_needed(
+    source: StageSource, config: Config, volumes: Sequence["VolumePlan"]
+) -> tuple[str, ...]:
+    """What will be read, computed and written, one sentence each."""
+    needed = [
+        f"density of <{volume.source.prim_path}> at timeCodes "
+        f"{format_time_codes(frame.source.time_code for frame in volume.frames)}"
+        for volume in volumes
+    ]
+    with_velocity = [frame for frame in _frames(volumes) if frame.velocity]
+    if with_velocity:
+        needed.append(f"velocity of {len(with_velocity)} frames")
+    if _optimizes(config):
+        layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
+        needed.append(f"features of the {config.features.network} network{layers}")
+        n_views = n_different_views(config.views)
+        needed.append(f"{config.views.count} views an iteration, drawn from {n_views}")
+        needed += [_describe_step(step, config) for step in config.optimize.steps]
+    gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
+    for step, gamma in gammas:
+        if gamma is None and step in config.optimize.steps:
+            needed.append(
+                f"extinction of the {step} step, measured on up to three frames of the shot"
+            )
+    kind = "half" if config.grids.half else "float"
+    grids = "density and emission" if "colour" in config.optimize.steps else "density"
+    needed.append(
+        f"one VDB file a frame with {grids} ({kind}), and the {config.layer.format} layer"
+    )
+    return tuple(needed)
+
+
+def list_omitted(
+    source: StageSource, config: Config, volumes: Sequence["VolumePlan"]
+) -> tuple[Omission, ...]:
+    """What is left out, and why."""
+    omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
+    omitted += _omitted_steps(config)
+    omitted += _omitted_views(config)
+    frames = _frames(volumes)
+    if all(frame.velocity is None for frame in frames):
+        omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
+    for volume in volumes:
+        omitted += _omitted_of_volume(volume)
+    return tuple(omitted)
+
+
+def _frames(volumes: Sequence["VolumePlan"]) -> list["FramePlan"]:
+    return [frame for volume in volumes for frame in volume.frames]
+
+
+def _optimizes(config: Config) -> bool:
+    return config.losses.style > 0 and config.optimize.strength > 0
+
+
+def _describe_step(step: str, config: Config) -> str:
+    octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+    return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine"
+
+
+def _omitted_steps(config: Config) -> list[Omission]:
+    steps, network = config.optimize.steps, config.features.network
+    omitted = []
+    if "colour" not in steps:
+        omitted.append(Omission("RGB emission", "no colour step is asked for (optimize.steps)"))
+    if "shape" not in steps:
+        omitted.append(
+            Omission("displacement of the density", "no shape step is asked for (optimize.steps)")
+        )
+    else:
+        omitted.append(
+            Omission(
+                "transmittance along the rays of the shape step",
+                "a grey picture is the opacity, which needs column sums only",
+            )
+        )
+    if config.optimize.strength == 0:
+        omitted.append(
+            Omission("the optimisation", "optimize.strength is 0: the source is given back")
+        )
+    if config.losses.style == 0:
+        omitted.append(Omission("style loss and features", "losses.style is 0"))
+    if config.losses.total_variation == 0:
+        omitted.append(Omission("total variation", "losses.total_variation is 0"))
+    if network == "embedded":
+        omitted.append(Omission("VGG-19 parameters", "the embedded features need no file"))
+    else:
+        omitted.append(
+            Omission("network layers below the last style layer", "nothing looks at them")
+        )
+    return omitted
+
+
+def _omitted_views(config: Config) -> list[Omission]:
+    if n_different_views(config.views) > 1:
+        return []
+    return [
+        Omission("further views", "one view is asked for (views.azimuth and views.elevation are 0)")
+    ]
+
+
+def _why_no_velocity(volumes: Sequence["VolumePlan"], config: Config) -> str:
+    frames = _frames(volumes)
+    if len(frames) == 1:
+        return "there is one frame only"
+    if config.windows.size == 1:
+        return "windows.size is 1: no frame starts from another"
+    if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
+        return "no two frames share a window"
+    return "neither the Volumes nor their files have any under the usual names (stage.velocity)"
+
+
+def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
+    omitted = []
+    where = f"of <{volume.source.prim_path}>"
+    if volume.source.other_fields:
+        omitted.append(
+            Omission(
+                f"fields {', '.join(volume.source.other_fields)} {where}",
+                "only density and velocity are used; they stay as they are on the stage",
+            )
+        )
+    empty = [frame.source.time_code for frame in volume.frames if frame.is_empty]
+    if empty:
+        omitted.append(
+            Omission(
+                f"pictures and features at timeCodes {format_time_codes(empty)} {where}",
+                "the frames are empty",
+            )
+        )
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    if filled and all(1 in frame.size.box for frame in filled):
+        omitted.append(
+            Omission(f"everything three-dimensional {where}", "the volume is one voxel thick")
+        )
+    n_box = sum(frame.size.box[0] * frame.size.box[1] * frame.size.box[2] for frame in filled)
+    n_active = sum(frame.size.active_voxels for frame in filled)
+    if n_box > n_active:
+        omitted.append(
+            Omission(
+                f"{1 - n_active / n_box:.0%} of the boxes {where}",
+                "these voxels are empty; only active ones are projected and optimised",
+            )
+        )
+    return omitted

@@ -1,0 +1,242 @@
+"""What a scene needs, what is left out and why, and what it costs; before anything heavy is loaded.
+
+Only the stage's own values and the headers of VDB files are looked at: no voxel, no torch.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.config import Config
+from usdsmoke.errors import PlanError
+from usdsmoke.estimate import (
+    Estimate,
+    FrameSize,
+    available_memory_gib,
+    estimate_run,
+    free_disk_bytes,
+)
+from usdsmoke.frames import VelocitySource, find_density, find_frame_velocity
+from usdsmoke.grids.header import FileHeader, GridHeader, read_header
+from usdsmoke.naming import frame_file_names, volume_stems
+from usdsmoke.needs import Omission, list_needed, list_omitted
+from usdsmoke.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.windows import Window, split_windows
+
+__all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan"]
+
+_DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
+
+
+@dataclass(frozen=True)
+class FramePlan:
+    """One frame that will be written."""
+
+    source: FrameSource
+    size: FrameSize
+    grid: GridHeader
+    velocity: VelocitySource | None  # None: there is none, or it is not needed
+    file_name: str  # of the result
+
+    @property
+    def is_empty(self) -> bool:
+        """True when the header says that no voxel is active."""
+        return self.size.active_voxels == 0
+
+
+@dataclass(frozen=True)
+class VolumePlan:
+    """One Volume with its frames and windows."""
+
+    source: VolumeSource
+    stem: str
+    frames: tuple[FramePlan, ...]
+    windows: tuple[Window, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that was decided before the run."""
+
+    source: StageSource
+    config: Config
+    volumes: tuple[VolumePlan, ...]
+    needed: tuple[str, ...]
+    omitted: tuple[Omission, ...]
+    estimate: Estimate
+
+    @property
+    def n_frames(self) -> int:
+        """Of all Volumes."""
+        return sum(len(volume.frames) for volume in self.volumes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON: volumes, frames, windows, needed, omitted, estimate."""
+        return {
+            "stage": self.source.file_path,
+            "volumes": [_volume_dict(volume) for volume in self.volumes],
+            "frames": [
+                _frame_dict(volume, frame) for volume in self.volumes for frame in volume.frames
+            ],
+            "windows": [
+                {"volume": volume.source.prim_path, **asdict(window)}
+                for volume in self.volumes
+                for window in volume.windows
+            ],
+            "needed": list(self.needed),
+            "omitted": [asdict(omission) for omission in self.omitted],
+            "estimate": asdict(self.estimate),
+        }
+
+
+def make_plan(source: StageSource, config: Config, n_styles: int = 1) -> Plan:
+    """The plan of a stylization, from USD values and VDB headers.
+
+    Args:
+        source: the selected Volumes and timeCodes.
+        config: the resolved settings.
+        n_styles: style images.
+
+    Raises:
+        GridError: a header shows that a density cannot be used.
+        LayerError: two timeCodes are too close for file names of their own.
+    """
+    stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
+    headers: dict[str, FileHeader] = {}
+    volumes = tuple(
+        _plan_volume(volume, stem, config, headers)
+        for volume, stem in zip(source.volumes, stems, strict=True)
+    )
+    sizes = [frame.size for volume in volumes for frame in volume.frames]
+    return Plan(
+        source=source,
+        config=config,
+        volumes=volumes,
+        needed=list_needed(source, config, volumes),
+        omitted=list_omitted(source, config, volumes),
+        estimate=estimate_run(sizes, config, n_styles),
+    )
+
+
+def check_plan(plan: Plan, output: Path | None = None) -> None:
+    """Refuse a plan that does not fit the memory or the disk.
+
+    Args:
+        plan: with its estimate.
+        output: the folder that will hold the result; None does not look at the disk.
+
+    Raises:
+        PlanError: with what is needed and what there is.
+    """
+    needed = plan.estimate.memory_gib
+    limit, reason = plan.config.optimize.memory_limit_gib, "optimize.memory_limit_gib"
+    if limit is None:
+        limit, reason = available_memory_gib(), "what the machine has left"
+    if needed > limit:
+        largest = max(
+            ((frame.size.active_voxels, volume, frame) for volume, frame in _all_frames(plan)),
+            key=lambda item: item[0],
+        )
+        _, volume, frame = largest
+        raise PlanError(
+            f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
+            f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; there "
+            f"are {limit:.1f} GiB ({reason}): lower views.pool, views.image_size or grids.refine, "
+            "or raise the limit"
+        )
+    if output is None:
+        return
+    wanted, free = plan.estimate.bytes_written + _DISK_RESERVE, free_disk_bytes(output)
+    if wanted > free:
+        raise PlanError(
+            f"the result takes about {wanted / 1e6:,.0f} MB; the disk of {output} has "
+            f"{free / 1e6:,.0f} MB free: free some space, choose another output folder, select "
+            "fewer frames or set grids.half (--half)"
+        )
+
+
+def _all_frames(plan: Plan) -> list[tuple[VolumePlan, FramePlan]]:
+    return [(volume, frame) for volume in plan.volumes for frame in volume.frames]
+
+
+def _plan_volume(
+    volume: VolumeSource, stem: str, config: Config, headers: dict[str, FileHeader]
+) -> VolumePlan:
+    time_codes = [frame.time_code for frame in volume.frames]
+    windows = split_windows(time_codes, config.windows)
+    starts = {window.time_codes[0] for window in windows}
+    in_company = {code for w in windows if len(w.time_codes) > 1 for code in w.time_codes}
+    frames = []
+    for frame, file_name in zip(volume.frames, frame_file_names(stem, time_codes), strict=True):
+        _read_headers(frame, headers)
+        grid = find_density(volume, frame, headers[frame.fields[volume.density].file_path])
+        moves = frame.time_code in in_company or config.layer.copy_velocity
+        frames.append(
+            FramePlan(
+                source=frame,
+                size=_frame_size(frame.fields[volume.density].file_path, grid, frame, starts),
+                grid=grid,
+                velocity=find_frame_velocity(volume, frame, headers, config) if moves else None,
+                file_name=file_name,
+            )
+        )
+    return VolumePlan(volume, stem, tuple(frames), windows)
+
+
+def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
+    for field in frame.fields.values():
+        if field.file_path not in headers:
+            headers[field.file_path] = read_header(field.file_path)
+
+
+def _frame_size(
+    file_path: str, grid: GridHeader, frame: FrameSource, starts: set[float]
+) -> FrameSize:
+    """From the header; a file that does not tell is taken to hold nothing but this grid."""
+    active, box = grid.active_voxels, grid.box_shape
+    if active is None:
+        active = max(1, os.path.getsize(file_path) // 2)  # half floats, nothing compressed
+    if box is None and active:
+        side = round(active ** (1 / 3)) + 1
+        box = (side, side, side)
+    return FrameSize(active, box or (0, 0, 0), frame.time_code in starts)
+
+
+def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
+    first = volume.frames[0]
+    fields: Mapping[str, Any] = first.source.fields
+    return {
+        "prim_path": volume.source.prim_path,
+        "stem": volume.stem,
+        "animated": volume.source.animated,
+        "fields": sorted(fields),
+        "density_prim": fields[volume.source.density].prim_path,
+        "grid": first.grid.label,
+        "time_codes": [frame.source.time_code for frame in volume.frames],
+        "largest_box": _largest_box([frame.size.box for frame in volume.frames]),
+        "most_active_voxels": max(frame.size.active_voxels for frame in volume.frames),
+    }
+
+
+def _largest_box(boxes: Sequence[tuple[int, int, int]]) -> list[int]:
+    return list(max(boxes, key=lambda box: box[0] * box[1] * box[2]))
+
+
+def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
+    window = next(
+        window.index for window in volume.windows if frame.source.time_code in window.time_codes
+    )
+    return {
+        "volume": volume.source.prim_path,
+        "time_code": frame.source.time_code,
+        "window": window,
+        "source_file": frame.source.fields[volume.source.density].file_path,
+        "grid": frame.grid.label,
+        "active_voxels": frame.grid.active_voxels,
+        "box": list(frame.size.box),
+        "velocity": [grid.label for grid in frame.velocity.grids] if frame.velocity else [],
+        "empty": frame.is_empty,
+        "output_file": frame.file_name,
+    }

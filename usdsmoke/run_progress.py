@@ -1,0 +1,86 @@
+"""How far a run is, as a record; printing it is somebody else's business."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from usdsmoke.config import Config
+from usdsmoke.core.progress import Progress
+from usdsmoke.core.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+
+__all__ = ["RunProgress", "RunProgressCallback", "WorkMeter"]
+
+_FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """What is being done just now, and how much of the whole run is done."""
+
+    step: str  # "check", "shape", "colour", "write" or "picture"
+    time_code: float
+    frame: int  # 0-based, among the frames to do
+    n_frames: int  # that were not finished by an earlier run
+    share: float  # of the run's iterations that are done, 0 to 1
+    octave: int = 0  # 0-based, coarse to fine
+    n_octaves: int = 0  # 0 for steps without iterations
+    loss: float = 0.0
+
+
+RunProgressCallback = Callable[[RunProgress], None]
+
+
+class WorkMeter:
+    """The share of a run that is done, counted in iterations weighted by what an octave costs.
+
+    Args:
+        config: gives steps, octaves and iterations.
+        warm: for every frame to do, whether it starts from its neighbour's result.
+    """
+
+    def __init__(self, config: Config, warm: Sequence[bool]) -> None:
+        self._steps = list(config.optimize.steps)
+        cold = {
+            step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+            for step in self._steps
+        }
+        share = config.windows.warm_iterations
+        carried = {step: warm_iterations(octaves, share) for step, octaves in cold.items()}
+        self._iterations = [carried if is_warm else cold for is_warm in warm]
+        self._total = sum(self._frame_work(frame) for frame in range(len(warm)))
+
+    def share(self, report: Progress, frame: int) -> float:
+        """The share that is done after an iteration.
+
+        Args:
+            report: the core's.
+            frame: 0-based, among the frames to do.
+        """
+        before = sum(self._frame_work(earlier) for earlier in range(frame))
+        steps = self._steps[: self._steps.index(report.step)]
+        before += sum(self._step_work(frame, step, 1.0) for step in steps)
+        part = min((report.iteration + 1) / max(report.n_iterations, 1), 1.0)
+        done = before + self._step_work(frame, report.step, part)
+        return min(done / self._total, 1.0) if self._total else 1.0
+
+    def share_before(self, frame: int) -> float:
+        """The share that is done when a frame begins."""
+        done = sum(self._frame_work(earlier) for earlier in range(frame))
+        return done / self._total if self._total else 1.0
+
+    def _frame_work(self, frame: int) -> float:
+        return sum(self._step_work(frame, step, 1.0) for step in self._steps)
+
+    def _step_work(self, frame: int, step: str, part: float) -> float:
+        """Work of a step when this part of its iterations is done, all octaves taken together.
+
+        Pixels fall with the square of the scale, and some of the cost is fixed.
+        """
+        iterations = self._iterations[frame][step]
+        left = part * sum(iterations)
+        work = 0.0
+        for octave, n in enumerate(iterations):
+            coarseness = len(iterations) - 1 - octave
+            done = min(left, n)
+            work += done * (_FIXED_WORK + OCTAVE_SCALE ** (-2 * coarseness))
+            left -= done
+        return work
