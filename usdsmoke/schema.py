@@ -31,7 +31,7 @@ EMISSION_MODE = "usdSmoke:emissionMode"  # token
 COLOR_SPACE = "usdSmoke:colorSpace"  # token
 RUN = "usdSmoke:run"  # string
 STYLE = "usdSmoke:style"  # string[], "name sha256" each
-SEED = "usdSmoke:seed"  # int
+SEED = "usdSmoke:seed"  # int64
 
 EMISSION_ABSOLUTE = "absolute"  # EMISSION_MODE: radiance per stage unit of length
 LIN_REC709 = "lin_rec709"  # COLOR_SPACE: scene-linear, Rec.709 primaries

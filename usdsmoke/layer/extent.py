@@ -1,0 +1,155 @@
+"""The Volume's extent over time: without one nothing frames or culls the smoke rightly."""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+from usdsmoke.layer.fields import HeldFiles
+from usdsmoke.layer.records import StylizedVolume
+from usdsmoke.volume import WrittenFrame
+
+__all__ = ["Box", "author_extent", "volume_boxes"]
+
+Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
+
+
+def author_extent(
+    volume_spec: Sdf.PrimSpec,
+    volume_prim: Usd.Prim,
+    density: Usd.Prim,
+    volume: StylizedVolume,
+    held: HeldFiles,
+) -> None:
+    """Author ``extent`` on the Volume: one default where it never changes, else time samples too.
+
+    USD interpolates extents linearly while files are held. Each sample therefore also encloses the
+    box of the sample before it, so that what is shown lies inside at every moment in between. A
+    Volume that is empty at every timeCode gets no extent.
+
+    Args:
+        volume_spec: the Volume in the look.
+        volume_prim: the Volume on the source.
+        density: its density's field prim.
+        volume: the result.
+        held: its files over time.
+    """
+    boxes = volume_boxes(volume_prim, density, volume, held)
+    all_boxes = _union(list(boxes.values()))
+    if all_boxes is None:
+        return
+    attribute = Sdf.AttributeSpec(volume_spec, "extent", Sdf.ValueTypeNames.Float3Array)
+    attribute.default = _extent(all_boxes)
+    codes = sorted(boxes)
+    enclosing = [
+        _union([boxes[code], boxes[codes[max(n - 1, 0)]]]) or all_boxes
+        for n, code in enumerate(codes)
+    ]
+    extents = [_extent(box) for box in enclosing]
+    if all(value == attribute.default for value in extents):
+        return
+    for code, value in zip(codes, extents, strict=True):
+        volume_spec.layer.SetTimeSample(attribute.path, code, value)
+
+
+def volume_boxes(
+    volume_prim: Usd.Prim, density: Usd.Prim, volume: StylizedVolume, held: HeldFiles
+) -> dict[float, Box | None]:
+    """What the Volume shows at each timeCode, as boxes in its local space; None where it is empty.
+
+    A stylized timeCode has its file's box, joined with the source's extent when the Volume has
+    fields that are left alone. Another timeCode has the source's extent, or, where none is authored,
+    the union of all stylized boxes: the best that is known without opening the source's files.
+    """
+    frames = {frame.time_code: frame for frame in volume.frames}
+    extent = volume_prim.GetAttribute("extent")
+    codes = {*held.time_codes, *_relative_codes(density, volume_prim), *extent.GetTimeSamples()}
+    boxes: dict[float, Box | None] = {}
+    unknown = []
+    for code in sorted(codes):
+        theirs = _source_box(extent, code)
+        if held.file_at(code) is not None:
+            n = max(bisect_right(held.time_codes, code) - 1, 0)
+            matrix = _density_to_volume(density, volume_prim, code)
+            ours = _frame_box(frames[held.time_codes[n]], matrix)
+            boxes[code] = _union([ours, theirs if volume.source.other_fields else None])
+        elif theirs is not None:
+            boxes[code] = theirs
+        else:
+            unknown.append(code)
+    stylized = _union(list(boxes.values()))
+    boxes.update(dict.fromkeys(unknown, stylized))
+    return boxes
+
+
+def _frame_box(frame: WrittenFrame, density_to_volume: np.ndarray | None) -> Box | None:
+    """The box around a frame's eight transformed corners."""
+    if frame.extent_min is None or frame.extent_max is None or density_to_volume is None:
+        return None
+    low, high = np.array(frame.extent_min), np.array(frame.extent_max)
+    choose = np.array([[n >> axis & 1 for axis in range(3)] for n in range(8)], dtype=bool)
+    corners = np.hstack([np.where(choose, high, low), np.ones((8, 1))]) @ density_to_volume
+    return corners[:, :3].min(axis=0), corners[:, :3].max(axis=0)
+
+
+def _density_to_volume(density: Usd.Prim, volume: Usd.Prim, time_code: float) -> np.ndarray | None:
+    """Row-vector matrix from the field prim's local space to the Volume's; None if it has none."""
+    xforms = UsdGeom.XformCache(time_code)
+    if density.GetPath().HasPrefix(volume.GetPath()):
+        matrix, resets = xforms.ComputeRelativeTransform(density, volume)
+        if not resets:
+            return np.array(matrix)
+    volume_to_stage = xforms.GetLocalToWorldTransform(volume)
+    if abs(volume_to_stage.GetDeterminant()) < np.finfo(np.float64).tiny:
+        return None  # scaled to nothing at this moment, as things are that grow from a point
+    return np.array(xforms.GetLocalToWorldTransform(density) * volume_to_stage.GetInverse())
+
+
+def _relative_codes(density: Usd.Prim, volume: Usd.Prim) -> set[float]:
+    """Time samples of the xforms that move the field prim against the Volume."""
+    chain = _ancestors(density)
+    if volume in chain:
+        chain = chain[: chain.index(volume)]
+    else:
+        chain += _ancestors(volume)
+    return {
+        code
+        for prim in chain
+        if prim.IsA(UsdGeom.Xformable)
+        for code in UsdGeom.Xformable(prim).GetTimeSamples()
+    }
+
+
+def _ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
+    chain = []
+    while prim and not prim.IsPseudoRoot():
+        chain.append(prim)
+        prim = prim.GetParent()
+    return chain
+
+
+def _source_box(extent: Usd.Attribute, time_code: float) -> Box | None:
+    value = extent.Get(time_code)
+    if value is None or len(value) != 2:
+        return None
+    corners = np.array(value, dtype=np.float64)
+    usable = np.isfinite(corners).all() and (corners[0] <= corners[1]).all()
+    return (corners[0], corners[1]) if usable else None
+
+
+def _union(boxes: Sequence[Box | None]) -> Box | None:
+    known = [box for box in boxes if box is not None]
+    if not known:
+        return None
+    low = np.min([box[0] for box in known], axis=0)
+    high = np.max([box[1] for box in known], axis=0)
+    return low, high
+
+
+def _extent(box: Box) -> Vt.Vec3fArray:
+    """The box as USD's float3[], rounded outwards."""
+    low, high = np.float32(box[0]), np.float32(box[1])
+    low = np.where(low > box[0], np.nextafter(low, np.float32(-np.inf)), low)
+    high = np.where(high < box[1], np.nextafter(high, np.float32(np.inf)), high)
+    return Vt.Vec3fArray([Gf.Vec3f(*map(float, low)), Gf.Vec3f(*map(float, high))])

@@ -1,0 +1,171 @@
+"""Opinions on a field prim: our files where the result is, what the source has elsewhere.
+
+Time samples of one attribute never merge across layers: the strongest layer that has any supplies
+all of them. So the look authors every timeCode of the source, and re-authors the source's own value
+at those that were not stylized. Values are held in between, as USD holds them; a timeCode that only
+a weaker attribute has shows what the density's timeCode before it shows.
+"""
+
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Usd, UsdGeom
+
+from usdsmoke.layer.anchoring import asset_value, relative_asset_path
+from usdsmoke.layer.field_prims import FieldTarget
+from usdsmoke.layer.records import EMISSION, StylizedVolume
+
+__all__ = ["HeldFiles", "author_field", "held_files", "retarget"]
+
+_TYPES = Sdf.ValueTypeNames
+_INVERT, _RESET = "!invert!", "!resetXformStack!"
+
+
+@dataclass(frozen=True)
+class HeldFiles:
+    """The result's files over time, each held until the density's next timeCode."""
+
+    time_codes: tuple[float, ...]  # the density's, ascending
+    files: Mapping[float, str]  # by timeCode, absolute
+    animated: bool
+    empty_file: str = ""  # shown by an emission that the source does not have; "" blocks it
+
+    def file_at(self, time_code: float) -> str | None:
+        """Our file that is shown at ``time_code``; None where the source is."""
+        n = max(bisect_right(self.time_codes, time_code) - 1, 0)
+        return self.files.get(self.time_codes[n])
+
+    @property
+    def first_file(self) -> str:
+        """The file of the earliest stylized timeCode, for those who ask without a time."""
+        return self.files[min(self.files)]
+
+
+def held_files(volume: StylizedVolume) -> HeldFiles:
+    """The files of a result by timeCode."""
+    return HeldFiles(
+        time_codes=volume.source.time_codes,
+        files={frame.time_code: frame.file_path for frame in volume.frames},
+        animated=volume.source.animated,
+        empty_file=volume.empty_file,
+    )
+
+
+def author_field(layer: Sdf.Layer, target: FieldTarget, held: HeldFiles, folder: Path) -> None:
+    """All opinions of one field prim of the result.
+
+    Args:
+        layer: the look.
+        target: the prim and what it has on the source.
+        held: the result's files.
+        folder: where the look layer will be; paths are relative to it.
+    """
+    spec = Sdf.CreatePrimInLayer(layer, target.prim_path)
+    if target.is_new:
+        spec.specifier = Sdf.SpecifierDef
+        spec.typeName = "OpenVDBAsset"
+        _copy_xform(spec, target.beside)
+    _author_files(spec, target.source, held, folder)
+    _author_held(spec, target.source, held, "fieldName", _TYPES.Token, target.grid_name)
+    if target.source is not None and target.source.GetAttribute("fieldIndex").HasAuthoredValue():
+        _author_held(spec, target.source, held, "fieldIndex", _TYPES.Int, 0)
+    data_type, field_class, role = _tokens(target)
+    if data_type:
+        _author_held(spec, target.source, held, "fieldDataType", _TYPES.Token, data_type)
+        _author_held(spec, target.source, held, "fieldClass", _TYPES.Token, field_class)
+    if role:
+        _author_held(spec, target.source, held, "vectorDataRoleHint", _TYPES.Token, role)
+
+
+def retarget(volume_spec: Sdf.PrimSpec, target: FieldTarget) -> None:
+    """Point the Volume's relationship to a field prim that the look defines."""
+    relationship = Sdf.RelationshipSpec(volume_spec, f"field:{target.relationship}", custom=True)
+    relationship.targetPathList.explicitItems = [target.prim_path]
+
+
+def _tokens(target: FieldTarget) -> tuple[str, str, str]:
+    """fieldDataType, fieldClass and vectorDataRoleHint; empty ones are left to the source."""
+    if target.relationship == EMISSION:
+        return "float3", "unknown", "Color"
+    if target.beside == target.source:
+        return "float", "fogVolume", ""
+    return ("float3", "unknown", "Vector") if target.is_new else ("", "", "")
+
+
+def _author_files(
+    spec: Sdf.PrimSpec, source: Usd.Prim | None, held: HeldFiles, folder: Path
+) -> None:
+    attribute = Sdf.AttributeSpec(spec, "filePath", _TYPES.Asset)
+    attribute.default = Sdf.AssetPath(relative_asset_path(held.first_file, folder))
+    if not held.animated:
+        return
+    composed = source.GetAttribute("filePath") if source is not None else None
+    codes = set(held.time_codes) | set(composed.GetTimeSamples() if composed else [])
+    for code in sorted(codes):
+        ours = held.file_at(code) or ("" if composed else held.empty_file)
+        if ours:
+            value = Sdf.AssetPath(relative_asset_path(ours, folder))
+        else:
+            value = asset_value(composed, code, folder) if composed else Sdf.ValueBlock()
+        spec.layer.SetTimeSample(attribute.path, code, value)
+
+
+def _author_held(
+    spec: Sdf.PrimSpec,
+    source: Usd.Prim | None,
+    held: HeldFiles,
+    name: str,
+    type_name: Sdf.ValueTypeName,
+    ours: Any,
+) -> None:
+    """``ours`` where our files are shown, the source's value elsewhere; a default if all agree.
+
+    Where the source says nothing: no value of fieldName and fieldIndex, which select a grid of its
+    file, but our value of the others, which describe what both files hold.
+    """
+    attribute = Sdf.AttributeSpec(spec, name, type_name)
+    attribute.default = ours
+    if source is None or not held.animated:
+        return
+    composed = source.GetAttribute(name)
+    codes = sorted(set(held.time_codes) | set(composed.GetTimeSamples()))
+    nothing = Sdf.ValueBlock() if name in ("fieldName", "fieldIndex") else ours
+    values = []
+    for code in codes:
+        theirs = composed.Get(code) if held.file_at(code) is None else ours
+        values.append(nothing if theirs is None else theirs)
+    if all(value == ours for value in values):
+        return
+    for code, value in zip(codes, values, strict=True):
+        spec.layer.SetTimeSample(attribute.path, code, value)
+
+
+def _copy_xform(spec: Sdf.PrimSpec, prim: Usd.Prim) -> None:
+    """The xform ops of ``prim``, op by op, so that they also agree between time samples."""
+    order = UsdGeom.Xformable(prim).GetXformOpOrderAttr()
+    tokens = order.Get() if order.HasAuthoredValue() else None
+    if not tokens:
+        return
+    Sdf.AttributeSpec(
+        spec, "xformOpOrder", _TYPES.TokenArray, Sdf.VariabilityUniform
+    ).default = tokens
+    for name in dict.fromkeys(token.removeprefix(_INVERT) for token in tokens if token != _RESET):
+        _copy_attribute(spec, prim.GetAttribute(name))
+
+
+def _copy_attribute(spec: Sdf.PrimSpec, composed: Usd.Attribute) -> None:
+    copy = Sdf.AttributeSpec(spec, composed.GetName(), composed.GetTypeName())
+    default = composed.Get(Usd.TimeCode.Default())
+    if default is not None:
+        copy.default = default
+    if composed.HasSpline():
+        copy.SetSpline(composed.GetSpline())
+        return
+    for code in composed.GetTimeSamples():
+        value = composed.Get(code)
+        spec.layer.SetTimeSample(
+            copy.path, code, Sdf.ValueBlock() if value is None else value
+        )

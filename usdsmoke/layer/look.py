@@ -1,0 +1,163 @@
+"""The way through: from finished VDB files to a look layer and a stage to open."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Tf, Usd
+
+from usdsmoke.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.errors import LayerError, WriteFailed
+from usdsmoke.layer.extent import author_extent
+from usdsmoke.layer.field_prims import choose_field_prims, count_field_uses
+from usdsmoke.layer.fields import author_field, held_files, retarget
+from usdsmoke.layer.marks import custom_layer_data, mark_volume, result_hashes
+from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
+from usdsmoke.layer.root import author_root, copy_stage_metadata
+from usdsmoke.publish import publish_file
+from usdsmoke.sections import LayerConfig
+from usdsmoke.time_codes import format_time_codes
+from usdsmoke.volume import StageSource
+
+__all__ = ["author_look"]
+
+
+def author_look(
+    stage: Usd.Stage,
+    source: StageSource,
+    volumes: Sequence[StylizedVolume],
+    output_folder: Path,
+    config: LayerConfig,
+    provenance: Mapping[str, Any],
+) -> LookFiles:
+    """Write the look layer and then the thin root stage, both checked and each in one step.
+
+    Call it last of all: the files it refers to have to be in place. Nothing of the source is
+    changed, neither on disk nor in memory.
+
+    Args:
+        stage: the source, as ``open_stage`` gave it; read only.
+        source: what ``find_volumes`` made of it.
+        volumes: the results, one for each Volume that was stylized.
+        output_folder: an existing folder; asset paths are relative to it.
+        config: the section ``layer`` of the settings.
+        provenance: from ``provenance.build_provenance``; flat.
+
+    Raises:
+        LayerError: no result was given, a result does not fit its source, the source has no file,
+            or a target is one of the source's own layers.
+        WriteFailed: a file could not be written or came back different.
+    """
+    folder = Path(output_folder).absolute()
+    files = look_files(source, folder, config)
+    _check_volumes(volumes)
+    _check_targets(stage, files)
+    look = _author_look_layer(stage, volumes, folder, config, provenance)
+    root = author_root(stage, files.look_layer, folder)
+    _publish(look, files.look_layer)
+    _publish(root, files.root_stage)
+    return files
+
+
+def _author_look_layer(
+    stage: Usd.Stage,
+    volumes: Sequence[StylizedVolume],
+    folder: Path,
+    config: LayerConfig,
+    provenance: Mapping[str, Any],
+) -> Sdf.Layer:
+    layer = Sdf.Layer.CreateAnonymous(f".{config.format}")
+    copy_stage_metadata(stage, layer, folder)
+    names = ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
+    layer.documentation = (
+        f"Stylized smoke of {names}. Mute this layer to see the source; "
+        "customLayerData.usdsmoke tells how it was made."
+    )
+    layer.customLayerData = custom_layer_data(provenance, result_hashes(volumes, folder))
+    uses = count_field_uses(stage)
+    taken: set[Sdf.Path] = set()
+    for volume in volumes:
+        prim = stage.GetPrimAtPath(volume.source.prim_path)
+        spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
+        held = held_files(volume)
+        targets = choose_field_prims(stage, volume, uses, taken)
+        mark_volume(spec, volume, config.digital_source_type, provenance)
+        author_extent(spec, prim, targets[0].beside, volume, held)
+        for target in targets:
+            author_field(layer, target, held, folder)
+            if target.is_new:
+                retarget(spec, target)
+    return layer
+
+
+def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:
+    if not volumes:
+        raise LayerError("there is no stylized Volume to author; wanted one at least")
+    for volume in volumes:
+        known = set(volume.source.time_codes)
+        strange = sorted({frame.time_code for frame in volume.frames} - known)
+        if strange or not volume.frames:
+            found = format_time_codes(strange) or "no timeCode at all"
+            raise LayerError(
+                f"the result of <{volume.source.prim_path}> has files for {found}; wanted some of "
+                f"the source's timeCodes {format_time_codes(known)}"
+            )
+        if volume.source.density not in volume.grids:
+            raise LayerError(
+                f"the result of <{volume.source.prim_path}> has no grid for its density "
+                f'"{volume.source.density}"; it has: {", ".join(volume.grids) or "none"}'
+            )
+
+
+def _check_targets(stage: Usd.Stage, files: LookFiles) -> None:
+    """Refuse to write over what the source is made of."""
+    root = stage.GetRootLayer()
+    if root.anonymous or not root.realPath:
+        raise LayerError(
+            f"the source stage {root.identifier} has no file that a layer could refer to; "
+            "save it first"
+        )
+    used = {Path(layer.realPath).resolve() for layer in stage.GetUsedLayers() if layer.realPath}
+    for target in (files.look_layer, files.root_stage):
+        if target.resolve() in used:
+            raise LayerError(
+                f"{target} is a layer of the source stage itself; choose another output folder"
+            )
+
+
+def _publish(layer: Sdf.Layer, target: Path) -> None:
+    expected = layer.ExportToString()
+
+    def write(temporary: Path) -> None:
+        with captured_diagnostics():
+            try:
+                done = layer.Export(str(temporary))
+            except Tf.ErrorException as error:
+                raise WriteFailed(_failure(target, short_reason(error))) from None
+        if not done:
+            raise WriteFailed(_failure(target, "USD could not export it"))
+
+    def check(temporary: Path) -> None:
+        with captured_diagnostics():
+            try:
+                found = Sdf.Layer.OpenAsAnonymous(str(temporary)).ExportToString()
+            except Tf.ErrorException as error:
+                raise WriteFailed(_failure(target, short_reason(error))) from None
+        if found != expected:
+            raise WriteFailed(
+                _failure(target, f"it read back as {len(found)} characters, not {len(expected)}")
+            )
+
+    publish_file(target, write, check)
+    _refresh(target)
+
+
+def _failure(target: Path, reason: str) -> str:
+    return f"cannot write {target}: {reason}; check the disk's space and choose another folder"
+
+
+def _refresh(target: Path) -> None:
+    """Let stages of this process that have the old file open see the new one."""
+    layer = Sdf.Layer.Find(str(target))
+    if layer is not None and not layer.dirty:
+        layer.Reload()

@@ -1,0 +1,54 @@
+"""What the look layer is made from, and where it goes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+
+from usdsmoke.sections import LayerConfig
+from usdsmoke.volume import StageSource, VolumeSource, WrittenFrame
+
+__all__ = ["EMISSION", "LookFiles", "StylizedVolume", "look_files"]
+
+EMISSION = "emission"  # relationship, field prim and grid: Storm's own shader reads this name
+
+
+@dataclass(frozen=True)
+class StylizedVolume:
+    """One Volume's result, ready to be put on the stage.
+
+    Where the source is shown there is no emission. A blocked ``filePath`` says so in USD's own
+    words, but Hydra Storm raises an error for every field without a file. With an ``empty_file`` the
+    emission shows that one instead, and Storm draws in silence; a number in its name that fits the
+    other files' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the sequence right.
+    """
+
+    source: VolumeSource
+    frames: Sequence[WrittenFrame]
+    extinction_per_density: float  # 1/(stage unit) per unit of density
+    grids: Mapping[str, str] = field(
+        default_factory=lambda: {"density": "density", EMISSION: EMISSION}
+    )  # relationship name: name of its grid in the written files
+    empty_file: str = ""  # absolute; a VDB whose emission grid has no voxel
+
+
+@dataclass(frozen=True)
+class LookFiles:
+    """The two USD files of a result."""
+
+    look_layer: Path  # the override layer: everything usdsmoke has to say
+    root_stage: Path  # the stage to open: the look over the source
+
+
+def look_files(source: StageSource, output_folder: Path, config: LayerConfig) -> LookFiles:
+    """Where ``author_look`` will write, before anything is written.
+
+    Args:
+        source: only its file name counts.
+        output_folder: where the result goes.
+        config: the section ``layer`` of the settings.
+    """
+    stem = PurePath(source.file_path).stem
+    folder = Path(output_folder)
+    return LookFiles(
+        look_layer=folder / f"look.{config.format}", root_stage=folder / f"{stem}_look.usda"
+    )

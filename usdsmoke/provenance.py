@@ -1,0 +1,140 @@
+"""What a run was: which tool, on what, with which settings, and what came of it.
+
+The record is one flat dictionary of whole numbers, texts and lists of texts, because it is stored in
+a layer's ``customLayerData``, where nested values do not survive every exporter. Keys are only ever
+added; ``schemaVersion`` rises when the meaning of one changes. It names files without their folders
+and nothing of the person or the machine.
+"""
+
+import hashlib
+import json
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path, PurePath
+from typing import Any
+
+from usdsmoke.errors import ImageError
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "SOFTWARE_PACKAGE",
+    "Provenance",
+    "RunFacts",
+    "authorship_inputs",
+    "build_provenance",
+    "hash_file",
+    "new_run_id",
+    "short_run_id",
+    "utc_now",
+]
+
+SCHEMA_VERSION = 1
+SOFTWARE_PACKAGE = "org.usdsmoke.usdsmoke"  # reverse-domain, as UsdMedia's authorship asks for
+
+Provenance = dict[str, int | str | list[str]]
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """The plain values that a provenance record is built from."""
+
+    version: str  # of usdsmoke
+    seed: int
+    config: Mapping[str, Any]  # the resolved settings, all sections
+    inputs: Mapping[str, str] = field(default_factory=dict)  # file: content hash
+    styles: Mapping[str, str] = field(default_factory=dict)  # image file: SHA-256
+    features: str = ""  # name of the feature network
+    features_hash: str = ""
+    packages: Mapping[str, str] = field(default_factory=dict)  # usd, torch, ...: version
+    timings: Mapping[str, float] = field(default_factory=dict)  # step: seconds
+    omissions: Sequence[str] = ()  # what was left out and why, a sentence each
+    run_id: str = ""  # a UUID; empty makes a new one
+    created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
+
+
+def new_run_id() -> str:
+    """A random UUID that no other run has."""
+    return str(uuid.uuid4())
+
+
+def short_run_id(run_id: str) -> str:
+    """Eight letters and digits of a run's UUID, fit for a USD name.
+
+    >>> short_run_id("3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
+    '3f2b8c1e'
+    """
+    return "".join(letter for letter in run_id if letter.isalnum())[:8]
+
+
+def utc_now() -> str:
+    """The time in UTC to the second, ISO 8601: 2026-01-31T12:00:00Z."""
+    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def hash_file(file_path: str | Path) -> str:
+    """SHA-256 of a file's bytes as 64 hexadecimal digits.
+
+    For style images and parameter files. A VDB file holds a random identifier: two files of the
+    same grids differ, so those are hashed by content elsewhere.
+
+    Raises:
+        ImageError: the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with open(file_path, "rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    except OSError as error:
+        raise ImageError(
+            f"cannot read {file_path} to take its hash: {error.strerror or error}; "
+            "check the path and its permissions"
+        ) from None
+    return digest.hexdigest()
+
+
+def build_provenance(facts: RunFacts) -> Provenance:
+    """The flat record of a run; equal facts with a run id and a time give equal records.
+
+    Pairs such as a file and its hash are texts ``name=value``, sorted by name where their order
+    means nothing.
+    """
+    return {
+        "schemaVersion": SCHEMA_VERSION,
+        "tool": "usdsmoke",
+        "version": facts.version,
+        "run": facts.run_id or new_run_id(),
+        "created": facts.created or utc_now(),
+        "seed": facts.seed,
+        "config": json.dumps(facts.config, sort_keys=True, ensure_ascii=False),
+        "inputs": sorted(_file_pairs(facts.inputs)),
+        "styles": _file_pairs(facts.styles),
+        "features": facts.features,
+        "featuresHash": facts.features_hash,
+        "packages": [f"{name}={facts.packages[name]}" for name in sorted(facts.packages)],
+        "timings": [f"{step}={seconds:.3f}" for step, seconds in facts.timings.items()],
+        "omitted": list(facts.omissions),
+    }
+
+
+def authorship_inputs(provenance: Mapping[str, Any]) -> list[str]:
+    """The ``inputs`` of a UsdMedia authorship record: name, value, name, value, ...
+
+    Long lists of source files become their number and one digest over all of them.
+    """
+    sources = list(provenance.get("inputs", []))
+    digest = hashlib.sha256("\n".join(sources).encode()).hexdigest()
+    pairs = [("style", text) for text in provenance.get("styles", [])]
+    pairs += [
+        ("sources", f"{len(sources)} files, sha256 of their list {digest}"),
+        ("features", f"{provenance.get('features', '')} {provenance.get('featuresHash', '')}"),
+        ("seed", str(provenance.get("seed", ""))),
+        ("config", str(provenance.get("config", ""))),
+    ]
+    return [text.strip() for pair in pairs for text in pair]
+
+
+def _file_pairs(files: Mapping[str, str]) -> list[str]:
+    return [f"{PurePath(file_path).name}={digest}" for file_path, digest in files.items()]
