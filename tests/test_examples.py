@@ -1,0 +1,158 @@
+"""The examples run, and the plume's solver does what its docstrings say."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from pxr import Usd, UsdGeom, UsdVol
+
+from usdsmoke.config import read_config, resolve_config
+
+PROJECT = Path(__file__).resolve().parents[1]
+PLUME, STYLES = PROJECT / "examples" / "plume", PROJECT / "examples" / "styles"
+
+
+def run_script(*command: str | Path) -> None:
+    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def plume(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A coarse plume of two frames: the stage's file."""
+    folder = tmp_path_factory.mktemp("plume")
+    run_script(PLUME / "simulate.py", folder, "--frames", "2", "--resolution", "12")
+    return folder / "plume.usda"
+
+
+@pytest.fixture
+def solver(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(PLUME))
+    return importlib.import_module("solver")
+
+
+def read_grids(file_path: Path) -> dict[str, Any]:
+    """OpenVDB's own grids by name."""
+    name = next(m for m in ("openvdb", "pyopenvdb") if importlib.util.find_spec(m))
+    grids, _ = importlib.import_module(name).readAll(str(file_path))
+    return {grid.name: grid for grid in grids}
+
+
+def whole_box(grid: Any, *channels: int) -> np.ndarray:
+    """All voxels of the coarse plume's box."""
+    values = np.zeros((12, 20, 12, *channels), np.float32)
+    grid.copyToArray(values)
+    return values
+
+
+def test_plume_stage_is_complete_and_its_files_resolve(plume: Path) -> None:
+    stage = Usd.Stage.Open(str(plume))
+    assert stage.GetDefaultPrim().GetPath() == "/plume"
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1.0, 2.0)
+    volume = UsdVol.Volume.Get(stage, "/plume/smoke")
+    assert volume.GetExtentAttr().HasAuthoredValue()
+    assert UsdGeom.Camera.Get(stage, "/cameras/front")
+    for name in ("density", "vel"):
+        field = UsdVol.OpenVDBAsset.Get(stage, volume.GetFieldPath(name))
+        assert field.GetFieldNameAttr().Get() == name
+        for time_code in (1, 2):
+            resolved = field.GetFilePathAttr().Get(time_code).resolvedPath
+            assert resolved == str(plume.parent / f"plume.{time_code:04d}.vdb")
+            assert Path(resolved).exists()
+
+
+def test_plume_density_is_extinction_with_thick_columns_of_depth_four(plume: Path) -> None:
+    depths = []
+    for file_path in sorted(plume.parent.glob("plume.*.vdb")):
+        grid = read_grids(file_path)["density"]
+        depths.append(whole_box(grid).sum(axis=2) * grid.transform.voxelSize()[2])
+    columns = np.stack(depths)
+    thick = np.percentile(columns[columns > 0.01 * columns.max()], 90.0)
+    assert thick == pytest.approx(4.0, rel=0.03)
+
+
+def test_plume_rises_at_a_speed_that_fits_its_size(plume: Path) -> None:
+    grids = read_grids(plume.parent / "plume.0001.vdb")
+    density, velocity = whole_box(grids["density"]), whole_box(grids["vel"], 3)
+    rising = (density * velocity[..., 1]).sum() / density.sum()
+    assert 0.2 < rising < 5.0  # stage units per second, for a plume of two stage units
+    assert abs((density * velocity[..., 0]).sum() / density.sum()) < rising
+
+
+def test_plume_extent_holds_the_box_of_every_frame(plume: Path) -> None:
+    stage = Usd.Stage.Open(str(plume))
+    low, high = np.array(UsdVol.Volume.Get(stage, "/plume/smoke").GetExtentAttr().Get())
+    for file_path in plume.parent.glob("plume.*.vdb"):
+        for grid in read_grids(file_path).values():
+            first, last = grid.evalActiveVoxelBoundingBox()
+            for corner, sign in ((first, -0.5), (last, 0.5)):
+                xyz = grid.transform.indexToWorld(tuple(float(i + sign) for i in corner))
+                assert np.all(low - 1e-5 <= xyz) and np.all(xyz <= high + 1e-5)
+
+
+def test_projection_leaves_a_flow_without_divergence_as_it_is(solver: ModuleType) -> None:
+    """u = sin(x)cos(y), v = -cos(x)sin(y) on [0, pi]^3 has no divergence and obeys the walls."""
+    centres = [np.pi * (np.arange(n) + 0.5) / n for n in (8, 12, 10)]
+    x, y, z = np.meshgrid(*centres, indexing="ij")
+    # The box is in index units, so the components scale with the voxels: 1/8 and 1/12 of pi.
+    flow = np.stack([np.sin(x) * np.cos(y) * 8, -np.cos(x) * np.sin(y) * 12, 0 * z], axis=-1)
+    np.testing.assert_allclose(solver.project(flow), flow, atol=1e-5)
+
+
+def test_projection_removes_a_gradient_entirely(solver: ModuleType) -> None:
+    centres = [np.pi * (np.arange(n) + 0.5) / n for n in (8, 12, 10)]
+    x, y, z = np.meshgrid(*centres, indexing="ij")
+    a, b, c = 2, 1, 3  # the potential is cos(a x) cos(b y) cos(c z)
+    gradient = -np.stack(
+        [
+            a / 8 * np.sin(a * x) * np.cos(b * y) * np.cos(c * z),
+            b / 12 * np.cos(a * x) * np.sin(b * y) * np.cos(c * z),
+            c / 10 * np.cos(a * x) * np.cos(b * y) * np.sin(c * z),
+        ],
+        axis=-1,
+    )
+    assert np.abs(solver.project(gradient)).max() < 1e-6
+
+
+def test_corner_samples_are_exact_on_a_linear_field(solver: ModuleType) -> None:
+    ijk = np.stack(np.indices((4, 5, 6)), axis=-1).astype(np.float32)
+    values = (ijk @ np.array([1.0, -2.0, 0.5], np.float32))[..., None]
+    at = np.array([[0.3, 1.7, 2.25], [2.9, 3.5, 4.1]], np.float32)
+    sampled, low, high = solver.corner_samples(values, at)
+    np.testing.assert_allclose(sampled[:, 0], at @ np.array([1.0, -2.0, 0.5]), atol=1e-5)
+    assert np.all(low <= sampled) and np.all(sampled <= high)
+
+
+def test_plume_is_the_same_every_time(solver: ModuleType) -> None:
+    def density() -> np.ndarray:
+        smoke = solver.SmokeSolver(10, solver.PlumeSettings())
+        for _ in range(8):
+            smoke.step(1.0 / 24.0)
+        return smoke.density
+
+    first = density()
+    assert first.max() > 0.5
+    np.testing.assert_array_equal(first, density())
+
+
+def test_styles_are_painted_the_same_every_time_in_many_colours(tmp_path: Path) -> None:
+    for folder in ("first", "second"):
+        run_script(STYLES / "paint.py", tmp_path / folder, "--size", "64")
+    names = {p.name for p in (tmp_path / "first").iterdir()}
+    assert names == {"strokes.png", "waves.png", "petals.png"}
+    for name in names:
+        pixels = np.asarray(Image.open(tmp_path / "first" / name))
+        assert pixels.shape == (64, 64, 3)
+        assert pixels.std(axis=(0, 1)).min() > 15.0  # no channel is flat
+        np.testing.assert_array_equal(pixels, np.asarray(Image.open(tmp_path / "second" / name)))
+
+
+def test_demo_settings_are_known_to_the_configuration() -> None:
+    assert resolve_config(read_config(PLUME / "config.yaml")).optimize.seed == 7
