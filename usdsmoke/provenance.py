@@ -1,9 +1,9 @@
 """What a run was: which tool, on what, with which settings, and what came of it.
 
-The record is one flat dictionary of whole numbers, texts and lists of texts, because it is stored in
-a layer's ``customLayerData``, where nested values do not survive every exporter. Keys are only ever
-added; ``schemaVersion`` rises when the meaning of one changes. It names files without their folders
-and nothing of the person or the machine.
+The record is one flat dictionary of whole numbers, texts and lists of texts, because it is stored
+in a layer's ``customLayerData``, where nested values do not survive every exporter. Keys are only
+ever added; ``schemaVersion`` rises when the meaning of one changes. It names files without their
+folders and nothing of the person or the machine.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ import json
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -70,7 +70,7 @@ def short_run_id(run_id: str) -> str:
 
 def utc_now() -> str:
     """The time in UTC to the second, ISO 8601: 2026-01-31T12:00:00Z."""
-    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def hash_file(file_path: str | Path) -> str:

@@ -1,4 +1,4 @@
-"""Selections of timeCodes: "1-24x2,30" into ranges, ranges into the timeCodes that exist, and back."""
+"""Selections of timeCodes: "1-24x2,30" into ranges, ranges into those that exist, and back."""
 
 import re
 from collections.abc import Iterable, Sequence

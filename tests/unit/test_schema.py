@@ -24,7 +24,7 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.COLOR_SPACE: ("token", schema.LIN_REC709),
     schema.RUN: ("string", ""),
     schema.STYLE: ("string[]", []),
-    schema.SEED: ("int", 0),
+    schema.SEED: ("int64", 0),
 }
 
 PREPARE = """

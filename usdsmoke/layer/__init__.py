@@ -1,4 +1,4 @@
-"""USD out: one override layer with the whole look, and a thin root stage that puts it over the source.
+"""USD out: one override layer with the whole look, and a thin root stage with it over the source.
 
 `look` is the way through; `field_prims` decides which prims carry the result's fields, `fields`
 writes their opinions, `extent` the Volume's bounds, `marks` what was run, `root` the stage to open.

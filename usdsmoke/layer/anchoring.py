@@ -44,9 +44,7 @@ def asset_value(
     return anchored_asset(value, _authoring_layer(attribute, at), folder)
 
 
-def anchored_asset(
-    value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path
-) -> Sdf.AssetPath:
+def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) -> Sdf.AssetPath:
     """An asset path of ``layer`` as a layer in ``folder`` has to spell it.
 
     Addresses of a resolver's own (``asset:...``) stay as they are; a path that resolves to nothing

@@ -59,7 +59,7 @@ def volume_boxes(
     """What the Volume shows at each timeCode, as boxes in its local space; None where it is empty.
 
     A stylized timeCode has its file's box, joined with the source's extent when the Volume has
-    fields that are left alone. Another timeCode has the source's extent, or, where none is authored,
+    fields that are left alone. Another timeCode has the source's extent, or, where it has none,
     the union of all stylized boxes: the best that is known without opening the source's files.
     """
     frames = {frame.time_code: frame for frame in volume.frames}
@@ -149,7 +149,7 @@ def _union(boxes: Sequence[Box | None]) -> Box | None:
 
 def _extent(box: Box) -> Vt.Vec3fArray:
     """The box as USD's float3[], rounded outwards."""
-    low, high = np.float32(box[0]), np.float32(box[1])
+    low, high = box[0].astype(np.float32), box[1].astype(np.float32)
     low = np.where(low > box[0], np.nextafter(low, np.float32(-np.inf)), low)
     high = np.where(high < box[1], np.nextafter(high, np.float32(np.inf)), high)
-    return Vt.Vec3fArray([Gf.Vec3f(*map(float, low)), Gf.Vec3f(*map(float, high))])
+    return Vt.Vec3fArray([Gf.Vec3f(low.tolist()), Gf.Vec3f(high.tolist())])

@@ -1,10 +1,11 @@
-"""Which prims carry the result's fields: the source's own where that is safe, new ones elsewhere."""
+"""Which prims carry the result's fields: the source's own where that is safe, else new ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
+from usdsmoke.errors import LayerError
 from usdsmoke.layer.records import EMISSION, StylizedVolume
 
 __all__ = ["FieldTarget", "choose_field_prims", "count_field_uses"]
@@ -50,37 +51,37 @@ def choose_field_prims(
     The source's field prim is overridden in place unless other Volumes show it too; they must keep
     what they have. A new prim stands beside the density's field prim and copies its xform ops, so
     that the two share their place in space at every moment. An emission field that the source has
-    already is overridden where it lies in that same place.
+    already is kept up only where it lies in that same place.
 
     Args:
         stage: the source.
         volume: its result.
         uses: from ``count_field_uses``.
         taken: paths of prims that the look defines already; new ones are added.
+
+    Raises:
+        LayerError: the stage is not the one that was read.
     """
     prim = stage.GetPrimAtPath(volume.source.prim_path)
     density = _field_prim(prim, volume.source.density)
     if density is None:
-        raise ValueError(f"Volume {prim} has lost its density since it was read")
+        raise LayerError(
+            f"Volume <{volume.source.prim_path}> has lost its density field since it was read; "
+            "open the stage anew"
+        )
     names = sorted(volume.grids, key=lambda name: (name != volume.source.density, name))
     targets = []
     for name in names:
         source = _field_prim(prim, name)
         if name == EMISSION and source is not None and not _same_place(source, density, volume):
             source = None
-            in_place = False
-        else:
-            in_place = source is not None and uses.get(source.GetPath(), 0) <= 1
-        if in_place and source is not None:
-            path = source.GetPath()
-        else:
+        is_new = source is None or uses.get(source.GetPath(), 0) > 1
+        if source is None or is_new:
             path = _free_path(stage, density, name, prim, taken)
             taken.add(path)
-            if name == EMISSION:
-                source = None
-        targets.append(
-            FieldTarget(name, volume.grids[name], path, source, not in_place, density)
-        )
+        else:
+            path = source.GetPath()
+        targets.append(FieldTarget(name, volume.grids[name], path, source, is_new, density))
     return targets
 
 
@@ -116,4 +117,7 @@ def _free_path(
         path = parent.AppendChild(candidate)
         if path not in taken and not stage.GetPrimAtPath(path):
             return path
-    raise ValueError(f"a thousand prims called {longer} below {parent}")
+    raise LayerError(
+        f"no free name for the field {name} below <{parent}>: {longer} to {candidates[-1]} exist; "
+        "rename some of them"
+    )

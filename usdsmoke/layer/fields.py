@@ -166,6 +166,4 @@ def _copy_attribute(spec: Sdf.PrimSpec, composed: Usd.Attribute) -> None:
         return
     for code in composed.GetTimeSamples():
         value = composed.Get(code)
-        spec.layer.SetTimeSample(
-            copy.path, code, Sdf.ValueBlock() if value is None else value
-        )
+        spec.layer.SetTimeSample(copy.path, code, Sdf.ValueBlock() if value is None else value)

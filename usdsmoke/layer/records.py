@@ -17,9 +17,9 @@ class StylizedVolume:
     """One Volume's result, ready to be put on the stage.
 
     Where the source is shown there is no emission. A blocked ``filePath`` says so in USD's own
-    words, but Hydra Storm raises an error for every field without a file. With an ``empty_file`` the
-    emission shows that one instead, and Storm draws in silence; a number in its name that fits the
-    other files' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the sequence right.
+    words, but Hydra Storm raises an error for every field without a file. With an ``empty_file``
+    the emission shows that one instead, and Storm draws in silence; a number in its name that fits
+    the others' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the sequence right.
     """
 
     source: VolumeSource

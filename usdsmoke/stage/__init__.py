@@ -1,7 +1,7 @@
 """USD in: a stage's composed values as plain records. Nothing is read from disk but USD.
 
 `opening` opens a stage, `volumes` chooses the Volumes and their timeCodes, `fields` follows a
-Volume's relationships to its field prims, `assets` says which file and grid a field prim shows when.
+Volume's relationships to its field prims, `assets` says which file and grid those show when.
 """
 
 from usdsmoke.stage.opening import open_stage

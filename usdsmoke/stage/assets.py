@@ -96,10 +96,10 @@ def _problem(source: FieldSource) -> str:
             "write the volumes to files there (USD ROP) and use the stage it writes"
         )
     if Ar.IsPackageRelativePath(resolved) or Ar.IsPackageRelativePath(authored):
+        package = Ar.SplitPackageRelativePathOuter(resolved or authored)[0]
         return (
-            f"that is inside the package {Ar.SplitPackageRelativePathOuter(resolved or authored)[0]}"
-            ", and OpenVDB reads plain files only; unpack it (a .usdz is a zip) and use the stage "
-            "inside"
+            f"that is inside the package {package}, and OpenVDB reads plain files only; "
+            "unpack it (a .usdz is a zip) and use the stage inside"
         )
     if not resolved:
         return "nothing is found there; check the path and that the files came along"
