@@ -1,0 +1,234 @@
+r"""Displacement fields: made from potentials, capped, faded.
+
+A displacement u is [I J K 3], in world units along the grid's axes, on the voxels of its box;
+divide by ``spacing`` for index units. Stream function psi and potential phi live on the same
+voxels, in world units squared:
+
+    u = curl psi   (moves smoke without compressing it: div u = 0)
+    u = grad phi   (compresses and expands it: curl u = 0)
+
+Derivatives are second order: central, and one-sided in the first and the last voxel. Each acts
+along one axis only, and operators along different axes commute, so div(curl psi) = 0 and
+curl(grad phi) = 0 hold to round-off in every voxel with ``divergence`` and ``curl`` below, whatever
+the spacing. Across an axis of length 1 everything is constant and nothing moves along it: in 2-D
+only the out-of-plane component of psi counts.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from usdsmoke.core.resample import smooth
+from usdsmoke.errors import NonFiniteError, ShapeError
+
+__all__ = [
+    "cap_displacement",
+    "curl",
+    "divergence",
+    "fade_displacement",
+    "from_mixed",
+    "from_potential",
+    "from_stream",
+    "smooth_mask",
+]
+
+
+def from_stream(psi: Tensor, spacing: Sequence[float]) -> Tensor:
+    """u = curl psi, [I J K 3], world units; divergence-free to round-off.
+
+    Args:
+        psi: stream function, [I J K 3], world units squared; in 2-D (one axis of length 1) also
+            [I J K 1], its out-of-plane component.
+        spacing: voxel size along i, j, k, world units, > 0.
+
+    Returns:
+        the displacement; 0 along axes of length 1, and everywhere in 1-D.
+
+    Raises:
+        ShapeError: psi or spacing does not have that shape or range.
+
+    Gradients: through ``psi``.
+    """
+    if psi.ndim == 4 and psi.shape[3] == 1 and list(psi.shape[:3]).count(1) == 1:
+        zero = torch.zeros_like(psi)
+        parts = [psi if psi.shape[axis] == 1 else zero for axis in range(3)]
+        psi = torch.cat(parts, dim=3)
+    displacement = curl(psi, spacing)
+    flat = [axis for axis in range(3) if psi.shape[axis] == 1]
+    if not flat:
+        return displacement
+    moving = torch.ones(3, dtype=psi.dtype, device=psi.device)
+    moving[flat] = 0.0
+    return displacement * moving
+
+
+def from_potential(phi: Tensor, spacing: Sequence[float]) -> Tensor:
+    """u = grad phi, [I J K 3], world units; curl-free to round-off.
+
+    Args:
+        phi: potential, [I J K], world units squared.
+        spacing: voxel size along i, j, k, world units, > 0.
+
+    Raises:
+        ShapeError: phi or spacing does not have that shape or range.
+
+    Gradients: through ``phi``.
+    """
+    if phi.ndim != 3:
+        raise ShapeError(f"the potential has shape {list(phi.shape)}; wanted [I J K]")
+    _check_spacing(spacing)
+    return torch.stack([_slope(phi, axis, spacing) for axis in range(3)], dim=-1)
+
+
+def from_mixed(psi: Tensor, phi: Tensor, spacing: Sequence[float], share: float) -> Tensor:
+    """u = share * grad phi + (1 - share) * curl psi, [I J K 3], world units.
+
+    Args:
+        psi: as in ``from_stream``.
+        phi: as in ``from_potential``, on the same voxels.
+        spacing: voxel size along i, j, k, world units, > 0.
+        share: of the compressible part, in [0, 1].
+
+    Raises:
+        ShapeError: shapes or spacing are not as above.
+
+    Gradients: through ``psi`` and ``phi``.
+    """
+    if psi.shape[:3] != phi.shape:
+        raise ShapeError(
+            f"the stream function has shape {list(psi.shape)} and the potential {list(phi.shape)}; "
+            "wanted [I J K 3] and [I J K] on the same voxels"
+        )
+    return share * from_potential(phi, spacing) + (1.0 - share) * from_stream(psi, spacing)
+
+
+def curl(field: Tensor, spacing: Sequence[float]) -> Tensor:
+    """Curl of a vector field [I J K 3] on its voxels, in the field's unit per world unit."""
+    _check_vector(field)
+    _check_spacing(spacing)
+    x, y, z = field.unbind(dim=-1)
+    return torch.stack(
+        [
+            _slope(z, 1, spacing) - _slope(y, 2, spacing),
+            _slope(x, 2, spacing) - _slope(z, 0, spacing),
+            _slope(y, 0, spacing) - _slope(x, 1, spacing),
+        ],
+        dim=-1,
+    )
+
+
+def divergence(field: Tensor, spacing: Sequence[float]) -> Tensor:
+    """Divergence [I J K] of a vector field [I J K 3], in the field's unit per world unit."""
+    _check_vector(field)
+    _check_spacing(spacing)
+    x, y, z = (_slope(field[..., axis], axis, spacing) for axis in range(3))
+    return x + y + z
+
+
+def cap_displacement(displacement: Tensor, cap: float) -> Tensor:
+    r"""The displacement, smoothly held below a length: u / (1 + (|u| / cap)^4)^(1/4).
+
+    Small displacements are kept (0.2 % are lost at 0.3 cap), large ones keep their direction
+    and tend to ``cap``; the map is smooth everywhere and one to one.
+
+    Args:
+        displacement: [... 3], world units, finite.
+        cap: the length that is not reached, world units, > 0.
+
+    Raises:
+        ShapeError: cap is not a positive number.
+
+    Gradients: through ``displacement``, finite at 0 as well.
+    """
+    if not (math.isfinite(cap) and cap > 0):
+        raise ShapeError(f"the displacement's cap is {cap}; wanted a length above 0")
+    squared = (displacement / cap).square().sum(dim=-1, keepdim=True)
+    # hypot, because the fourth power of a large displacement overflows
+    return displacement / torch.hypot(torch.ones_like(squared), squared).sqrt()
+
+
+def fade_displacement(displacement: Tensor, mask: Tensor) -> Tensor:
+    """The displacement, faded out where the mask falls to 0: u * mask.
+
+    Without it smoke that stands still meets smoke that is pushed along the silhouette, and a bright
+    rim grows there. A faded curl is no longer free of divergence where the mask changes; fading the
+    stream function instead keeps that, at the price of motion along the border.
+
+    Args:
+        displacement: [I J K 3].
+        mask: [I J K], in [0, 1], see ``smooth_mask``.
+
+    Raises:
+        ShapeError: the shapes do not fit.
+
+    Gradients: through both.
+    """
+    if displacement.shape != (*mask.shape, 3):
+        raise ShapeError(
+            f"the displacement has shape {list(displacement.shape)} and the mask "
+            f"{list(mask.shape)}; wanted [I J K 3] and [I J K]"
+        )
+    return displacement * mask[..., None]
+
+
+def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
+    """Where there is smoke, [I J K] in [0, 1], blurred: 1 inside, 0 a few sigma outside.
+
+    Smoke counts in full from ``share`` of the mass-weighted mean density on. The mask does not
+    depend on the density's unit and never exceeds 1, however dense the smoke.
+
+    Args:
+        density: [I J K]; what is negative counts as empty.
+        sigma: of the Gaussian, voxels, >= 0; one number or one per axis.
+        share: > 0.
+
+    Raises:
+        ShapeError: density, sigma or share are not as above.
+        NonFiniteError: the density holds NaN or infinity.
+    """
+    if density.ndim != 3:
+        raise ShapeError(f"the density has shape {list(density.shape)}; wanted [I J K]")
+    if not share > 0:
+        raise ShapeError(f"the mask's share is {share}; wanted a number above 0")
+    if not torch.isfinite(density).all():
+        raise NonFiniteError(
+            "the density given to the mask holds NaN or infinity; wanted finite numbers"
+        )
+    positive = density.detach().clamp(min=0)
+    largest = positive.amax() if positive.numel() else positive.sum()
+    if not largest > 0:
+        return torch.zeros_like(positive)
+    relative = positive / largest
+    level = share * relative.square().sum() / relative.sum()
+    return smooth((relative / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)
+
+
+def _slope(values: Tensor, axis: int, spacing: Sequence[float]) -> Tensor:
+    """Derivative of [I J K] values along an axis, second order up to the first and last voxel."""
+    n = values.shape[axis]
+    if n == 1:
+        return torch.zeros_like(values)
+    first, second = values.narrow(axis, 0, 1), values.narrow(axis, 1, 1)
+    last, before = values.narrow(axis, n - 1, 1), values.narrow(axis, n - 2, 1)
+    if n == 2:
+        beyond = [2 * first - second, 2 * last - before]
+    else:  # what a parabola through the three border voxels has one voxel further out
+        beyond = [
+            3 * (first - second) + values.narrow(axis, 2, 1),
+            3 * (last - before) + values.narrow(axis, n - 3, 1),
+        ]
+    extended = torch.cat([beyond[0], values, beyond[1]], dim=axis)
+    return (extended.narrow(axis, 2, n) - extended.narrow(axis, 0, n)) * (0.5 / spacing[axis])
+
+
+def _check_vector(field: Tensor) -> None:
+    if field.ndim != 4 or field.shape[3] != 3:
+        raise ShapeError(f"the vector field has shape {list(field.shape)}; wanted [I J K 3]")
+
+
+def _check_spacing(spacing: Sequence[float]) -> None:
+    sizes = [float(size) for size in spacing]
+    if len(sizes) != 3 or not all(math.isfinite(size) and size > 0 for size in sizes):
+        raise ShapeError(f"the voxel size is {sizes}; wanted three lengths above 0")

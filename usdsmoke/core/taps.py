@@ -1,0 +1,224 @@
+"""Weighted sums over the voxels around index positions: the kernel under ``core.sample``.
+
+Along each axis a position has two taps (hat function) or four (cubic B-spline). The base voxel is
+computed once per position; each tap is then a gather from a shifted view of the same flat array, so
+a 3-D sum costs 8 or 64 gathers and no index arithmetic. Axes of length 1 are left out altogether.
+Positions are worked off in chunks that stay in the processor's second-level cache.
+"""
+
+import itertools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+__all__ = ["iterate_cells", "sum_taps"]
+
+_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
+
+
+class _Taps(NamedTuple):
+    """The taps of some positions along one axis."""
+
+    first: Tensor  # [N] int64, index of the first tap along the axis
+    weights: tuple[Tensor, ...]  # each [N]
+    slopes: tuple[Tensor, ...]  # derivatives of the weights by the position; () when not asked for
+
+
+def sum_taps(values: Tensor, positions_ijk: Tensor, cubic: bool) -> Tensor:
+    """Weighted sums of the voxels of ``values`` around each position, [N] or [N C].
+
+    Args:
+        values: [I J K] or [I J K C]; taps outside the box count as 0.
+        positions_ijk: [N 3], finite, same dtype and device.
+        cubic: B-spline weights over 4 voxels an axis (``values`` are spline coefficients, and
+            positions are held one voxel inside the box) instead of hat functions over 2.
+
+    Gradients: through both tensors, once. On a voxel the slope is the one towards larger indices.
+    """
+    return _TapSum.apply(values, positions_ijk, cubic)
+
+
+def iterate_cells(values: Tensor, positions_ijk: Tensor) -> Iterator[list[tuple[Tensor, Tensor]]]:
+    """The corner voxels of the cell around each position, chunk by chunk in the positions' order.
+
+    Yields:
+        for each of the up to 8 corners: its values [n] or [n C], and whether it is a corner of the
+        position's cell that lies inside the box, in a shape that broadcasts with them.
+    """
+    flat, strides, axes = _flatten(values)
+    for part in _chunks(len(positions_ijk)):
+        base, taps = _find_taps(positions_ijk[part], values.shape, strides, axes, False, False)
+        offsets = [
+            positions_ijk[part, axis] - tap.first for axis, tap in zip(axes, taps, strict=True)
+        ]
+        corners = []
+        for steps in itertools.product((0, 1), repeat=len(axes)):
+            shift = sum(step * stride for step, stride in zip(steps, strides, strict=True))
+            hit = torch.ones_like(base, dtype=torch.bool)
+            for step, offset in zip(steps, offsets, strict=True):
+                hit &= (offset - step).abs() <= 1
+            corner = flat[shift:].index_select(0, base)
+            corners.append((corner, hit if corner.ndim == 1 else hit[:, None]))
+        yield corners
+
+
+class _TapSum(torch.autograd.Function):
+    """The sum; its Jacobian by the positions is made in the forward pass, from the same gathers."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, positions: Tensor, cubic: bool) -> Tensor:
+        flat, strides, axes = _flatten(values)
+        planes = _planes(flat)
+        want_slopes = ctx.needs_input_grad[1]
+        sums = flat.new_empty((len(planes), len(positions)))
+        jacobian = flat.new_zeros((3, *sums.shape)) if want_slopes else None
+        for part in _chunks(len(positions)):
+            base, taps = _find_taps(
+                positions[part], values.shape, strides, axes, cubic, want_slopes
+            )
+            for channel, plane in enumerate(planes):
+                terms = _gather_sum(plane, base, strides, taps)
+                sums[channel, part] = terms[0]
+                if jacobian is not None:
+                    for axis, slope in zip(axes, terms[1:], strict=True):
+                        jacobian[axis, channel, part] = slope
+        ctx.shape, ctx.cubic = values.shape, cubic
+        ctx.save_for_backward(positions if ctx.needs_input_grad[0] else None, jacobian)
+        return sums.T if flat.ndim == 2 else sums[0]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad_sums: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
+        positions, jacobian = ctx.saved_tensors
+        grad_planes = _planes(grad_sums)
+        grad_values = grad_positions = None
+        if ctx.needs_input_grad[0]:
+            grad_values = _adjoint(grad_planes, positions, ctx.shape, ctx.cubic)
+        if ctx.needs_input_grad[1]:
+            grad_positions = (jacobian * grad_planes).sum(dim=1).T
+        return grad_values, grad_positions, None
+
+
+def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: bool) -> Tensor:
+    """What each voxel's weight is in all sums together, weighted with ``grad_planes`` [C N]."""
+    planes = grad_planes.new_zeros((len(grad_planes), shape[:3].numel()))
+    strides, axes = _layout(shape)
+    for part in _chunks(len(positions)):
+        base, taps = _find_taps(positions[part], shape, strides, axes, cubic, want_slopes=False)
+        for plane, grad_plane in zip(planes, grad_planes, strict=True):
+            _scatter_sum(plane, base, strides, taps, grad_plane[part])
+    return planes.T.reshape(shape)
+
+
+def _chunks(n_positions: int) -> Iterator[slice]:
+    for start in range(0, n_positions, _CHUNK):
+        yield slice(start, min(start + _CHUNK, n_positions))
+
+
+def _layout(shape: torch.Size) -> tuple[list[int], list[int]]:
+    """Strides (in voxels) and numbers of the axes longer than 1."""
+    lengths = shape[:3]
+    axes = [axis for axis in range(3) if lengths[axis] > 1]
+    return [lengths[axis + 1 :].numel() for axis in axes], axes
+
+
+def _flatten(values: Tensor) -> tuple[Tensor, list[int], list[int]]:
+    """``values`` as [voxels] or [voxels C], and its layout."""
+    return values.reshape(-1, *values.shape[3:]).contiguous(), *_layout(values.shape)
+
+
+def _planes(flat: Tensor) -> Tensor:
+    """[N] or [N C] as [C N], each channel contiguous: three times faster to gather from."""
+    return flat[None].contiguous() if flat.ndim == 1 else flat.T.contiguous()
+
+
+def _find_taps(
+    positions: Tensor,
+    shape: torch.Size,
+    strides: list[int],
+    axes: list[int],
+    cubic: bool,
+    want_slopes: bool,
+) -> tuple[Tensor, list[_Taps]]:
+    """The flat index of each position's first tap and its taps along every axis in ``axes``."""
+    find = _spline_taps if cubic else _hat_taps
+    taps = [find(positions[:, axis].contiguous(), shape[axis], want_slopes) for axis in axes]
+    base = torch.zeros(len(positions), dtype=torch.int64, device=positions.device)
+    for tap, stride in zip(taps, strides, strict=True):
+        base.add_(tap.first, alpha=stride)
+    return base, taps
+
+
+def _flat_base(taps: list[_Taps], strides: list[int], positions: Tensor) -> Tensor:
+    base = torch.zeros(len(positions), dtype=torch.int64, device=positions.device)
+    for tap, stride in zip(taps, strides, strict=True):
+        base.add_(tap.first, alpha=stride)
+    return base
+
+
+def _hat_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
+    """Hat functions of the two voxels that surround a position, or lie nearest to it."""
+    floor = position.floor().clamp_(0, length - 2)
+    right = position - floor  # in [0, 1] inside the box, beyond it outside
+    weights = (
+        torch.minimum(1 - right, 1 + right).clamp_(min=0),
+        torch.minimum(right, 2 - right).clamp_(min=0),
+    )
+    if not want_slopes:
+        return _Taps(floor.long(), weights, ())
+    inside = ((right >= 0) & (right <= 1)).to(position.dtype)
+    entering = ((right > -1) & (right < 0)).to(position.dtype)
+    leaving = ((right > 1) & (right < 2)).to(position.dtype)
+    return _Taps(floor.long(), weights, (entering - inside, inside - leaving))
+
+
+def _spline_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
+    """Cubic B-spline weights of four neighbouring voxels."""
+    held = position.clamp(1, length - 2)
+    floor = held.floor().clamp_(1, length - 3)
+    t = held - floor
+    s = 1 - t
+    weights = (
+        s * s * s / 6,
+        (t * t * (3 * t - 6) + 4) / 6,
+        (s * s * (3 * s - 6) + 4) / 6,
+        t * t * t / 6,
+    )
+    base = floor.long() - 1
+    if not want_slopes:
+        return _Taps(base, weights, ())
+    slopes = (-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2)
+    return _Taps(base, weights, slopes)
+
+
+def _gather_sum(plane: Tensor, base: Tensor, strides: list[int], taps: list[_Taps]) -> list[Tensor]:
+    """[sum, its slope along each axis...]; the slopes are missing when the taps have none."""
+    if not taps:
+        return [plane.index_select(0, base)]
+    sums: list[Tensor] = []
+    for step, weight in enumerate(taps[0].weights):
+        inner = _gather_sum(plane[step * strides[0] :], base, strides[1:], taps[1:])
+        factors, terms = [weight], inner[:1]
+        if taps[0].slopes:
+            factors += [taps[0].slopes[step], *[weight] * (len(inner) - 1)]
+            terms = [inner[0], *inner]
+        if not sums:
+            sums = [factor * term for factor, term in zip(factors, terms, strict=True)]
+        else:
+            for total, factor, term in zip(sums, factors, terms, strict=True):
+                total.addcmul_(factor, term)
+    return sums
+
+
+def _scatter_sum(
+    plane: Tensor, base: Tensor, strides: list[int], taps: list[_Taps], amounts: Tensor
+) -> None:
+    """The adjoint of ``_gather_sum``: adds ``amounts``, weighted, onto the taps in ``plane``."""
+    if not taps:
+        plane.index_add_(0, base, amounts)
+        return
+    for step, weight in enumerate(taps[0].weights):
+        _scatter_sum(plane[step * strides[0] :], base, strides[1:], taps[1:], weight * amounts)
