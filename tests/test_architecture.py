@@ -32,7 +32,6 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("naming", {"errors"}, set()),
     ("publish", {"errors"}, set()),
     ("provenance", {"errors"}, set()),
-    ("run_folder", {"errors", "provenance", "publish"}, set()),
     ("windows", {"errors", "config"}, set()),
     ("schema", {"errors"}, {"pxr"}),
     ("diagnostics", {"errors"}, {"pxr"}),
