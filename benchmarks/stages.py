@@ -22,6 +22,7 @@ __all__ = ["author_plume_stage", "find_stages", "main"]
 PLUME_FILE = "cortex/smoke.vdb"
 HOUDINI_STAGE = "arnold-usd/test_2315.usda"
 MARGIN = 1.08  # of the camera's picture around the plume's box
+APERTURE = 24.0  # of the camera, in tenths of a stage unit
 
 
 def find_stages(data_folder: Path, out_folder: Path) -> dict[str, Path]:
@@ -42,8 +43,9 @@ def find_stages(data_folder: Path, out_folder: Path) -> dict[str, Path]:
 def author_plume_stage(vdb_file: Path, stage_file: Path) -> Path:
     """A Y-up stage: the Volume /plume/smoke over one file's ``density``, a camera before it.
 
-    The camera /cameras/front is orthographic and looks along -Z at the middle of the active box, as
-    a stylization's middle view does; its picture is square.
+    The camera /cameras/front looks along -Z at the middle of the active box, as a stylization's
+    middle view does, through a long lens; its picture is square. (It is not orthographic, for
+    Blender 5.0 takes an orthographic aperture for ten times what it is.)
     """
     grid = next(grid for grid in read_header(vdb_file).grids if grid.name == "density")
     low, high = _world_box(grid)
@@ -95,14 +97,13 @@ def _world_box(grid: GridHeader) -> tuple[np.ndarray, np.ndarray]:
 
 def _author_camera(stage: Usd.Stage, low: np.ndarray, high: np.ndarray) -> None:
     middle, size = (low + high) / 2, high - low
-    side = MARGIN * float(max(size[:2]))
-    distance = 2.0 * float(size.max())
+    distance = 6.0 * float(size.max())
+    side = MARGIN * float(max(size[:2])) * (1.0 + size[2] / 2 / distance)  # the near face fits too
     UsdGeom.Scope.Define(stage, "/cameras")
     camera = UsdGeom.Camera.Define(stage, "/cameras/front")
-    camera.CreateProjectionAttr(UsdGeom.Tokens.orthographic)
-    # An orthographic aperture is in tenths of a stage unit [UsdGeomCamera].
-    camera.CreateHorizontalApertureAttr(side * 10.0)
-    camera.CreateVerticalApertureAttr(side * 10.0)
+    camera.CreateHorizontalApertureAttr(APERTURE)
+    camera.CreateVerticalApertureAttr(APERTURE)
+    camera.CreateFocalLengthAttr(APERTURE * distance / side)
     camera.CreateClippingRangeAttr(Gf.Vec2f(distance * 0.1, distance * 3.0))
     place = Gf.Vec3d(*(middle + np.array([0.0, 0.0, distance])))
     UsdGeom.XformCommonAPI(camera).SetTranslate(place)

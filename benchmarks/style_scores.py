@@ -147,7 +147,7 @@ def _report(runs: Sequence[Run], arguments: Sequence[str]) -> str:
         f"{N_VIEWS} held-out views a row, drawn from the written file by",
         "`benchmarks/raymarch.py`. Closure 0 is the smoke tinted with the style's mean colour, 1",
         "the style pasted through its mask (`benchmarks/measures.py`): mean over the views, in",
-        "brackets the worst view; ± is the standard deviation of a single paste, the noise of the 1.",
+        "brackets the worst view; ± is the standard deviation of a single paste, its noise.",
         "",
         "| style | cameras | " + " | ".join(MEASURES) + " | wall s | CPU s | peak GiB |",
         "|---|---|" + "---|" * (len(MEASURES) + 3),
