@@ -1,0 +1,233 @@
+"""Rules on a single field of a Volume: its target, its file, its grid, its tokens, its timing."""
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+from pxr import Usd, UsdValidation, UsdVol
+
+from usdsmoke.errors import GridError, StageError
+from usdsmoke.grids.header import GridHeader
+from usdsmoke.grids.read import GridRequest, find_grid
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.validators.facts import (
+    FieldFacts,
+    collect_fields,
+    field_targets,
+    file_trouble,
+    header_of,
+    shown_grid,
+)
+from usdsmoke.validators.findings import Problem, Severity, grouped
+
+__all__ = [
+    "check_absolute_paths",
+    "check_classes",
+    "check_files",
+    "check_gaps",
+    "check_grids",
+    "check_targets",
+    "check_tokens",
+    "check_types",
+]
+
+_DATA_TYPES = {  # of a grid's values: the fieldDataType tokens that describe them
+    "float": ("float", "half"),
+    "double": ("double",),
+    "int32": ("int",),
+    "int64": ("int64",),
+    "bool": ("bool",),
+    "mask": ("mask",),
+    "string": ("string",),
+    "vec3s": ("float3", "half3"),
+    "vec3d": ("double3",),
+    "vec3i": ("int3",),
+}
+_CLASSES = {"levelSet": "level set", "fogVolume": "fog volume", "staggered": "staggered"}
+_TOKENS = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
+_GAP = 1.5  # times the usual step: more than that and something is missing
+
+
+def check_targets(
+    volume: Usd.Prim, _time_range: UsdValidation.ValidationTimeRange
+) -> list[Problem]:
+    """Every field relationship leads to one field prim."""
+    problems = []
+    for name, targets in field_targets(volume).items():
+        trouble = ""
+        if len(targets) != 1:
+            trouble = f"has {len(targets)} targets; wanted one"
+        else:
+            prim = volume.GetStage().GetPrimAtPath(targets[0].GetPrimPath())
+            if not prim or not targets[0].IsPrimPath():
+                trouble = f"leads to <{targets[0]}>, where there is no prim; correct its target"
+            elif not prim.IsA(_FIELD_BASE):
+                kind = prim.GetTypeName() or "none"
+                trouble = f"leads to <{targets[0]}> of type {kind}; wanted an OpenVDBAsset"
+        if trouble:
+            where = f"{volume.GetPath()}.field:{name}"
+            problems.append(Problem(Severity.ERROR, where, f"the relationship {trouble}"))
+    return problems
+
+
+def check_files(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """Every file that a field names is there and is a VDB file."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        troubles = {}
+        for shown in field.shown:
+            trouble = file_trouble(shown)
+            if not trouble and not shown.blocked:
+                trouble = _header_trouble(shown.file_path)
+            if trouble:
+                troubles[shown.time_code] = trouble
+        problems += grouped(Severity.ERROR, field.prim_path, troubles)
+    return problems
+
+
+def check_grids(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """Every file has the grid that its field names."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        troubles = {}
+        for shown in field.shown:
+            if shown.blocked or file_trouble(shown) or _header_trouble(shown.file_path):
+                continue
+            try:
+                request = GridRequest(shown.grid_name, shown.grid_index)
+                find_grid(header_of(shown.file_path), request)
+            except GridError as error:
+                troubles[shown.time_code] = str(error)
+        problems += grouped(Severity.ERROR, field.prim_path, troubles)
+    return problems
+
+
+def check_types(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """``fieldDataType`` says what the grid holds; USD's own documentation wants it authored."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        wrong, missing = {}, {}
+        for code, grid in _grids(field):
+            token = _token(field.prim, "fieldDataType", code)
+            fitting = _DATA_TYPES.get(grid.value_type, ())
+            if not token:
+                missing[code] = (
+                    f'fieldDataType is not authored; the grid "{grid.label}" is {grid.value_type}: '
+                    f"author {' or '.join(fitting) or 'its type'}"
+                )
+            elif fitting and token not in fitting:
+                wrong[code] = (
+                    f'fieldDataType is "{token}" but the grid "{grid.label}" holds '
+                    f"{grid.value_type}; wanted {' or '.join(fitting)}"
+                )
+        problems += grouped(Severity.ERROR, field.prim_path, wrong)
+        problems += grouped(Severity.INFO, field.prim_path, missing)
+    return problems
+
+
+def check_classes(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """``fieldClass`` and the grid's own class agree where both say something."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        troubles = {}
+        for code, grid in _grids(field):
+            wanted = _CLASSES.get(_token(field.prim, "fieldClass", code))
+            if wanted and grid.grid_class in _CLASSES.values() and grid.grid_class != wanted:
+                troubles[code] = (
+                    f'fieldClass means a {wanted} but the grid "{grid.label}" is a '
+                    f"{grid.grid_class}; correct the one or the other"
+                )
+        problems += grouped(Severity.WARN, field.prim_path, troubles)
+    return problems
+
+
+def check_tokens(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """Tokens are among those that the schema allows."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        for name in _TOKENS:
+            attribute = field.prim.GetAttribute(name)
+            allowed = attribute.GetMetadata("allowedTokens") or ()
+            troubles = {
+                code: f'{name} is "{token}"; wanted one of {", ".join(map(str, allowed))}'
+                for code in attribute.GetTimeSamples() or [None]
+                if (token := _token(field.prim, name, code)) and token not in allowed
+            }
+            problems += grouped(Severity.ERROR, f"{field.prim_path}.{name}", troubles)
+    return problems
+
+
+def check_gaps(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+    """The files of a field follow one another at one step, without holes and blocked samples."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        codes = [
+            shown.time_code
+            for shown in field.shown
+            if shown.time_code is not None and not shown.blocked
+        ]
+        troubles: dict[float | None, str] = {
+            before: f"the files go from timeCode {format_time_code(before)} straight to "
+            f"{format_time_code(after)}; between them the first one is held, or nothing is shown"
+            for before, after in _holes(codes)
+        }
+        problems += grouped(Severity.WARN, field.prim_path, troubles)
+    return problems
+
+
+def check_absolute_paths(
+    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
+) -> list[Problem]:
+    """File paths are relative, so that a folder can be moved or sent."""
+    problems = []
+    for field in collect_fields(volume, time_range):
+        paths = {
+            shown.time_code: shown.authored_path
+            for shown in field.shown
+            if os.path.isabs(shown.authored_path) or shown.authored_path[1:3] in (":/", ":\\")
+        }
+        if not paths:
+            continue
+        code = min(paths, key=lambda item: -1e300 if item is None else item)
+        many = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        message = f"@{paths[code]}@{many} is absolute; wanted a path relative to its layer"
+        problems.append(Problem(Severity.WARN, field.prim_path, message, code))
+    return problems
+
+
+_FIELD_BASE = getattr(UsdVol, "VolumeFieldBase", UsdVol.FieldBase)  # renamed after 24.08
+
+
+def _header_trouble(file_path: str) -> str:
+    try:
+        header_of(file_path)
+    except (GridError, StageError) as error:
+        return str(error)
+    return ""
+
+
+def _grids(field: FieldFacts) -> list[tuple[float | None, GridHeader]]:
+    """The grids that a field shows, by timeCode, where they can be had."""
+    found = [(shown.time_code, shown_grid(shown)) for shown in field.shown]
+    return [(code, grid) for code, grid in found if grid is not None]
+
+
+def _token(prim: Usd.Prim, name: str, time_code: float | None) -> str:
+    """The authored token; schema fallbacks such as the role's None do not count."""
+    attribute = prim.GetAttribute(name)
+    if not attribute.HasAuthoredValue():
+        return ""
+    code = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
+    return str(attribute.Get(code) or "")
+
+
+def _holes(codes: Sequence[float]) -> list[tuple[float, float]]:
+    """Neighbouring timeCodes that lie further apart than most do."""
+    steps = [round(after - before, 6) for before, after in pairwise(codes)]
+    if len(steps) < 2:
+        return []
+    usual, n_usual = min(Counter(steps).items(), key=lambda item: (-item[1], item[0]))
+    if n_usual == 1:
+        return []  # no rhythm at all: files at chosen moments
+    return [(codes[n], codes[n + 1]) for n, step in enumerate(steps) if step > _GAP * usual]

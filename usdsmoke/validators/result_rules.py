@@ -1,0 +1,100 @@
+"""Rules on files that usdsmoke wrote: they still hold what they held when they were written."""
+
+import os
+from functools import lru_cache
+
+from pxr import Sdf, Usd, UsdValidation
+
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import BindingMissing, GridError, StageError
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_file
+from usdsmoke.validators.facts import collect_fields, header_of
+from usdsmoke.validators.findings import Problem, Severity, grouped
+
+__all__ = ["check_layer_results", "check_shown_results", "recorded_results"]
+
+_SHOWN = 12  # digits of a hash that people compare
+
+
+def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
+    """Absolute path and content hash of every file that a look layer says it came with."""
+    record = layer.customLayerData.get("usdsmoke", {})
+    results = record.get("results", []) if isinstance(record, dict) else []
+    pairs = [str(text).rpartition("=") for text in results]
+    return {
+        Sdf.ComputeAssetPathRelativeToLayer(layer, path): digest
+        for path, equals, digest in pairs
+        if equals
+    }
+
+
+def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
+    """The files of a look are there and hold what the layer recorded."""
+    problems = []
+    for file_path, recorded in recorded_results(layer).items():
+        severity, trouble = _compare(file_path, recorded)
+        if trouble:
+            message = f"{os.path.basename(file_path)} {trouble}"
+            problems.append(Problem(severity, "", message))
+    return problems
+
+
+def check_shown_results(
+    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
+) -> list[Problem]:
+    """Files with a hash of ours hold what they were written with, also without their look layer."""
+    recorded = {
+        file_path
+        for layer in volume.GetStage().GetUsedLayers()
+        for file_path in recorded_results(layer)
+    }
+    problems = []
+    seen: set[str] = set(recorded)
+    for field in collect_fields(volume, time_range):
+        for shown in field.shown:
+            if not os.path.isfile(shown.file_path) or shown.file_path in seen:
+                continue
+            seen.add(shown.file_path)
+            promised = _promised(shown.file_path)
+            severity, trouble = _compare(shown.file_path, promised) if promised else (None, "")
+            if severity and trouble:
+                message = f"{os.path.basename(shown.file_path)} {trouble}"
+                problems += grouped(severity, field.prim_path, {shown.time_code: message})
+    return problems
+
+
+def _promised(file_path: str) -> str:
+    try:
+        return str(header_of(file_path).metadata.get(CONTENT_KEY, ""))
+    except (GridError, StageError):
+        return ""
+
+
+def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
+    """What is wrong with a file of ours; an empty text when nothing is."""
+    if not os.path.isfile(file_path):
+        return Severity.ERROR, "is missing; it belongs to the result: run usdsmoke again"
+    promised = _promised(file_path)
+    if promised != recorded:
+        return Severity.ERROR, (
+            f"is not the file of this result: its metadata says {promised[:_SHOWN] or 'nothing'}, "
+            f"the layer {recorded[:_SHOWN]}; run usdsmoke again"
+        )
+    try:
+        state = os.stat(file_path)
+        found = _hash_once(file_path, state.st_mtime_ns, state.st_size)
+    except BindingMissing as error:
+        return Severity.INFO, f"was not compared with its hash: {error}"
+    except (GridError, StageError, ArithmeticError) as error:
+        return Severity.ERROR, f"cannot be compared with its hash: {error}"
+    if found == recorded:
+        return Severity.INFO, ""
+    return Severity.ERROR, (
+        f"was changed after it was written: its grids hash to {found[:_SHOWN]}, wanted "
+        f"{recorded[:_SHOWN]}; run usdsmoke again"
+    )
+
+
+@lru_cache(maxsize=4096)
+def _hash_once(file_path: str, _modified: int, _size: int) -> str:
+    return hash_file(file_path, GridsConfig())

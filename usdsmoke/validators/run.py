@@ -1,0 +1,76 @@
+"""All validators that there are, ours and USD's, over a stage or layer, as one sorted list."""
+
+import os
+import re
+
+from pxr import UsdValidation
+
+from usdsmoke.diagnostics import captured_diagnostics, open_quietly
+from usdsmoke.schema import register_schema
+from usdsmoke.validators.findings import Finding, Severity
+from usdsmoke.validators.registry import PREFIX, register_validators
+
+__all__ = ["validate"]
+
+_SEVERITIES = {
+    UsdValidation.ValidationErrorType.Error: Severity.ERROR,
+    UsdValidation.ValidationErrorType.Warn: Severity.WARN,
+    UsdValidation.ValidationErrorType.Info: Severity.INFO,
+}
+_TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
+
+
+def validate(file_path: str | os.PathLike[str]) -> list[Finding]:
+    """Everything that any validator says about a stage or layer, worst first, each thing once.
+
+    A layer is looked at as the stage that it is by itself. Files are opened for their headers;
+    those that usdsmoke wrote are read whole, each in a process of its own, to compare their hashes.
+
+    Raises:
+        StageError: the file is missing, of no USD format, or cannot be parsed.
+    """
+    register_schema()
+    register_validators()
+    stage = open_quietly(os.fspath(file_path))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    with captured_diagnostics():  # some stock validators also warn on stderr
+        errors = UsdValidation.ValidationContext(validators).Validate(stage)
+        findings = {_to_finding(error) for error in errors}
+    order = list(Severity)
+    return sorted(
+        findings,
+        key=lambda item: (
+            order.index(item.severity),
+            item.prim_path,
+            item.rule,
+            -1e300 if item.time_code is None else item.time_code,
+            item.message,
+        ),
+    )
+
+
+def _to_finding(error: UsdValidation.ValidationError) -> Finding:
+    message = " ".join(error.GetMessage().split())
+    match = _TIME.match(message)
+    identifier = str(error.GetIdentifier())
+    is_ours = identifier.startswith(PREFIX)
+    return Finding(
+        severity=_SEVERITIES.get(error.GetType(), Severity.INFO),
+        rule=str(error.GetName()) if is_ours else identifier,
+        prim_path=_place(error),
+        time_code=float(match[1]) if is_ours and match else None,
+        message=message[match.end() :] if is_ours and match else message,
+    )
+
+
+def _place(error: UsdValidation.ValidationError) -> str:
+    """The path of the first prim or property that is meant; empty for layers and stages."""
+    for site in error.GetSites():
+        if not site.IsValid():
+            continue
+        if site.IsProperty():
+            return str(site.GetProperty().GetPath())
+        if site.IsPrim():
+            path = str(site.GetPrim().GetPath())
+            return "" if path == "/" else path
+    return ""
