@@ -91,7 +91,7 @@ sys.exit(sysconfig.get_config_var('EXT_SUFFIX') != '$wanted')" 2>/dev/null; then
 }
 
 install_packages() {
-    say "installing torch (about 200 MB)"
+    say "installing torch (the largest download)"
     "$VENV/bin/pip" install -q -c constraints.txt torch setuptools ||
         fail "pip could not install torch; what it said stands above; is the network there?"
     say "installing the other packages"
