@@ -24,7 +24,7 @@ from PIL import Image, ImageDraw
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from benchmarks.display import decode_display, encode_display
-from benchmarks.held_out import Result, draw_march, read_result
+from benchmarks.held_out import draw_march, read_result
 from usdsmoke.core.views import View
 from usdsmoke.errors import UsdSmokeError
 
@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parse(arguments)
     try:
         stage = Usd.Stage.Open(str(options.stage))
-        result = _find_result(stage, options.volume, options.frame)
+        result = read_result(stage, options.volume, options.frame)
         view = _camera_view(stage, options.camera, options.frame, options.size)
         linear, alpha = draw_march(result, view)
         preview = encode_display(linear + (1.0 - alpha[..., None]) * decode_display(np.array(GREY)))
@@ -91,23 +91,6 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--samples", type=int, default=64, help="of Cycles")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures/clients.png"))
     return parser.parse_args(arguments)
-
-
-def _find_result(stage: Usd.Stage, volume_path: str, frame: int) -> Result:
-    """The frame's grids, by the paths and xforms that the stage composes."""
-    volumes = [prim for prim in stage.Traverse() if prim.IsA(UsdVol.Volume)]
-    chosen = [prim for prim in volumes if volume_path in ("", str(prim.GetPath()))]
-    if not chosen:
-        raise ValueError(
-            f"no Volume {volume_path} on the stage; it has {[str(p.GetPath()) for p in volumes]}; "
-            "name one with --volume"
-        )
-    field_path = UsdVol.Volume(chosen[0]).GetFieldPath("density")
-    asset = UsdVol.OpenVDBAsset.Get(stage, field_path)
-    time = Usd.TimeCode(frame)
-    to_stage = UsdGeom.Imageable(asset).ComputeLocalToWorldTransform(time)
-    file_path = asset.GetFilePathAttr().Get(time).resolvedPath
-    return read_result(Path(file_path), np.array(to_stage), str(UsdGeom.GetStageUpAxis(stage)))
 
 
 def _camera_view(stage: Usd.Stage, camera_path: str, frame: int, size: int) -> View:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from pxr import Usd, UsdGeom, UsdVol
 
 from benchmarks.display import composite, mean_colour
 from benchmarks.measures import score_views
@@ -14,7 +15,6 @@ from benchmarks.raymarch import march_rays
 from usdsmoke.config import GridsConfig
 from usdsmoke.core.render import render_fields
 from usdsmoke.core.views import View, orbit_view
-from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.volume import DenseField
 
@@ -31,13 +31,13 @@ __all__ = [
     "score_result",
 ]
 
-GAMMA_KEY = "usdsmoke:gamma_w"  # file metadata of our results
+EXTINCTION = "usdSmoke:extinctionPerDensity"  # attribute of a Volume with a look: gamma_w
 MARGIN = 2  # pixels around the smoke
 
 
 @dataclass(frozen=True)
 class Result:
-    """A stylized frame as it stands in its file; both grids over one box."""
+    """A stylized frame as it stands in its files; both grids over one box."""
 
     density: DenseField
     emission: DenseField
@@ -46,25 +46,36 @@ class Result:
     up_axis: str = "Y"
 
 
-def read_result(vdb_file: Path, to_stage: np.ndarray | None = None, up_axis: str = "Y") -> Result:
-    """A result from its VDB file; gamma_w comes from the file's metadata.
+def read_result(stage: Usd.Stage, volume_path: str = "", time_code: float = 1.0) -> Result:
+    """The result that a stage composes at a timeCode: files, xforms and extinction as USD has them.
+
+    Args:
+        stage: with the look over the source.
+        volume_path: prim path of a Volume; empty takes the first one.
 
     Raises:
-        ValueError: the file carries no gamma_w, so it is none of usdsmoke's results.
-        UsdSmokeError: the file cannot be read.
+        ValueError: no such Volume, or one without a look.
+        UsdSmokeError: its file cannot be read.
     """
-    metadata = read_header(vdb_file).metadata
-    if GAMMA_KEY not in metadata:
+    volumes = [prim for prim in stage.Traverse() if prim.IsA(UsdVol.Volume)]
+    chosen = [prim for prim in volumes if volume_path in ("", str(prim.GetPath()))]
+    extinction = chosen[0].GetAttribute(EXTINCTION) if chosen else None
+    if not extinction:
         raise ValueError(
-            f"{vdb_file} has no metadata {GAMMA_KEY}, only {', '.join(metadata)}; wanted a result "
-            "of usdsmoke stylize; name its VDB file"
+            f"no Volume {volume_path} with {EXTINCTION} on {stage.GetRootLayer().identifier}; "
+            f"it has {[str(p.GetPath()) for p in volumes]}; name the stage that usdsmoke wrote"
         )
-    requests = [GridRequest("density"), GridRequest("emission", components=3)]
-    density, emission = read_grids(vdb_file, requests, GridsConfig())
-    matrix = np.eye(4) if to_stage is None else to_stage
-    return Result(
-        density, cover_box(emission, density), matrix, float(metadata[GAMMA_KEY]), up_axis
-    )
+    time = Usd.TimeCode(time_code)
+    fields = []
+    for name, components in (("density", 1), ("emission", 3)):
+        asset = UsdVol.OpenVDBAsset.Get(stage, UsdVol.Volume(chosen[0]).GetFieldPath(name))
+        request = GridRequest(asset.GetFieldNameAttr().Get(time), components=components)
+        file_path = asset.GetFilePathAttr().Get(time).resolvedPath
+        fields += read_grids(file_path, [request], GridsConfig())
+    density, emission = fields
+    to_stage = np.array(UsdGeom.Imageable(asset).ComputeLocalToWorldTransform(time))
+    up_axis = str(UsdGeom.GetStageUpAxis(stage))
+    return Result(density, cover_box(emission, density), to_stage, float(extinction.Get()), up_axis)
 
 
 def cover_box(field: DenseField, box: DenseField) -> DenseField:

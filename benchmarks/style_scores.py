@@ -3,9 +3,9 @@
     python -m benchmarks.style_scores [--styles A.png B.png] [--set views.count=3] [--quick]
 
 Runs ``usdsmoke stylize`` in a child process for every style, once for cameras within +-12 degrees
-of azimuth and +-6 of elevation and once for cameras all round, reads the VDB file that it wrote,
-draws held-out views with a renderer of its own and prints the table (also into --report).
-Without --styles it paints the example styles, and adds those of the data folder if there are any.
+of azimuth and +-6 of elevation and once for cameras all round, reads the result through the stage
+that it wrote, draws held-out views with a renderer of its own and prints the table (also into
+--report). Without --styles it paints the example styles, and adds those of the data folder if there are any.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from pxr import Usd
 
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.stages import find_stages
@@ -122,8 +123,8 @@ def _measure(stage: Path, style: Path, cameras: str, options: argparse.Namespace
     if not (options.reuse and folder.is_dir()):
         ranges = [f"views.azimuth={azimuth}", f"views.elevation={elevation}"]
         cost = stylize_in_child(stage, style, folder, [*ranges, *options.settings])
-    (vdb_file,) = sorted(folder.rglob("*.vdb"))
-    result = read_result(vdb_file)
+    (root_stage,) = folder.glob("*_look.usda")
+    result = read_result(Usd.Stage.Open(str(root_stage)))
     angles = held_out_angles(N_VIEWS, azimuth, elevation)
     picture = read_style(style, IMAGE_SIZE)
     scores, images = score_result(result, picture, angles, IMAGE_SIZE)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdVol
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from benchmarks.display import decode_display
 from benchmarks.held_out import (
@@ -91,17 +91,28 @@ def test_smoke_painted_straight_through_scores_near_one_from_the_front():
     assert all(scores[name]["mean"] > 0.9 for name in ("patch", "colour", "spectrum"))
 
 
-def test_a_result_is_read_with_the_extinction_that_its_file_names(tmp_path):
+def test_a_result_is_read_through_its_stage_with_the_extinction_that_it_names(tmp_path):
     made = make_result()
-    file_path = tmp_path / "result.0001.vdb"
-    fields = [made.density, made.emission]
-    write_frame(file_path, fields, {"usdsmoke:gamma_w": 0.8}, False)
-    result = read_result(file_path)
+    write_frame(tmp_path / "result.0001.vdb", [made.density, made.emission], {}, False)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "look.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    volume = UsdVol.Volume.Define(stage, "/smoke")
+    UsdGeom.XformCommonAPI(volume).SetTranslate(Gf.Vec3d(1, 2, 3))
+    for name in ("density", "emission"):
+        asset = UsdVol.OpenVDBAsset.Define(stage, f"/smoke/{name}")
+        asset.CreateFilePathAttr(Sdf.AssetPath("./result.0001.vdb"))
+        asset.CreateFieldNameAttr(name)
+        volume.CreateFieldRelationship(name, asset.GetPath())
+    stage.GetRootLayer().Save()
+    with pytest.raises(ValueError, match="name the stage that usdsmoke wrote"):
+        read_result(stage)
+    extinction = "usdSmoke:extinctionPerDensity"
+    volume.GetPrim().CreateAttribute(extinction, Sdf.ValueTypeNames.Float).Set(0.8)
+    result = read_result(stage, "/smoke")
     assert result.gamma_w == pytest.approx(0.8)
+    assert result.up_axis == "Z"
+    assert np.array_equal(result.to_stage[3], [1, 2, 3, 1])
     assert np.array_equal(result.emission.values, made.emission.values)
-    write_frame(tmp_path / "bare.vdb", fields, {}, False)
-    with pytest.raises(ValueError, match="wanted a result of usdsmoke stylize"):
-        read_result(tmp_path / "bare.vdb")
 
 
 def test_the_style_is_scaled_by_its_longer_side_and_tiled(tmp_path):
