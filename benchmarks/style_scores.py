@@ -5,7 +5,7 @@
 Runs ``usdsmoke stylize`` in a child process for every style, once for cameras within +-12 degrees
 of azimuth and +-6 of elevation and once for cameras all round, reads the result through the stage
 that it wrote, draws held-out views with a renderer of its own and prints the table (also into
---report). Without --styles it paints the example styles, and adds those of the data folder if there are any.
+--report). Without --styles it paints the example styles and adds those of the data folder, if any.
 """
 
 import argparse
