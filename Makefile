@@ -18,8 +18,8 @@ check: env ## formatting, lint and types
 	$(PYTHON_IN) -m ruff check .
 	$(PYTHON_IN) -m mypy
 
-bench: env ## measure run time and closeness of style
-	$(PYTHON_IN) -m benchmarks.run
+bench: env ## how near stylized real smoke comes to its style (needs the data folder)
+	$(PYTHON_IN) -m benchmarks.style_scores
 
 schema: env ## make the schema's generated files from schemas/usdSmoke/schema.usda
 	$(PYTHON_IN) tools/generate_schema.py
