@@ -8,7 +8,8 @@ module. Writes docs/pictures/clients.png and prints, for every client, how brigh
 against our preview (1 is right) and the rms difference inside the smoke.
 
 Both scripts light the smoke besides: Storm with a lamp on the camera, Cycles with a sun. That light
-is measured by drawing each picture once more without the emission, and taken off in the lower row.
+is measured by drawing each picture once more without the emission, and taken off in the lower row;
+there Storm draws the stage scaled by gamma_w, for it takes the density itself as extinction.
 """
 
 import argparse
@@ -16,15 +17,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
+from pxr import Gf, Usd, UsdGeom
 
-from benchmarks.display import decode_display, encode_display
-from benchmarks.held_out import draw_march, read_result
+from benchmarks.client_stages import author_dark_stage, author_scaled_stage
+from benchmarks.display import composite, decode_display, encode_display
+from benchmarks.held_out import Result, draw_march, read_result
 from usdsmoke.core.views import View
 from usdsmoke.errors import UsdSmokeError
 
@@ -51,19 +53,19 @@ def main(arguments: list[str] | None = None) -> int:
         result = read_result(stage, options.volume, options.frame)
         view = _camera_view(stage, options.camera, options.frame, options.size)
         linear, alpha = draw_march(result, view)
-        preview = encode_display(linear + (1.0 - alpha[..., None]) * decode_display(np.array(GREY)))
+        preview = composite(linear, alpha, np.full(3, GREY))
         with tempfile.TemporaryDirectory() as folder:
-            drawn = [Drawn("usdsmoke", preview, linear)]
-            drawn += _draw_clients(stage, options, result.gamma_w, alpha, Path(folder))
+            drawn = _draw_clients(options, result, view, Path(folder))
     except (OSError, RuntimeError, ValueError, UsdSmokeError) as error:
         print(f"benchmarks.client_pictures: {error}", file=sys.stderr)
         return 1
     print(f"gamma_w {result.gamma_w:.4g} per stage unit")
-    for client in drawn[1:]:
+    for client in drawn:
         gain, rms = compare(client.emission, linear, alpha > INSIDE)
         print(f"{client.name}: emission x {gain:.3f}, rms difference {rms:.3f} (display-encoded)")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    _sheet(drawn).save(options.out, optimize=True)
+    shown = [Drawn("usdsmoke", preview, linear), *drawn[1:]]  # Storm's light below: scaled
+    _sheet(shown).save(options.out, optimize=True)
     print(f"{options.out}: {options.out.stat().st_size / 1000:.0f} kB")
     return 0
 
@@ -114,55 +116,68 @@ def _camera_view(stage: Usd.Stage, camera_path: str, frame: int, size: int) -> V
     return View(axes[0], axes[1], -axes[2], centre, size, size, pixel_size, focal)
 
 
-def _draw_clients(
-    stage: Usd.Stage, options: argparse.Namespace, gamma_w: float, alpha: np.ndarray, folder: Path
-) -> list[Drawn]:
-    dark = _without_emission(stage, folder / "dark.usda")
-    common = ["--camera", options.camera, "--size", str(options.size)]
-    frames = ["--frames", str(options.frame)]
-    gain = ["--gain", str(gamma_w), "--samples", str(options.samples)]
+class _Clients:
+    """Runs the scripts and reads what they drew."""
 
-    def run(script: Path, file_path: Path, name: str, *words: str) -> np.ndarray:
-        out = folder / f"{name}.png"
-        _run([str(options.python), str(script), str(file_path), str(out), *common, *words])
+    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
+        self.options, self.folder = options, folder
+
+    def storm(self, stage_file: Path, name: str, alpha: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Storm's picture, and its light over black: the script puts it on grey, encoded."""
+        script, frame = self.options.clients / "storm_render.py", str(self.options.frame)
+        picture = self._draw(script, stage_file, name, "--frames", frame)
+        own = np.clip(picture - (1.0 - alpha[..., None]) * GREY, 0.0, 1.0)
+        return picture, decode_display(own)
+
+    def cycles(self, name: str, gamma_w: float, *words: str) -> tuple[np.ndarray, ...]:
+        """The picture of the script with its sun, encoded and linear."""
+        script, frame = self.options.clients / "blender_render.py", str(self.options.frame)
+        words = ("--frames", frame, "--gain", str(gamma_w), *words)
+        picture = self._draw(script, self.options.stage, name, *words, *self._samples())
+        return picture, decode_display(picture)
+
+    def bare_cycles(self, gamma_w: float) -> tuple[np.ndarray, ...]:
+        """The picture of our own shader without lamps, encoded and linear."""
+        script, frame = Path(__file__).with_name("cycles_emission.py"), str(self.options.frame)
+        words = ["--frame", frame, "--extinction", str(gamma_w), *self._samples()]
+        picture = self._draw(script, self.options.stage, "bare", *words)
+        return picture, decode_display(picture)
+
+    def _samples(self) -> list[str]:
+        return ["--samples", str(self.options.samples)]
+
+    def _draw(self, script: Path, stage_file: Path, name: str, *words: str) -> np.ndarray:
+        out = self.folder / f"{name}.png"
+        command = [str(self.options.python), str(script), str(stage_file), str(out), *words]
+        _run([*command, "--camera", self.options.camera, "--size", str(self.options.size)])
         with Image.open(out) as image:
             return np.asarray(image.convert("RGB"), np.float32) / 255.0
 
-    storm, cycles = (options.clients / f"{name}_render.py" for name in ("storm", "blender"))
-    ours = Path(__file__).with_name("cycles_emission.py")
-    storm_lit = run(storm, options.stage, "storm", *frames)
-    storm_dark = run(storm, dark, "storm_dark", *frames)
-    cycles_lit = run(cycles, options.stage, "cycles", *frames, *gain)
-    cycles_dark = run(cycles, options.stage, "cycles_dark", *frames, *gain, "--colour", "")
-    words = ["--frame", str(options.frame), "--samples", str(options.samples)]
-    bare = run(ours, options.stage, "bare", "--extinction", str(gamma_w), *words)
-    behind = (1.0 - alpha[..., None]) * GREY  # added to Storm's encoded picture by the script
-    storm_emission = _light(storm_lit - behind) - _light(storm_dark - behind)
-    return [
-        Drawn("Storm", storm_lit, storm_emission),
-        Drawn("Cycles, sun", cycles_lit, decode_display(cycles_lit) - decode_display(cycles_dark)),
-        Drawn("Cycles, emission only", bare, decode_display(bare)),
+
+def _draw_clients(
+    options: argparse.Namespace, result: Result, view: View, folder: Path
+) -> list[Drawn]:
+    clients, gamma_w, frame = _Clients(options, folder), result.gamma_w, options.frame
+    as_is = replace(result, gamma_w=1.0)  # Storm's extinction, whatever the look says
+    alpha_as_is, alpha = draw_march(as_is, view)[1], draw_march(result, view)[1]
+    dark = author_dark_stage(options.stage, folder / "dark.usda")
+    storm, storm_light = clients.storm(options.stage, "storm", alpha_as_is)
+    storm_dark = clients.storm(dark, "storm_dark", alpha_as_is)[1]
+    scaled = [
+        author_scaled_stage(
+            file, folder / f"{file.stem}_scaled.usda", options.camera, gamma_w, frame
+        )
+        for file in (options.stage, dark)
     ]
-
-
-def _light(encoded: np.ndarray) -> np.ndarray:
-    return decode_display(np.clip(encoded, 0.0, 1.0))
-
-
-def _without_emission(stage: Usd.Stage, file_path: Path) -> Path:
-    """A layer over the stage in which no Volume has an emission field."""
-    root = stage.GetRootLayer()
-    layer = Sdf.Layer.CreateNew(str(file_path))
-    layer.subLayerPaths.append(root.realPath)
-    dark = Usd.Stage.Open(layer)
-    for key in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "defaultPrim"):
-        if stage.HasAuthoredMetadata(key):
-            dark.SetMetadata(key, stage.GetMetadata(key))
-    for prim in dark.Traverse():
-        if prim.IsA(UsdVol.Volume):
-            UsdVol.Volume(prim).BlockFieldRelationship("emission")
-    layer.Save()
-    return file_path
+    lit, unlit = (clients.storm(file, file.stem, alpha)[1] for file in scaled)
+    cycles, cycles_light = clients.cycles("cycles", gamma_w)
+    cycles_dark = clients.cycles("cycles_dark", gamma_w, "--colour", "")[1]
+    return [
+        Drawn("Storm", storm, storm_light - storm_dark),
+        Drawn("Storm; below, scaled", storm, (lit - unlit) / gamma_w),
+        Drawn("Cycles, sun", cycles, cycles_light - cycles_dark),
+        Drawn("Cycles, emission only", *clients.bare_cycles(gamma_w)),
+    ]
 
 
 def _run(command: Sequence[str]) -> None:
