@@ -3,6 +3,7 @@
 Only the stage's own values and the headers of VDB files are looked at: no voxel, no torch.
 """
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -25,7 +26,7 @@ from usdsmoke.needs import Omission, list_needed, list_omitted
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.windows import Window, split_windows
 
-__all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan"]
+__all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan", "result_file_names"]
 
 _DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
 
@@ -157,6 +158,16 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
         )
 
 
+def result_file_names(volume: VolumeSource, stem: str) -> dict[float, str]:
+    """File name by timeCode, for all timeCodes of a Volume, selected or not.
+
+    Raises:
+        LayerError: two timeCodes are too close for names of their own.
+    """
+    codes = sorted({*volume.time_codes, *(frame.time_code for frame in volume.frames)})
+    return dict(zip(codes, frame_file_names(stem, codes), strict=True))
+
+
 def _all_frames(plan: Plan) -> list[tuple[VolumePlan, FramePlan]]:
     return [(volume, frame) for volume in plan.volumes for frame in volume.frames]
 
@@ -168,8 +179,9 @@ def _plan_volume(
     windows = split_windows(time_codes, config.windows)
     starts = {window.time_codes[0] for window in windows}
     in_company = {code for w in windows if len(w.time_codes) > 1 for code in w.time_codes}
+    names = result_file_names(volume, stem)
     frames = []
-    for frame, file_name in zip(volume.frames, frame_file_names(stem, time_codes), strict=True):
+    for frame in volume.frames:
         _read_headers(frame, headers)
         grid = find_density(volume, frame, headers[frame.fields[volume.density].file_path])
         moves = frame.time_code in in_company or config.layer.copy_velocity
@@ -179,7 +191,7 @@ def _plan_volume(
                 size=_frame_size(frame.fields[volume.density].file_path, grid, frame, starts),
                 grid=grid,
                 velocity=find_frame_velocity(volume, frame, headers, config) if moves else None,
-                file_name=file_name,
+                file_name=names[frame.time_code],
             )
         )
     return VolumePlan(volume, stem, tuple(frames), windows)
@@ -221,7 +233,7 @@ def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
 
 
 def _largest_box(boxes: Sequence[tuple[int, int, int]]) -> list[int]:
-    return list(max(boxes, key=lambda box: box[0] * box[1] * box[2]))
+    return list(max(boxes, key=math.prod))
 
 
 def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:

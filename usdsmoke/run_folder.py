@@ -12,7 +12,9 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,12 @@ from usdsmoke.errors import OutputExists, WriteFailed
 from usdsmoke.provenance import hash_file, new_run_id, utc_now
 from usdsmoke.publish import publish_file, remove_leftovers
 
-__all__ = ["RunFolder", "find_runs", "list_changes", "open_run"]
+try:
+    import fcntl
+except ImportError:  # Windows: nothing keeps a second process out there
+    pass
+
+__all__ = ["RunFolder", "find_runs", "list_changes", "lock_output", "open_run"]
 
 _RECORD = "run.json"
 _KEY_LENGTH = 12
@@ -37,6 +44,8 @@ class RunFolder:
     run_id: str = field(default_factory=new_run_id)
     created: str = field(default_factory=utc_now)
     frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # file name: record
+    files: list[str] = field(default_factory=list)  # outside this folder, relative to the output
+    complete: bool = False  # the look points here and nothing is left to do
     _made: list[Path] = field(default_factory=list)
 
     @property
@@ -44,23 +53,18 @@ class RunFolder:
         """The output folder."""
         return self.folder.parent.parent
 
+    @property
+    def settings_hash(self) -> str:
+        """SHA-256 of the settings that decide the result."""
+        return _digest(self.description["settings"])
+
     def begin(self) -> None:
         """Make the folders that are missing and write the record.
 
         Raises:
             WriteFailed: the operating system refused.
         """
-        try:
-            for folder in (self.output, self.folder.parent, self.folder):
-                missing = [f for f in (folder, *folder.parents) if not f.exists()]
-                folder.mkdir(parents=True, exist_ok=True)
-                self._made += reversed(missing)
-        except OSError as error:
-            self.discard_if_useless()
-            raise WriteFailed(
-                f"cannot make the output folder {self.folder}: {error.strerror or error}; "
-                "choose one that may be written to"
-            ) from None
+        self._made = _make_folders(self.folder)
         remove_leftovers(self.folder)
         self._save()
 
@@ -82,16 +86,27 @@ class RunFolder:
             return None
         return record
 
+    def finish(self, files: Sequence[Path]) -> None:
+        """Mark the run as complete; what earlier results left behind goes away.
+
+        Args:
+            files: that belong to the result and stand outside the run's folder.
+        """
+        self.files = sorted(os.path.relpath(file_path, self.output) for file_path in files)
+        for run in find_runs(self.output):
+            if run.run_id != self.run_id:
+                for name in set(run.files) - set(self.files):
+                    (self.output / name).unlink(missing_ok=True)
+                run.remove()
+        remove_leftovers(self.output)
+        self.complete = True
+        self._save()
+
     def discard_if_useless(self) -> None:
         """Remove what ``begin`` made when no frame was finished: a refusal leaves nothing."""
-        if self.frames:
-            return
-        (self.folder / _RECORD).unlink(missing_ok=True)
-        for folder in [self.folder, *reversed(self._made)]:
-            try:
-                folder.rmdir()
-            except OSError:
-                continue  # not empty, not there, or not ours
+        if not self.frames:
+            (self.folder / _RECORD).unlink(missing_ok=True)
+            _remove_empty([self.folder, *self._made])
 
     def remove(self) -> None:
         """Remove the whole run: the record first, so that half of it cannot pass for a run."""
@@ -104,9 +119,31 @@ class RunFolder:
             "created": self.created,
             "description": self.description,
             "frames": self.frames,
+            "files": self.files,
+            "complete": self.complete,
         }
         text = json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False)
         publish_file(self.folder / _RECORD, lambda path: _write_text(path, text))
+
+
+@contextmanager
+def lock_output(output: Path) -> Iterator[None]:
+    """Hold an output folder for one process; it is made if missing, and removed if left empty.
+
+    Where the file system knows no locks, nothing is held.
+
+    Raises:
+        OutputExists: another process is writing there.
+        WriteFailed: the folder cannot be made.
+    """
+    made = _make_folders(output)
+    handle = os.open(output, os.O_RDONLY)
+    try:
+        _lock(handle, output)
+        yield
+    finally:
+        os.close(handle)
+        _remove_empty(made)
 
 
 def find_runs(output: Path) -> Iterator[RunFolder]:
@@ -120,30 +157,36 @@ def find_runs(output: Path) -> Iterator[RunFolder]:
                 run_id=record["run_id"],
                 created=record["created"],
                 frames=record["frames"],
+                files=record["files"],
+                complete=record["complete"],
             )
         except (OSError, ValueError, TypeError, KeyError):
             continue  # not a record of ours
 
 
 def open_run(
-    output: Path, description: Mapping[str, Any], published: str | None, force: bool
+    output: Path, description: Mapping[str, Any], published: Set[str], force: bool
 ) -> RunFolder:
     """The run to begin or to continue; with ``force``, runs that never became a result go away.
+
+    A look layer may point to a run that was stopped before its last step; such a run is continued
+    like any other.
 
     Args:
         output: the output folder; need not exist.
         description: settings and inputs, JSON values.
-        published: run id of the result that stands there, "" when it has none, None without one.
+        published: run ids that the look layers in the folder name; "" for one that names none.
         force: replace a result, and give up unfinished runs of other settings.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
     """
     description = json.loads(json.dumps(description))  # as it comes back from a record
-    runs = [run for run in find_runs(output) if run.run_id != published]
-    same = [run for run in runs if run.description == description]
-    others = [run for run in runs if run.description != description]
-    if published is not None and not force:
+    runs = {run.run_id: run for run in find_runs(output)}
+    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
+    unfinished = [run for run_id, run in runs.items() if run_id not in results]
+    others = [run for run in unfinished if run.description != description]
+    if results and not force:
         raise OutputExists(
             f"there is a result in {output} already; choose another output folder, "
             "or replace it with --force"
@@ -155,10 +198,13 @@ def open_run(
             "again as it was to finish it, choose another output folder, or give it up with --force"
         )
     for run in others:
-        run.remove()
-    if same:
-        return same[0]
-    return RunFolder(_free_folder(output, _digest(description)), description)
+        if run.run_id not in published:
+            run.remove()
+    for run in unfinished:
+        if run.description == description:
+            run.complete = False
+            return run
+    return RunFolder(_free_folder(output, _digest(description)[:_KEY_LENGTH]), description)
 
 
 def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
@@ -177,9 +223,44 @@ def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
     return ", ".join(changes[:_MOST_CHANGES]) + (f" and {more} more" if more > 0 else "")
 
 
+def _lock(handle: int, output: Path) -> None:
+    if "fcntl" not in sys.modules:
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OutputExists(
+            f"another usdsmoke is writing to {output}; wait for it or choose another folder"
+        ) from None
+    except OSError:
+        return  # a file system without locks
+
+
+def _make_folders(folder: Path) -> list[Path]:
+    """Make a folder and its parents; those that were missing, the innermost first."""
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        _remove_empty(missing)
+        raise WriteFailed(
+            f"cannot make the folder {folder}: {error.strerror or error}; "
+            "choose an output folder that may be written to"
+        ) from None
+    return missing
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            continue  # not empty, or never made
+
+
 def _digest(description: Mapping[str, Any]) -> str:
     text = json.dumps(description, sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _free_folder(output: Path, key: str) -> Path:

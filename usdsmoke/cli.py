@@ -1,0 +1,207 @@
+"""The command ``usdsmoke``: arguments in, one call of the package, results out.
+
+Results go to stdout, progress and messages to stderr. Exit codes: 0 ok, 1 a named error (or, for
+``inspect`` and ``validate``, a problem that was found), 2 wrong usage, 128 + n when stopped by
+signal n: 130 after Ctrl-C, 143 after a polite kill, 141 when nobody reads stdout any more.
+
+With ``--json`` stdout holds exactly one JSON value, whatever happens: the result, or
+``{"error": {"type": ..., "message": ...}}``.
+"""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.cli_arguments import build_parser, options_as_sections
+from usdsmoke.cli_text import inspection_text, plan_text, result_text, validation_text
+from usdsmoke.config import Config, config_to_dict, config_to_yaml, read_config, resolve_config
+from usdsmoke.errors import Interrupted, UsdSmokeError
+
+if TYPE_CHECKING:
+    from usdsmoke.pipeline import StylizeResult
+    from usdsmoke.plan import Plan
+
+__all__ = ["main"]
+
+_BROKEN_PIPE = 128 + 13
+
+
+class _Stopped(KeyboardInterrupt):
+    """A signal that asks the process to end."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit code.
+
+    Args:
+        argv: arguments without the program's name; None takes the process's own.
+    """
+    arguments = build_parser().parse_args(argv)
+    commands: dict[str, Callable[[argparse.Namespace], int]] = {
+        "inspect": _inspect,
+        "stylize": _stylize,
+        "validate": _validate,
+        "settings": _settings,
+    }
+    try:
+        with _signals_as_exceptions() as seen:
+            code = _run(commands[arguments.command], arguments, seen)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # Whatever is flushed when the interpreter ends must not complain again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+
+
+def _run(
+    command: Callable[[argparse.Namespace], int], arguments: argparse.Namespace, seen: list[int]
+) -> int:
+    """Run a command and turn its errors into messages and exit codes."""
+    try:
+        return command(arguments)
+    except BrokenPipeError:
+        raise
+    except (UsdSmokeError, KeyboardInterrupt, MemoryError) as error:
+        _report(error, arguments)
+        stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
+        return 128 + (seen[-1] if seen else signal.SIGINT) if stopped else 1
+    except Exception as error:
+        _report(error, arguments)
+        return 1
+
+
+@contextmanager
+def _signals_as_exceptions() -> Iterator[list[int]]:
+    """SIGINT and SIGTERM end the work from inside, so that it can tidy up; yields those seen."""
+    seen: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        raise _Stopped
+
+    try:
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not the main thread: signals are somebody else's business
+        yield seen
+        return
+    try:
+        yield seen
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _report(error: BaseException, arguments: argparse.Namespace) -> None:
+    """The message on stderr, as JSON on stdout too where it is asked for."""
+    if arguments.verbose:
+        traceback.print_exception(error)
+    kind, message = type(error).__name__, str(error)
+    if isinstance(error, KeyboardInterrupt):
+        kind, message = Interrupted.__name__, "stopped; nothing was left behind"
+    elif isinstance(error, MemoryError):
+        message = "out of memory; lower views.pool, views.image_size or grids.refine"
+    elif not isinstance(error, UsdSmokeError):
+        message = f"unexpected {kind}: {message}; --verbose shows where. Please report this"
+    print(f"usdsmoke: {message}", file=sys.stderr)
+    if arguments.json:
+        _print_json({"error": {"type": kind, "message": message}})
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _inspect(arguments: argparse.Namespace) -> int:
+    from usdsmoke.inspection import inspect
+
+    found = inspect(arguments.stage, arguments.prim, arguments.frames or "")
+    if arguments.json:
+        _print_json(found)
+    else:
+        print(inspection_text(found))
+    return 1 if found["problems"] else 0
+
+
+def _stylize(arguments: argparse.Namespace) -> int:
+    from usdsmoke.pipeline import plan_stylize
+
+    sections = read_config(arguments.config) if arguments.config else {}
+    config = resolve_config(sections, options_as_sections(arguments), assignments=arguments.set)
+    if arguments.dry_run:
+        plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config)
+        if arguments.json:
+            _print_json(plan.to_dict() | {"config": config_to_dict(config)})
+        else:
+            print(plan_text(plan))
+        return 0
+    result = _stylize_with_progress(arguments, config)
+    if arguments.json:
+        _print_json(_result_as_dict(result))
+    else:
+        print(result_text(result))
+    return 0
+
+
+def _stylize_with_progress(arguments: argparse.Namespace, config: Config) -> "StylizeResult":
+    from rich.console import Console
+
+    from usdsmoke.pipeline import stylize
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+
+        def planned(plan: "Plan") -> None:
+            progress.say(plan_text(plan))
+
+        result = stylize(
+            arguments.stage,
+            arguments.style,
+            arguments.output,
+            config,
+            force=arguments.force,
+            progress=progress,
+            planned=planned,
+        )
+        for warning in result.warnings:
+            progress.say(f"note: {warning}")
+    return result
+
+
+def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
+    return {
+        "root_stage": str(result.root_stage),
+        "look_layer": str(result.look_layer),
+        "frames": [str(file_path) for file_path in result.frames],
+        "contact_sheets": [str(file_path) for file_path in result.contact_sheets],
+        "warnings": list(result.warnings),
+        "plan": result.plan.to_dict(),
+    }
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    from usdsmoke.validators import Severity, validate
+
+    findings = validate(arguments.stage)
+    n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
+    if arguments.json:
+        _print_json({"errors": n_errors, "findings": [asdict(finding) for finding in findings]})
+    else:
+        print(validation_text(arguments.stage, findings))
+    return 1 if n_errors else 0
+
+
+def _settings(arguments: argparse.Namespace) -> int:
+    if arguments.json:
+        _print_json(config_to_dict(Config()))
+    else:
+        print(config_to_yaml(Config()), end="")
+    return 0

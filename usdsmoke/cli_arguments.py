@@ -1,0 +1,118 @@
+"""What the command line takes; defaults and limits of settings come from the settings."""
+
+import argparse
+import math
+from typing import Any
+
+from usdsmoke import __version__
+from usdsmoke.config import Config, config_to_dict
+
+__all__ = ["build_parser", "options_as_sections"]
+
+_EXIT_CODES = "exit codes: 0 ok, 1 a named error, 2 wrong usage, 130 stopped by Ctrl-C"
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of ``usdsmoke`` with its subcommands."""
+    parser = argparse.ArgumentParser(
+        prog="usdsmoke",
+        description="Stylize the smoke of a USD stage after an example image, as a new look layer.",
+        epilog=_EXIT_CODES,
+    )
+    parser.add_argument("--version", action="version", version=f"usdsmoke {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_inspect(commands)
+    _add_stylize(commands)
+    validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
+    validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
+    _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
+    return parser
+
+
+def options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """The options of ``stylize`` that stand for settings, as sections of a configuration."""
+    options = {
+        "stage": {"prims": arguments.prim, "frames": arguments.frames},
+        "grids": {"half": arguments.half, "repair_nan": arguments.repair},
+        "optimize": {"seed": arguments.seed},
+    }
+    return {
+        section: {key: value for key, value in settings.items() if value is not None}
+        for section, settings in options.items()
+    }
+
+
+def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=summary.capitalize() + ".", epilog=_EXIT_CODES
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
+    parser.add_argument("--verbose", action="store_true", help="show where an error comes from")
+    return parser
+
+
+def _add_selection(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--prim", action="append", metavar="PATH", help="a Volume; may be repeated; default: all"
+    )
+    parser.add_argument("--frames", metavar="1-24", help="timeCodes: 1-24, 1,5,9, 1-24x2")
+
+
+def _add_inspect(commands: Any) -> None:
+    parser = _add_command(commands, "inspect", "show volumes, fields, files, frames and grids")
+    parser.add_argument("stage", metavar="STAGE", help="a USD file")
+    _add_selection(parser)
+
+
+def _add_stylize(commands: Any) -> None:
+    parser = _add_command(commands, "stylize", "stylize the smoke of a stage")
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = f"{_EXIT_CODES}\n\n{_settings_summary()}"
+    parser.add_argument("stage", metavar="STAGE", help="a USD file")
+    parser.add_argument(
+        "--style",
+        action="append",
+        required=True,
+        metavar="IMAGE",
+        help="an image to take the style from; may be repeated",
+    )
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
+    parser.add_argument("--config", metavar="FILE.yaml", help="settings; see 'usdsmoke settings'")
+    _add_selection(parser)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="one setting, such as windows.size=3; may be repeated; stronger than all others",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
+    parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")
+    parser.add_argument(
+        "--repair",
+        type=_repair_value,
+        metavar="nan=0",
+        help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="print the plan and write nothing")
+    parser.add_argument(
+        "--force", action="store_true", help="replace a result, or give up an unfinished run"
+    )
+
+
+def _repair_value(text: str) -> float:
+    name, equals, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if name.strip().lower() != "nan" or not equals or not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r}; wanted nan=NUMBER, as in nan=0")
+    return number
+
+
+def _settings_summary() -> str:
+    lines = ["settings for --set and --config (usdsmoke settings explains them):"]
+    for section, settings in config_to_dict(Config()).items():
+        lines.append(f"  {section}: {', '.join(settings)}")
+    return "\n".join(lines)

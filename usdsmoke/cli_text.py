@@ -1,0 +1,146 @@
+"""What the command line prints for people: plans, results, inspections, findings."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.progress import format_seconds
+
+if TYPE_CHECKING:
+    from usdsmoke.pipeline import StylizeResult
+    from usdsmoke.plan import Plan, VolumePlan
+    from usdsmoke.validators import Finding
+
+__all__ = ["inspection_text", "plan_text", "result_text", "validation_text"]
+
+
+def plan_text(plan: "Plan") -> str:
+    """A plan: volumes, what is needed, what is left out and why, what it costs."""
+    estimate = plan.estimate
+    return "\n".join(
+        [
+            f"plan for {plan.source.file_path}",
+            *(f"  {_volume_line(volume)}" for volume in plan.volumes),
+            "needed",
+            *(f"  {sentence}" for sentence in plan.needed),
+            "left out",
+            *(f"  {omission.what}: {omission.reason}" for omission in plan.omitted),
+            "estimate",
+            f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
+            f"{_size(estimate.bytes_written)} to write",
+        ]
+    )
+
+
+def result_text(result: "StylizeResult") -> str:
+    """Where a result is and what to do next."""
+    folders = sorted({str(file_path.parent) for file_path in result.frames})
+    rows = [
+        ("stage to open", str(result.root_stage)),
+        ("look layer", str(result.look_layer)),
+        (f"{len(result.frames)} VDB files", ", ".join(folders)),
+        *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
+    ]
+    return "\n".join([*_columns(rows), "", f"check it with: usdsmoke validate {result.root_stage}"])
+
+
+def inspection_text(found: Mapping[str, Any]) -> str:
+    """What ``inspect`` found, a line for every field and timeCode."""
+    stage = found["stage"]
+    lines = [
+        f"{stage['file']}",
+        f"  {stage['up_axis']} up, {stage['meters_per_unit']:g} m per unit, "
+        f"{stage['time_codes_per_second']:g} timeCodes per second, "
+        f"{stage['frames_per_second']:g} frames per second",
+    ]
+    for volume in found["volumes"]:
+        lines += ["", _inspected_volume(volume)]
+        rows: list[tuple[str, ...]] = [
+            ("timeCode", "field", "grid", "type", "class", "voxels", "box", "file")
+        ]
+        for frame in volume["frames"]:
+            rows += [_inspected_field(frame, *item) for item in frame["fields"].items()]
+        lines += [f"  {line}" for line in _columns(rows)]
+    for omission in found["omitted"]:
+        lines += ["", f"left out {omission['what']}: {omission['reason']}"]
+    lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
+    return "\n".join(lines).rstrip()
+
+
+def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
+    """Findings, a line each, and how many there are."""
+    lines = []
+    counts: dict[str, int] = {}
+    for finding in findings:
+        counts[finding.severity] = counts.get(finding.severity, 0) + 1
+        where = f" <{finding.prim_path}>" if finding.prim_path else ""
+        when = f" timeCode {finding.time_code:g}" if finding.time_code is not None else ""
+        lines.append(f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}")
+    summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "nothing to say"
+    return "\n".join([*lines, f"{file_path}: {summary}"])
+
+
+def _volume_line(volume: "VolumePlan") -> str:
+    largest = max(volume.frames, key=lambda frame: frame.size.active_voxels)
+    return (
+        f"<{volume.source.prim_path}>: {_count(len(volume.frames), 'frame')} in "
+        f"{_count(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} voxels in "
+        f"{_box(largest.size.box)}, written to {largest.file_name} and so on"
+    )
+
+
+def _inspected_volume(volume: Mapping[str, Any]) -> str:
+    codes = volume["time_codes"]
+    others = (
+        f"; other fields: {', '.join(volume['other_fields'])}" if volume["other_fields"] else ""
+    )
+    span = f"{codes[0]:g} to {codes[-1]:g}" if volume["animated"] else "not animated"
+    return f"Volume <{volume['prim_path']}>: {_count(len(codes), 'frame')}, {span}{others}"
+
+
+def _inspected_field(
+    frame: Mapping[str, Any], name: str, field: Mapping[str, Any]
+) -> tuple[str, ...]:
+    index = field["grid_index"] or 0
+    grid: Mapping[str, Any] = next(
+        (
+            grid
+            for grid in field.get("grids", ())
+            if grid["name"] == field["grid"] and grid["index"] == index
+        ),
+        {},
+    )
+    label = f"{field['grid']}[{index}]" if index else field["grid"]
+    kind = f"{grid.get('type', '?')}{' (half)' if grid.get('half') else ''}"
+    voxels = grid.get("active_voxels")
+    return (
+        f"{frame['time_code']:g}",
+        name,
+        label,
+        kind,
+        str(grid.get("class", "?")),
+        "?" if voxels is None else f"{voxels:,}",
+        _box(grid["box"]) if grid.get("box") else ("empty" if voxels == 0 else "?"),
+        Path(field["file"]).name,
+    )
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows as lines with aligned columns."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def _box(shape: Iterable[int]) -> str:
+    return " x ".join(str(n) for n in shape)
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:,.0f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.0f} kB"

@@ -1,0 +1,143 @@
+"""What is on a stage: Volumes, fields, files, frames, grids, sizes; from USD and file headers."""
+
+import os
+from os import PathLike
+from typing import Any
+
+from usdsmoke.config import StageConfig
+from usdsmoke.errors import UsdSmokeError
+from usdsmoke.grids.header import FileHeader, GridHeader, read_header
+from usdsmoke.grids.read import GridRequest, check_readable, find_grid
+from usdsmoke.grids.velocity import find_velocity
+from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
+
+__all__ = ["inspect"]
+
+
+def inspect(
+    stage: str | PathLike[str], prims: list[str] | None = None, frames: str = ""
+) -> dict[str, Any]:
+    """What usdsmoke sees on a stage, as plain values; no voxel is read and torch is not loaded.
+
+    A file or grid that cannot be used is described by its ``problem`` and stops nothing.
+
+    Args:
+        stage: a .usda, .usdc or .usd file.
+        prims: Volume prim paths; None means all.
+        frames: timeCodes such as ``1-24``; empty means all.
+
+    Raises:
+        StageError: the stage cannot be opened, or its Volumes not be followed to their files.
+        ConfigError: ``frames`` cannot be read.
+    """
+    source = find_volumes(open_stage(stage), StageConfig(prims=prims or [], frames=frames))
+    headers: dict[str, FileHeader | str] = {}
+    return {
+        "stage": _describe_stage(source),
+        "volumes": [_describe_volume(volume, headers) for volume in source.volumes],
+        "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
+        "problems": _problems(source, headers),
+    }
+
+
+def _describe_stage(source: StageSource) -> dict[str, Any]:
+    return {
+        "file": source.file_path,
+        "up_axis": source.up_axis,
+        "meters_per_unit": source.meters_per_unit,
+        "time_codes_per_second": source.time_codes_per_second,
+        "frames_per_second": source.frames_per_second,
+        "start_time_code": source.start_time_code,
+        "end_time_code": source.end_time_code,
+        "default_prim": source.default_prim,
+    }
+
+
+def _describe_volume(volume: VolumeSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:
+    return {
+        "prim_path": volume.prim_path,
+        "animated": volume.animated,
+        "time_codes": [frame.time_code for frame in volume.frames],
+        "density": volume.density,
+        "velocity": list(volume.velocity),
+        "other_fields": list(volume.other_fields),
+        "frames": [_describe_frame(frame, headers) for frame in volume.frames],
+    }
+
+
+def _describe_frame(frame: FrameSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:
+    fields = {name: _describe_field(field, headers) for name, field in frame.fields.items()}
+    return {"time_code": frame.time_code, "fields": fields}
+
+
+def _describe_field(field: FieldSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "prim_path": field.prim_path,
+        "file": field.file_path,
+        "authored_path": field.authored_path,
+        "grid": field.grid_name,
+        "grid_index": field.grid_index,
+        "data_type": field.data_type,
+        "field_class": field.field_class,
+        "field_to_stage": field.field_to_stage.tolist(),
+    }
+    header = _header_of(field.file_path, headers)
+    if isinstance(header, str):
+        return described | {"problem": header}
+    described["file_bytes"] = os.path.getsize(field.file_path)
+    described["grids"] = [_describe_grid(grid) for grid in header.grids]
+    described["velocity_grids"] = [grid.label for grid in find_velocity(header)]
+    problem = _grid_problem(field, header)
+    return described | ({"problem": problem} if problem else {})
+
+
+def _header_of(file_path: str, headers: dict[str, FileHeader | str]) -> FileHeader | str:
+    """The file's header, or what is wrong with it; each file is opened once."""
+    if file_path not in headers:
+        try:
+            headers[file_path] = read_header(file_path)
+        except UsdSmokeError as error:
+            headers[file_path] = str(error)
+    return headers[file_path]
+
+
+def _grid_problem(field: FieldSource, header: FileHeader) -> str:
+    """What keeps smoke from being read from the field's grid; "" when nothing does."""
+    where = f"field <{field.prim_path}>, timeCode {field.time_code:g}"
+    request = GridRequest(field.grid_name, field.grid_index, where)
+    try:
+        check_readable(header, find_grid(header, request), request)
+    except UsdSmokeError as error:
+        return str(error)
+    return ""
+
+
+def _describe_grid(grid: GridHeader) -> dict[str, Any]:
+    matrix = grid.index_to_world
+    return {
+        "name": grid.name,
+        "index": grid.index,
+        "type": grid.value_type,
+        "half": grid.half,
+        "class": grid.grid_class,
+        "active_voxels": grid.active_voxels,
+        "bbox_min": None if grid.bbox_min is None else list(grid.bbox_min),
+        "bbox_max": None if grid.bbox_max is None else list(grid.bbox_max),
+        "box": None if grid.box_shape is None else list(grid.box_shape),
+        "transform": grid.transform_type,
+        "index_to_world": None if matrix is None else matrix.tolist(),
+    }
+
+
+def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list[str]:
+    """Every problem once, in the order in which it is met."""
+    found: dict[str, None] = {}
+    for volume in source.volumes:
+        for frame in volume.frames:
+            for field in frame.fields.values():
+                header = headers[field.file_path]
+                text = header if isinstance(header, str) else _grid_problem(field, header)
+                if text:
+                    found[text] = None
+    return list(found)

@@ -1,0 +1,288 @@
+"""The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
+from usdsmoke.contact_sheet import sheet_files
+from usdsmoke.errors import Interrupted
+from usdsmoke.frames import read_frame
+from usdsmoke.grids.content_hash import hash_fields
+from usdsmoke.layer import author_look
+from usdsmoke.pipeline_inputs import Job, describe_run, prepare_job, published_runs
+from usdsmoke.pipeline_outputs import collect_volume, make_provenance, write_result
+from usdsmoke.pipeline_pictures import sample_frames, write_contact_sheet
+from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.provenance import hash_file
+from usdsmoke.run_folder import RunFolder, lock_output, open_run
+from usdsmoke.run_progress import RunProgress, RunProgressCallback, WorkMeter
+from usdsmoke.volume import VolumeFrame
+
+if TYPE_CHECKING:
+    from usdsmoke.core.progress import Progress
+    from usdsmoke.core.scene import Scene
+
+__all__ = ["Settings", "StylizeResult", "plan_stylize", "stylize"]
+
+FilePath = str | PathLike[str]
+Settings = Config | Mapping[str, Any] | FilePath | None
+
+
+@dataclass(frozen=True)
+class StylizeResult:
+    """What a run left behind."""
+
+    root_stage: Path  # the stage to open
+    look_layer: Path
+    frames: tuple[Path, ...]  # VDB files, Volume by Volume
+    contact_sheets: tuple[Path, ...]  # one picture for each Volume
+    plan: Plan
+    warnings: tuple[str, ...]  # worth knowing, none of them fatal
+
+
+def plan_stylize(
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    config: Settings = None,
+    settings: Sequence[str] = (),
+) -> Plan:
+    """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
+
+    Raises:
+        UsdSmokeError: everything that can be known before voxels are read.
+    """
+    return prepare_job(stage, _paths(style), Path(output), _resolve(config, settings)).plan
+
+
+def stylize(
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    config: Settings = None,
+    settings: Sequence[str] = (),
+    force: bool = False,
+    progress: RunProgressCallback | None = None,
+    planned: Callable[[Plan], None] | None = None,
+) -> StylizeResult:
+    """Stylize the smoke of a stage after one or more images and write the result as a look layer.
+
+    A run that was stopped, however rudely, is continued by the same call: finished windows are
+    kept. Input files are only read.
+
+    Args:
+        stage: a .usda, .usdc or .usd file.
+        style: one image file or several.
+        output: the folder of the result; made if missing.
+        config: a YAML file, a mapping of sections, or ready made; None takes the defaults.
+        settings: further ones, stronger than ``config``: texts such as ``windows.size=3``.
+        force: replace an earlier result, which stays whole until the new one is.
+        progress: called often, with how far the run is.
+        planned: called once with the plan, before anything heavy is loaded.
+
+    Raises:
+        UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished frames.
+        Interrupted: by Ctrl-C.
+    """
+    job = prepare_job(stage, _paths(style), Path(output), _resolve(config, settings))
+    if planned is not None:
+        planned(job.plan)
+    tell = progress or (lambda report: None)
+    features_hash = _features_hash(job.config)
+    description = describe_run(job, features_hash)
+    with lock_output(job.output):
+        run = open_run(job.output, description, published_runs(job), force)
+        try:
+            source_hashes = _check_frames(job.plan, run, tell)
+            scenes = [_measure_volume(job.plan, volume) for volume in job.plan.volumes]
+            run.begin()
+            seconds = _stylize_windows(job, run, scenes, source_hashes, tell)
+            return _publish(job, run, scenes, features_hash, seconds, tell)
+        except KeyboardInterrupt:
+            raise Interrupted(_how_far(run, job.plan)) from None
+        finally:
+            run.discard_if_useless()
+
+
+def _paths(style: FilePath | Sequence[FilePath]) -> list[FilePath]:
+    return [style] if isinstance(style, (str, PathLike)) else list(style)
+
+
+def _resolve(config: Settings, settings: Sequence[str]) -> Config:
+    if isinstance(config, Config):
+        sections: Mapping[str, Any] = config_to_dict(config)
+    elif config is None or isinstance(config, Mapping):
+        sections = config or {}
+    else:
+        sections = read_config(Path(config))
+    return resolve_config(sections, assignments=settings)
+
+
+def _features_hash(config: Config) -> str:
+    """SHA-256 of the network's parameter file; "" for the embedded features, which have none."""
+    if config.features.network == "embedded":
+        return ""
+    from usdsmoke.core.vgg19 import find_vgg19_file
+
+    return hash_file(find_vgg19_file(config.features.vgg19_file))
+
+
+def _windows_to_do(
+    plan: Plan, run: RunFolder
+) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
+    """Volume number, Volume and frames of every window that is not finished.
+
+    A window with one unfinished frame is done again as a whole, because each frame starts from its
+    neighbour: so a run that was stopped gives the same bits as one that was not.
+    """
+    to_do = []
+    for number, volume in enumerate(plan.volumes):
+        frames = {frame.source.time_code: frame for frame in volume.frames}
+        for window in volume.windows:
+            members = tuple(frames[time_code] for time_code in window.time_codes)
+            if any(run.finished(frame.file_name) is None for frame in members):
+                to_do.append((number, volume, members))
+    return to_do
+
+
+def _check_frames(plan: Plan, run: RunFolder, tell: RunProgressCallback) -> dict[str, str]:
+    """Read every frame once, so that damage and NaN show before an hour of work, not after it.
+
+    Returns:
+        Content hash of the source's density by the result's file name.
+    """
+    to_do = [
+        (volume, frame) for _, volume, members in _windows_to_do(plan, run) for frame in members
+    ]
+    hashes = {}
+    for number, (volume, frame) in enumerate(to_do):
+        tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
+        hashes[frame.file_name] = hash_fields([_read(plan, volume, frame).density])
+    return hashes
+
+
+def _read(plan: Plan, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
+    rate = plan.source.time_codes_per_second
+    return read_frame(volume.source, frame.source, plan.config, frame.velocity, rate)
+
+
+def _measure_volume(plan: Plan, volume: VolumePlan) -> "Scene":
+    """Extinction and picture size, from up to three frames of the whole sequence."""
+    from usdsmoke.core.scene import measure_scene
+
+    frames = [_read(plan, volume, frame) for frame in sample_frames(volume)]
+    return measure_scene(frames, plan.config, plan.source.up_axis)
+
+
+def _stylize_windows(
+    job: Job,
+    run: RunFolder,
+    scenes: Sequence["Scene"],
+    source_hashes: Mapping[str, str],
+    tell: RunProgressCallback,
+) -> float:
+    """Stylize every unfinished window and write its frames; the seconds that it took."""
+    from usdsmoke.core.stylize import stylize_window
+
+    plan, started = job.plan, time.monotonic()
+    to_do = _windows_to_do(plan, run)
+    warm = [bool(place) for _, _, members in to_do for place, _ in enumerate(members)]
+    meter, done = WorkMeter(plan.config, warm), 0
+    for number, volume, members in to_do:
+        results = stylize_window(
+            (_read(plan, volume, frame) for frame in members),
+            [style.pixels for style in job.styles],
+            scenes[number],
+            plan.config,
+            _translate(meter, done, len(warm), tell),
+            plan.source.time_codes_per_second,
+        )
+        for frame, stylized in zip(members, results, strict=True):
+            share = meter.share_before(done + 1)
+            tell(RunProgress("write", frame.source.time_code, done, len(warm), share))
+            source_hash = source_hashes[frame.file_name]
+            write_result(run, volume, frame, stylized, plan.config, source_hash)
+            done += 1
+    return time.monotonic() - started
+
+
+def _translate(
+    meter: WorkMeter, first: int, n_frames: int, tell: RunProgressCallback
+) -> Callable[["Progress"], None]:
+    """The core counts frames within a window; the run counts all of them."""
+
+    def report(state: "Progress") -> None:
+        frame = first + state.frame
+        tell(
+            RunProgress(
+                step=state.step,
+                time_code=state.time_code,
+                frame=frame,
+                n_frames=n_frames,
+                share=meter.share(state, frame),
+                octave=state.octave,
+                n_octaves=state.n_octaves,
+                loss=state.loss,
+            )
+        )
+
+    return report
+
+
+def _publish(
+    job: Job,
+    run: RunFolder,
+    scenes: Sequence["Scene"],
+    features_hash: str,
+    seconds: float,
+    tell: RunProgressCallback,
+) -> StylizeResult:
+    """All frames are there: author the layer, which makes them the result, and draw the sheets."""
+    plan, styles = job.plan, job.styles
+    volumes = [
+        collect_volume(run, volume, scene.gamma_w, plan.config)
+        for volume, scene in zip(plan.volumes, scenes, strict=True)
+    ]
+    provenance = make_provenance(run, plan, styles, features_hash, {"stylize": seconds})
+    files = author_look(job.stage, plan.source, volumes, job.output, plan.config.layer, provenance)
+    sheets = sheet_files([volume.stem for volume in plan.volumes], job.output)
+    for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
+        tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
+        pixels = [style.pixels for style in styles]
+        write_contact_sheet(sheet, plan, volume, run.folder, scenes[number], pixels)
+    run.finish([files.look_layer, files.root_stage, *sheets])
+    return StylizeResult(
+        root_stage=files.root_stage,
+        look_layer=files.look_layer,
+        frames=tuple(Path(frame.file_path) for volume in volumes for frame in volume.frames),
+        contact_sheets=sheets,
+        plan=plan,
+        warnings=_warnings(plan, run),
+    )
+
+
+def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
+    found = [
+        f"{name}: {warning}"
+        for name, record in sorted(run.frames.items())
+        for warning in record["report"].get("warnings", [])
+    ]
+    codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
+    if any(code != round(code) for code in codes):
+        found.append(
+            "some timeCodes are no whole numbers: Blender's importer cannot follow such sequences"
+        )
+    return tuple(found)
+
+
+def _how_far(run: RunFolder, plan: Plan) -> str:
+    if not run.frames:
+        return "stopped before the first frame was finished; nothing was left behind"
+    return (
+        f"stopped with {len(run.frames)} of {plan.n_frames} frames finished in {run.folder}; "
+        "run the same command again to continue"
+    )

@@ -1,0 +1,185 @@
+"""All that is known before voxels are read: stage, plan, styles, and what they are made of."""
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Tf, Usd
+
+from usdsmoke import __version__
+from usdsmoke.config import Config, config_to_dict
+from usdsmoke.contact_sheet import sheet_files
+from usdsmoke.diagnostics import captured_diagnostics
+from usdsmoke.errors import ImageError, LayerError
+from usdsmoke.images import StyleImage, read_style_image
+from usdsmoke.layer import LookFiles, look_files
+from usdsmoke.plan import Plan, check_plan, make_plan
+from usdsmoke.provenance import hash_file
+from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.volume import StageSource
+
+__all__ = ["Job", "check_output_folder", "describe_run", "prepare_job", "published_runs"]
+
+# Settings that change when or whether a result comes about, but not the result.
+_NEUTRAL = {
+    "grids": ("memory_limit_gib", "time_limit_s"),
+    "optimize": ("memory_limit_gib", "threads"),
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run as it was asked for, found possible as far as stage, headers and images tell."""
+
+    stage: Usd.Stage
+    plan: Plan
+    styles: tuple[StyleImage, ...]
+    output: Path
+    targets: LookFiles
+
+    @property
+    def config(self) -> Config:
+        """The resolved settings."""
+        return self.plan.config
+
+
+def prepare_job(
+    stage_path: str | PathLike[str],
+    style_paths: Sequence[str | PathLike[str]],
+    output: Path,
+    config: Config,
+) -> Job:
+    """Open the stage, find its Volumes, read the style images, make the plan and see that it fits.
+
+    Raises:
+        UsdSmokeError: everything that can be wrong without a voxel being read.
+    """
+    if not style_paths:
+        raise ImageError("no style image was given; wanted one at least")
+    stage = open_stage(stage_path)
+    source = find_volumes(stage, config.stage)
+    styles = tuple(read_style_image(style_path) for style_path in style_paths)
+    plan = make_plan(source, config, len(styles))
+    targets = look_files(source, output, config.layer)
+    sheets = sheet_files([volume.stem for volume in plan.volumes], output)
+    inputs = _input_files(stage, source, [Path(style_path) for style_path in style_paths])
+    check_output_folder(output, inputs, [targets.look_layer, targets.root_stage, *sheets])
+    check_plan(plan, output)
+    return Job(stage, plan, styles, output, targets)
+
+
+def published_runs(job: Job) -> frozenset[str]:
+    """Run ids that the look layers in the output folder name; "" for one that names none."""
+    found = set()
+    for suffix in (".usda", ".usdc"):
+        file_path = job.targets.look_layer.with_suffix(suffix)
+        if file_path.exists():
+            found.add(_named_run(file_path))
+    return frozenset(found)
+
+
+def _input_files(stage: Usd.Stage, source: StageSource, styles: Iterable[Path]) -> list[Path]:
+    """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
+    layers = [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
+    files = [*layers, *_frame_files(source), *styles]
+    return list(dict.fromkeys(Path(file_path).absolute() for file_path in files))
+
+
+def _frame_files(source: StageSource) -> list[str]:
+    """The VDB files of all selected frames, each once, in order."""
+    return list(
+        dict.fromkeys(
+            field.file_path
+            for volume in source.volumes
+            for frame in volume.frames
+            for field in frame.fields.values()
+        )
+    )
+
+
+def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[Path]) -> None:
+    """Refuse an output folder in which the run would write over, or clear away, what it reads.
+
+    Args:
+        output: the output folder; need not exist.
+        inputs: absolute.
+        targets: files that will be written outside the folder of frames.
+
+    Raises:
+        LayerError: the folder is a file, or an input stands where the result goes.
+    """
+    if output.exists() and not output.is_dir():
+        raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
+    frames = (output / "vdb").resolve()
+    taken = {target.resolve() for target in targets}
+    for file_path in inputs:
+        resolved = file_path.resolve()
+        if resolved in taken or frames in resolved.parents:
+            raise LayerError(
+                f"{file_path} is read by this run and stands where the result goes; "
+                f"choose another output folder than {output}"
+            )
+
+
+def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
+    """Everything that decides a result, as JSON values: equal descriptions give equal results.
+
+    Files are named relative to the stage, so that a moved shot is still the same run.
+
+    Args:
+        job: gives stage, files, settings and styles.
+        features_hash: of the network's parameter file; "" without one.
+    """
+    source = job.plan.source
+    folder = Path(source.file_path).parent
+    return {
+        "version": __version__,
+        "settings": _deciding_settings(job.config),
+        "stage": _stage_digest(source),
+        "files": {
+            os.path.relpath(file_path, folder): hash_file(file_path)
+            for file_path in _frame_files(source)
+        },
+        "styles": [f"{style.name} {style.sha256}" for style in job.styles],
+        "features_hash": features_hash,
+    }
+
+
+def _named_run(look_layer: Path) -> str:
+    try:
+        with captured_diagnostics():
+            layer = Sdf.Layer.OpenAsAnonymous(str(look_layer), metadataOnly=True)
+    except Tf.ErrorException:
+        return ""  # no layer of ours, but somebody's file
+    record = layer.customLayerData.get("usdsmoke", {})
+    return str(record.get("run", "")) if isinstance(record, dict) else ""
+
+
+def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
+    settings = config_to_dict(config)
+    for section, keys in _NEUTRAL.items():
+        for key in keys:
+            del settings[section][key]
+    return settings
+
+
+def _stage_digest(source: StageSource) -> str:
+    """Of everything that the stage says about the Volumes, except where it lies on the disk."""
+    values = dataclasses.asdict(dataclasses.replace(source, file_path=Path(source.file_path).name))
+    for volume in values["volumes"]:
+        for frame in volume["frames"]:
+            for field in frame["fields"].values():
+                del field["file_path"]
+    text = json.dumps(values, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else str(value)

@@ -1,0 +1,235 @@
+"""From stylized fields to the files of a result: frames, look layer, contact sheet."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usdsmoke import __version__
+from usdsmoke.config import Config, config_to_dict
+from usdsmoke.frames import read_velocity_grids
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.read import read_binding_version
+from usdsmoke.grids.transform import field_extent
+from usdsmoke.grids.write import write_frame
+from usdsmoke.images import StyleImage
+from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.plan import FramePlan, Plan, VolumePlan, result_file_names
+from usdsmoke.provenance import Provenance, RunFacts, build_provenance
+from usdsmoke.run_folder import RunFolder
+from usdsmoke.volume import DenseField, WrittenFrame
+
+if TYPE_CHECKING:
+    from usdsmoke.core.stylize import StylizedFrame
+
+__all__ = ["collect_volume", "make_provenance", "result_fields", "write_result"]
+
+_PACKAGES = ("usd-core", "torch", "numpy")
+
+
+def result_fields(
+    stylized: "StylizedFrame", volume: VolumePlan, frame: FramePlan, config: Config
+) -> list[DenseField]:
+    """The grids of a frame's file: density and emission, pruned, and the velocity when it is asked
+    for.
+
+    The density's grid is called like its relationship: some renderers look for the one name, some
+    for the other.
+    """
+    density = dataclasses.replace(stylized.density, name=volume.source.density)
+    fields = [density]
+    if stylized.emission is not None:
+        fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
+    if config.grids.prune > 0 and not density.is_empty:
+        smoke = density.values > config.grids.prune
+        fields = [_keep_where(smoke, field) for field in fields]
+    if config.layer.copy_velocity and frame.velocity is not None:
+        source = frame.source.fields[volume.source.density]
+        fields += read_velocity_grids(frame.velocity, source, config)
+    return fields
+
+
+def write_result(
+    run: RunFolder,
+    volume: VolumePlan,
+    frame: FramePlan,
+    stylized: "StylizedFrame",
+    config: Config,
+    source_hash: str,
+) -> None:
+    """Write one frame's VDB file and note in the run's record that it is finished.
+
+    Args:
+        run: where it goes.
+        volume, frame: what it is the result of.
+        stylized: the result.
+        config: the resolved settings.
+        source_hash: content hash of the density that was read.
+
+    Raises:
+        WriteFailed: the operating system refused, or the file came back different.
+        GridError: a velocity to be copied cannot be read.
+    """
+    fields = result_fields(stylized, volume, frame, config)
+    source_file = frame.source.fields[volume.source.density].file_path
+    metadata = {
+        "creator": f"usdsmoke {__version__}",
+        **read_header(source_file).metadata,
+        "usdsmoke:version": __version__,
+        "usdsmoke:run": run.run_id,
+        "usdsmoke:source_sha256": source_hash,
+        "usdsmoke:params_sha256": run.settings_hash,
+    }
+    target = run.folder / frame.file_name
+    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
+    low, high = _extent(fields[:1]) or (None, None)
+    record = {
+        "prim_path": volume.source.prim_path,
+        "time_code": frame.source.time_code,
+        "content_hash": content_hash,
+        "source_hash": source_hash,
+        "extent_min": low,
+        "extent_max": high,
+        "report": _plain(stylized.report),
+    }
+    run.finish_frame(frame.file_name, record)
+
+
+def collect_volume(
+    run: RunFolder, volume: VolumePlan, extinction_per_density: float, config: Config
+) -> StylizedVolume:
+    """What the layer has to know of one Volume's finished frames.
+
+    When only a part of a sequence was stylized, a file with an empty emission is written for the
+    timeCodes that go on showing the source.
+
+    Raises:
+        WriteFailed: that file could not be written.
+    """
+    written = []
+    for frame in volume.frames:
+        record = run.frames[frame.file_name]
+        written.append(
+            WrittenFrame(
+                time_code=frame.source.time_code,
+                file_path=str(run.folder / frame.file_name),
+                content_hash=record["content_hash"],
+                extent_min=_triple(record["extent_min"]),
+                extent_max=_triple(record["extent_max"]),
+                report=record["report"],
+            )
+        )
+    grids = {volume.source.density: volume.source.density}
+    if "colour" in config.optimize.steps:
+        grids[EMISSION] = EMISSION
+    if config.layer.copy_velocity:
+        grids |= _copied_velocity(volume)
+    return StylizedVolume(
+        source=volume.source,
+        frames=written,
+        extinction_per_density=extinction_per_density,
+        grids=grids,
+        empty_file=_write_empty(run, volume, config) if EMISSION in grids else "",
+    )
+
+
+def make_provenance(
+    run: RunFolder,
+    plan: Plan,
+    styles: Sequence[StyleImage],
+    features_hash: str,
+    timings: Mapping[str, float],
+) -> Provenance:
+    """The record of the run that goes into the layer."""
+    config = plan.config
+    inputs = {}
+    for volume in plan.volumes:
+        for frame in volume.frames:
+            source_file = frame.source.fields[volume.source.density].file_path
+            inputs[source_file] = run.frames[frame.file_name]["source_hash"]
+    facts = RunFacts(
+        version=__version__,
+        seed=config.optimize.seed,
+        config=config_to_dict(config),
+        inputs=inputs,
+        styles={style.name: style.sha256 for style in styles},
+        features=config.features.network,
+        features_hash=features_hash,
+        packages={**_package_versions(), "openvdb": read_binding_version(config.grids)},
+        timings=timings,
+        omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
+        run_id=run.run_id,
+        created=run.created,
+    )
+    return build_provenance(facts)
+
+
+def _keep_where(smoke: np.ndarray, field: DenseField) -> DenseField:
+    """The field with its background wherever there is too little smoke."""
+    mask = smoke[..., None] if field.values.ndim == 4 else smoke
+    background = np.asarray(field.background, np.float32)
+    return dataclasses.replace(field, values=np.where(mask, field.values, background))
+
+
+def _extent(
+    fields: Sequence[DenseField],
+) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+    return next((extent for field in fields if (extent := field_extent(field))), None)
+
+
+def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
+    """Relationship and grid of the copied velocity, where the stage has a relationship for it."""
+    velocity = volume.frames[0].velocity
+    if velocity is None:
+        return {}
+    names = volume.source.velocity
+    grids = [grid.name for grid in velocity.grids]
+    return dict(zip(names, grids, strict=True)) if len(names) == len(grids) else {}
+
+
+def _write_empty(run: RunFolder, volume: VolumePlan, config: Config) -> str:
+    """A file without a voxel, named like the first timeCode not stylized; "" when all are."""
+    stylized = {frame.source.time_code for frame in volume.frames}
+    rest = [code for code in volume.source.time_codes if code not in stylized]
+    if not rest:
+        return ""
+    name = result_file_names(volume.source, volume.stem)[rest[0]]
+    matrix = volume.frames[0].grid.index_to_world
+    empty = DenseField(
+        name=EMISSION,
+        values=np.zeros((0, 0, 0, 3), np.float32),
+        ijk_min=(0, 0, 0),
+        index_to_world=np.eye(4) if matrix is None else matrix,
+        background=(0.0, 0.0, 0.0),
+        grid_class="unknown",
+    )
+    metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
+    write_frame(run.folder / name, [empty], metadata, config.grids.half, config.grids)
+    return str(run.folder / name)
+
+
+def _package_versions() -> dict[str, str]:
+    versions = {}
+    for name in _PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:  # a USD or torch of another origin, without a wheel's record
+            versions[name] = "unknown"
+    return versions
+
+
+def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | None:
+    return None if numbers is None else (numbers[0], numbers[1], numbers[2])
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON can say it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (str, bool, int, float)) or value is None:
+        return value
+    return float(value)

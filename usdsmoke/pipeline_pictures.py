@@ -1,0 +1,106 @@
+"""Pictures of source and result for the contact sheets, made from the files that were written."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usdsmoke.config import Config
+from usdsmoke.contact_sheet import compose_sheet
+from usdsmoke.frames import read_frame
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.images import write_png
+from usdsmoke.layer.records import EMISSION
+from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.volume import DenseField
+
+if TYPE_CHECKING:
+    from usdsmoke.core.scene import Scene
+
+__all__ = ["sample_frames", "write_contact_sheet"]
+
+_PICTURE_SIZE = 256  # pixels of the longer side
+
+
+def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
+    """At most ``count`` frames with smoke, spread from the first to the last; in order."""
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    if len(filled) <= count:
+        return filled
+    places = np.linspace(0, len(filled) - 1, count).round().astype(int)
+    return [filled[place] for place in places]
+
+
+def write_contact_sheet(
+    target: Path,
+    plan: Plan,
+    volume: VolumePlan,
+    folder: Path,
+    scene: "Scene",
+    styles: Sequence[np.ndarray],
+) -> None:
+    """Three frames of a Volume: source, stylized grey, stylized colour, beside the style images.
+
+    Args:
+        target: the PNG.
+        plan: gives the settings.
+        volume: what is shown.
+        folder: of the result's VDB files.
+        scene: extinction and up axis.
+        styles: style images, [H W 3] display-encoded.
+
+    Raises:
+        GridError: a file cannot be read.
+        WriteFailed: the picture cannot be written.
+    """
+    frames = sample_frames(volume)
+    rows: dict[str, list[np.ndarray]] = {}
+    for frame in frames:
+        for name, picture in _frame_pictures(plan.config, volume, frame, folder, scene).items():
+            rows.setdefault(name, []).append(picture)
+    columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
+    title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
+    write_png(target, compose_sheet(title, columns, list(rows.items()), styles))
+
+
+def _frame_pictures(
+    config: Config, volume: VolumePlan, frame: FramePlan, folder: Path, scene: "Scene"
+) -> dict[str, np.ndarray]:
+    source = read_frame(volume.source, frame.source, config)
+    names = [volume.source.density]
+    if "colour" in config.optimize.steps:
+        names.append(EMISSION)
+    wanted = [GridRequest(name) for name in names]
+    density, *emission = read_grids(folder / frame.file_name, wanted, config.grids)
+    to_stage = source.density_to_stage
+    pictures = {
+        "source": _picture(source.density, None, to_stage, scene, config),
+        "stylized density": _picture(density, None, to_stage, scene, config),
+    }
+    if emission:
+        pictures["stylized colour"] = _picture(density, emission[0], to_stage, scene, config)
+    return pictures
+
+
+def _picture(
+    density: DenseField,
+    emission: DenseField | None,
+    to_stage: np.ndarray,
+    scene: "Scene",
+    config: Config,
+) -> np.ndarray:
+    from usdsmoke.core.render import display_picture, render_view
+
+    picture = render_view(
+        density,
+        emission,
+        to_stage,
+        scene.gamma_w_shape if emission is None else scene.gamma_w,
+        scene.up_axis,
+        config.views.centre_azimuth,
+        config.views.centre_elevation,
+        _PICTURE_SIZE,
+    )
+    return display_picture(picture)
