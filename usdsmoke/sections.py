@@ -180,7 +180,7 @@ class ShapeConfig:
         "stream", "divergence-free, irrotational, or both", choices=("stream", "potential", "mixed")
     )
     reach: float = _setting(
-        0.07, "largest displacement, as a share of the smoke's longest side", above=0.0, high=0.5
+        0.04, "largest displacement, as a share of the smoke's longest side", above=0.0, high=0.5
     )
     interpolation: str = _setting(
         "maccormack", "scheme of the final transport", choices=("linear", "maccormack", "cubic")

@@ -40,6 +40,11 @@ class ColourView:
         """Display-encoded picture [H W 3] of linear colours [N 3] over a linear background [3]."""
         return encode_srgb(self.image.apply(colours) + (1 - self.alpha)[..., None] * background)
 
+    @property
+    def guide(self) -> Tensor:
+        """T of the guidance mask, [H W] in [0, 1): the share of smoke in the straight picture."""
+        return self.alpha / (self.alpha + THIN)
+
     def straight_picture(self, colours: Tensor, background: Tensor) -> Tensor:
         """Display-encoded picture [H W 3] of the smoke's own colour, its opacity divided out.
 
@@ -105,7 +110,7 @@ def optimize_colours(
             view = views[(iteration * n_views + number) % len(views)]
             picture = view.straight_picture(linear, background)
             for target in targets:
-                total = total + target.loss(picture, view.alpha)
+                total = total + target.loss(picture, view.guide)
             if tv_weight:
                 total = total + tv_weight * total_variation(picture)
         return total / n_views

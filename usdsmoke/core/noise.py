@@ -3,8 +3,8 @@ r"""White noise as a pure function of voxel, channel and seed.
 A number belongs to its voxel: it does not depend on the crop, on the order or number of voxels
 asked for, on the thread count or the machine. Voxel, channel and seed are combined linearly with
 odd 64-bit constants and scrambled twice by a bijection of 64-bit words in which every input bit
-reaches every output bit [Steele2014]. Only integer arithmetic and correctly rounded sums and products are
-used, so the bits are the same everywhere.
+reaches every output bit [Steele2014]. Only integer arithmetic and correctly rounded sums and
+products are used, so the bits are the same everywhere.
 """
 
 import torch

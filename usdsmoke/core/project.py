@@ -22,6 +22,9 @@ from usdsmoke.core.views import View
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 
+NEGLIGIBLE = 1e-9  # of the largest weight: below this an entry is rounded away in float32 sums anyway
+
+
 class _Apply(torch.autograd.Function):
     """values [N C] -> picture [P C]; both directions are sums over sorted runs, so they repeat bit by bit."""
 
@@ -60,7 +63,7 @@ class SparseImage:
     def adjoint(self, picture: Tensor) -> Tensor:
         """Voxel values [N C] of a picture [H W C] or [P C]: the transpose of ``apply``."""
         flat = picture.reshape(self.height * self.width, -1)
-        start = torch.arange(0, self.pixel.numel(), 4, device=flat.device)
+        start = torch.arange(0, self.pixel.numel(), 4, dtype=torch.int32, device=flat.device)
         return F.embedding_bag(
             self.pixel.reshape(-1), flat, start, mode="sum", per_sample_weights=self.weight.reshape(-1)
         )
@@ -108,20 +111,23 @@ def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footpr
             w = (fx if dx else 1 - fx) * (fy if dy else 1 - fy) * visible
             weights.append(torch.where(inside, w, torch.zeros_like(w)))
             index = py.clamp(0, view.height - 1) * view.width + px.clamp(0, view.width - 1)
-            pixels.append(index.to(torch.int64))
+            pixels.append(index.to(torch.int32))
     return _Footprint(torch.stack(pixels, 1), torch.stack(weights, 1), depth, per_area)
 
 
 def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
+    """Sorts the entries by pixel; those that no pixel could show are left out of both directions alike."""
+    weight = torch.where(weight > NEGLIGIBLE * weight.amax(), weight, torch.zeros_like(weight)) if len(weight) else weight
     flat = pixel.reshape(-1)
-    keep = torch.nonzero(weight.reshape(-1) > 0).squeeze(1)
+    keep = torch.nonzero(weight.reshape(-1)).squeeze(1)
     order = keep[torch.argsort(flat[keep], stable=True)]
     n_pixels = view.height * view.width
-    start = torch.zeros(n_pixels, dtype=torch.int64, device=flat.device)
+    start = torch.zeros(n_pixels, dtype=torch.int32, device=flat.device)
     counts = torch.bincount(flat[order], minlength=n_pixels)
     start[1:] = torch.cumsum(counts, 0)[:-1]
+    voxel = torch.div(order, 4, rounding_mode="floor").to(torch.int32)
     return SparseImage(
-        view.height, view.width, pixel, weight, order // 4, weight.reshape(-1)[order], start
+        view.height, view.width, pixel, weight, voxel, weight.reshape(-1)[order], start
     )
 
 
@@ -166,7 +172,7 @@ def colour_map(
     far = slab - slab0
     n_slabs = int(slab0.max()) + 2
     mass = gamma_w * density * voxel_volume * foot.per_area
-    cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel
+    cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel.long()
     share = foot.weight * mass[:, None]
     depths = torch.zeros(n_slabs * n_pixels, dtype=density.dtype, device=density.device)
     for cell, part in ((cell0, 1 - far), (cell0 + n_pixels, far)):

@@ -1,29 +1,41 @@
-"""How many iterations each octave gets."""
+"""How many iterations each octave gets; no torch here, so that the plan can ask too."""
 
 from collections.abc import Sequence
 
-from usdsmoke.config import Config
+__all__ = ["OCTAVE_SCALE", "octave_iterations", "warm_iterations"]
 
-__all__ = ["octave_iterations"]
+OCTAVE_SCALE = 2  # resolution ratio of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 
-def octave_iterations(iterations: Sequence[int], config: Config, warm: bool) -> list[int]:
-    """Iterations per octave, coarse to fine.
+def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]:
+    """Iterations of each octave, coarse to fine, when a step's total is given or not.
 
-    ``optimize.iterations`` rescales the list to that total. A frame that starts from its neighbour only
-    runs its finest octave, ``windows.warm_iterations`` of the way: the coarse structure has come with the start.
+    >>> octave_iterations([60, 50, 40], 30)
+    [12, 10, 8]
 
     Args:
-        iterations: the step's own list.
-        warm: the frame starts from its neighbour's result.
+        per_octave: the configured list; an octave with 0 is left out and stays so.
+        total: wanted sum; None leaves the list as it is. No other octave falls below one iteration.
     """
-    plan = list(iterations)
-    total = config.optimize.iterations
-    if total is not None and sum(plan):
-        scaled = [n * total / sum(plan) for n in plan]
-        plan = [round(sum(scaled[: k + 1])) - round(sum(scaled[:k])) for k in range(len(plan))]
-    if warm:
-        finest = max((k for k, n in enumerate(plan) if n), default=None)
-        share = config.windows.warm_iterations
-        plan = [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(plan)]
-    return plan
+    whole = sum(per_octave)
+    if total is None or whole == 0:
+        return list(per_octave)
+    done = wanted = 0
+    scaled = []
+    for n in per_octave:
+        wanted += n
+        scaled.append(max(min(n, 1), round(wanted * total / whole) - done))
+        done += scaled[-1]
+    return scaled
+
+
+def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
+    """Iterations of a frame that starts from its neighbour: a share of the finest octave's, none of the others'.
+
+    The coarse structure has come with the start.
+
+    >>> warm_iterations([60, 50, 40], 0.5)
+    [0, 0, 20]
+    """
+    finest = max((k for k, n in enumerate(per_octave) if n), default=None)
+    return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]

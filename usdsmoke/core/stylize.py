@@ -16,7 +16,7 @@ from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.progress import Progress, ProgressCallback
 from usdsmoke.core.refine import refine_field
 from usdsmoke.core.scene import Scene
-from usdsmoke.core.schedule import octave_iterations
+from usdsmoke.core.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.shape import Displaced, run_shape_step
 from usdsmoke.core.smoke import ActiveSmoke, activate
 from usdsmoke.core.style import decode_srgb
@@ -122,7 +122,6 @@ def _stylize_frame(
     density = refine_field(frame.density, config.grids.refine)
     source = activate(density, frame.density_to_stage, device)
     steps, report = config.optimize.steps, {"voxels": len(source.ijk)}
-    warm = before is not None
     if len(source.ijk) == 0 or config.optimize.strength == 0:
         empty = _empty_emission(density) if "colour" in steps else None
         report["left out"] = "empty frame" if len(source.ijk) == 0 else "strength 0"
@@ -131,14 +130,17 @@ def _stylize_frame(
     displaced, smoke = None, source
     if "shape" in steps:
         started = time.perf_counter()
-        plan = octave_iterations(config.shape.iterations, config, warm and before.displaced is not None)
+        plan = _plan_octaves(config.shape.iterations, config, bool(before and before.displaced))
         displaced = run_shape_step(
             density, source, frame, before.displaced if before else None, seconds,
             targets, scene, config, plan, watch("shape", plan),
         )  # fmt: skip
         density = displaced.density
         smoke = activate(density, frame.density_to_stage, device)
-        report["shape"] = {**displaced.report, "seconds": time.perf_counter() - started}
+        ends = displaced.report.pop("ends")
+        report["shape"] = {
+            **summarize(ends), **displaced.report, "seconds": time.perf_counter() - started
+        }  # fmt: skip
     colours = emission = None
     if "colour" in steps:
         started = time.perf_counter()
@@ -147,7 +149,7 @@ def _stylize_frame(
             start = carry_colours(
                 before.smoke, before.colours, frame, smoke, seconds, config.optimize.seed
             )
-        plan = octave_iterations(config.colour.iterations, config, start is not None)
+        plan = _plan_octaves(config.colour.iterations, config, start is not None)
         colours, ends = run_colour_step(
             smoke, start, targets, scene, config, plan, watch("colour", plan)
         )
@@ -157,6 +159,11 @@ def _stylize_frame(
         StylizedFrame(frame.time_code, density, emission, report),
         _Neighbour(frame.time_code, displaced, smoke, colours),
     )
+
+
+def _plan_octaves(per_octave: Sequence[int], config: Config, warm: bool) -> list[int]:
+    plan = octave_iterations(per_octave, config.optimize.iterations)
+    return warm_iterations(plan, config.windows.warm_iterations) if warm else plan
 
 
 def summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
