@@ -38,7 +38,9 @@ class ByteReader:
     def seek(self, position: int, what: str) -> None:
         """Go to a byte of the file."""
         if not 0 <= position <= self._size:
-            raise self.damage(f"{what} lie at byte {position}, but the file has {self._size} bytes")
+            raise self.damage(
+                f"{what} should be at byte {position}, but the file has {self._size} bytes"
+            )
         self.position = position
         self._stream.seek(position)
 

@@ -79,8 +79,7 @@ def _run(request: str, folder: str, config: GridsConfig) -> None:
             )
         except subprocess.TimeoutExpired:
             raise ChildFailure(
-                f"it took longer than {config.time_limit_s:g} s and was given up "
-                "(grids.time_limit_s)"
+                f"it took longer than {config.time_limit_s:.3g} s and was given up"
             ) from None
         if ended.returncode != 0:
             messages.seek(0)

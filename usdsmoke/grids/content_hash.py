@@ -26,7 +26,8 @@ CONTENT_KEY = "usdsmoke:content_sha256"  # file metadata that holds the hash
 def hash_fields(fields: Sequence[DenseField]) -> str:
     """SHA-256, 64 hexadecimal digits, of what the fields hold; their order and padding are no part.
 
-    The transform counts with 12 digits: OpenVDB may turn nearly equal scales into equal ones.
+    The transform counts with ten decimals of its largest scale: OpenVDB may turn nearly equal
+    scales into equal ones.
     """
     digest = hashlib.sha256(b"usdsmoke grids 1\n")
     for field in sorted(fields, key=lambda item: item.name):
@@ -75,11 +76,18 @@ def _add_field(digest: "hashlib._Hash", field: DenseField) -> None:
         encoded = text.encode("utf-8", errors="surrogateescape")
         digest.update(len(encoded).to_bytes(8, "little") + encoded)
     digest.update(b"half" if field.half else b"full")
-    rounded = " ".join(f"{number + 0.0:.12e}" for number in np.ravel(field.index_to_world))
-    digest.update(rounded.encode("ascii"))
+    digest.update(_rounded_transform(field.index_to_world).encode("ascii"))
     background = np.atleast_1d(np.asarray(field.background, "<f4")) + np.float32(0.0)
     mask = active_mask(field)
     place = np.array([*field.ijk_min, *mask.shape], "<i8")
     for array in (background, place, np.packbits(mask), field.values[mask] + np.float32(0.0)):
         digest.update(array.size.to_bytes(8, "little"))
         digest.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
+
+
+def _rounded_transform(matrix: np.ndarray) -> str:
+    linear, translation = np.asarray(matrix, np.float64)[:3, :3], np.asarray(matrix)[3, :3]
+    largest = np.abs(linear).max() or 1.0
+    shares = np.round(linear / largest, 10) + 0.0
+    texts = [f"{largest:.9e}", *(f"{share:.10f}" for share in shares.flat)]
+    return " ".join(texts + [f"{length + 0.0:.12e}" for length in translation])

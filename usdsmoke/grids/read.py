@@ -1,5 +1,6 @@
 """VDB grids as dense arrays: found by name and index, refused by their header, checked."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ _STANDARD_TREE = "5_4_3"
 _KEPT_CLASSES = ("fog volume", "staggered")
 _DERIVED_KEYS = ("class", "is_saved_as_half_float", "name", "value_type")  # fields carry these
 _RESERVE_BYTES = 2**29  # address space of the reading process before it has opened anything
+_LARGE_FILE_BYTES = 100 * 2**20  # files above it get the whole time limit,
+_SMALL_SHARE = 0.15  # small ones this share of it
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,8 @@ def read_grids(
     Args:
         file_path: a VDB file.
         wanted: which grids; none gives an empty list without opening the file.
-        config: the limits, and ``repair_nan`` which replaces voxels that are not finite.
+        config: the limits (a small file gets a share of the time only), and ``repair_nan`` which
+            replaces voxels that are not finite.
 
     Raises:
         AssetNotResolved: the file is missing or may not be read.
@@ -174,13 +178,23 @@ def _open(
         "names": [_binding_name(header, grid) for grid in grids],
         "dense_limit_bytes": _dense_limit(config),
     }
+    limited = dataclasses.replace(config, time_limit_s=_time_limit(header, config))
     try:
-        return run_child(request, [], config)
+        return run_child(request, [], limited)
     except ChildFailure as failure:
         raise DamagedFile(
-            f"cannot read {_place(header, wanted[0])}: {failure}; the file is probably damaged: "
-            "write or copy it again, or raise the limit if it is only large"
+            f"cannot read {_place(header, wanted[0])}: {failure}; it is probably damaged: write or "
+            "copy it again, or raise grids.memory_limit_gib or grids.time_limit_s if it is not"
         ) from None
+
+
+def _time_limit(header: FileHeader, config: GridsConfig) -> float:
+    """Seconds for a file of this size: a small one that takes long is caught in a loop."""
+    try:
+        size = os.path.getsize(header.file_path)
+    except OSError:
+        return config.time_limit_s  # the child will say what is wrong
+    return config.time_limit_s * min(1.0, _SMALL_SHARE + size / _LARGE_FILE_BYTES)
 
 
 def _binding_name(header: FileHeader, grid: GridHeader) -> str:

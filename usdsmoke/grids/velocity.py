@@ -120,7 +120,7 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
                 "wanted the three parts of a velocity on the same voxels: merge them into one "
                 "vector grid"
             )
-    background = tuple(float(part.background) for part in parts)
+    background = tuple(float(np.asarray(part.background)) for part in parts)
     filled = [part for part in parts if not part.is_empty]
     low = np.min([part.ijk_min for part in filled], axis=0) if filled else np.zeros(3, int)
     high = (

@@ -34,7 +34,7 @@ def main() -> int:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
         limit = request["memory_limit_bytes"] / 2**30
-        answer = {"failure": f"it needs more than {limit:g} GiB (grids.memory_limit_gib)"}
+        answer = {"failure": f"it needs more than {limit:g} GiB of memory"}
     except _BINDING_ERRORS as error:
         text = " ".join(str(error).split()) or type(error).__name__
         answer = {"failure": f"OpenVDB says: {text}"}

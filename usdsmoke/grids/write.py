@@ -30,7 +30,8 @@ _VECTOR_TYPES = (
     "contravariant absolute",
 )
 _OWN_KEYS = ("class", "is_saved_as_half_float", "name", "value_type", "vector_type")
-_TRANSFORM_TOLERANCE = 1e-9  # of the largest entry; OpenVDB makes nearly equal scales equal
+_TRANSFORM_TOLERANCE = 1e-9  # of the largest scale; OpenVDB makes nearly equal scales equal
+_LEAST_SHEAR = 1e-10  # of the largest scale; OpenVDB drops shears around it, depending on the size
 
 
 def write_frame(
@@ -106,15 +107,15 @@ def clean_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """The value as Python's own type, or None when it cannot be written."""
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int):
         return value if -_INT64 <= value < _INT64 else None
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, tuple | list | np.ndarray) and len(value) == 3:
+    if isinstance(value, tuple | list) and len(value) == 3:
         triple = [_plain(number) for number in value]
         if all(type(number) is int for number in triple):
             return tuple(triple)
@@ -159,9 +160,18 @@ def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
     return dataclasses.replace(
         field,
         values=values,
+        index_to_world=_without_crumbs(field.index_to_world),
         background=tuple(background.tolist()) if is_vector else float(background),
         half=half,
     )
+
+
+def _without_crumbs(index_to_world: np.ndarray) -> np.ndarray:
+    """The transform without the remains of rounding, such as the cosine of a quarter turn."""
+    matrix = np.array(index_to_world, np.float64)
+    linear = matrix[:3, :3]
+    linear[np.abs(linear) <= _LEAST_SHEAR * np.abs(linear).max()] = 0.0
+    return matrix
 
 
 def _described(field: DenseField) -> dict[str, Any]:
@@ -212,7 +222,7 @@ def _check_written(
 def _is_same(written: DenseField, read: DenseField) -> bool:
     """The transform within OpenVDB's rounding, everything else by the hash."""
     wanted = np.asarray(written.index_to_world, np.float64)
-    tolerance = _TRANSFORM_TOLERANCE * np.abs(wanted).max()
-    if not np.allclose(read.index_to_world, wanted, rtol=0.0, atol=tolerance):
+    tolerance = _TRANSFORM_TOLERANCE * np.abs(wanted[:3, :3]).max()
+    if not np.allclose(read.index_to_world, wanted, rtol=1e-15, atol=tolerance):
         return False
     return hash_fields([dataclasses.replace(read, index_to_world=wanted)]) == hash_fields([written])
