@@ -129,7 +129,9 @@ def _composition_hint(stage: Usd.Stage) -> str:
 def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
     listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
     advice = f"wanted one of the stage's Volumes: {listed}"
-    if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
+    if not (
+        path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
+    ):
         raise VolumeNotFound(f"{path!r} is no path of a prim, as /World/smoke is; {advice}")
     prim = stage.GetPrimAtPath(path)
     if not prim:

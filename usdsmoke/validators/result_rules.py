@@ -1,6 +1,7 @@
 """Rules on files that usdsmoke wrote: they still hold what they held when they were written."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 from pxr import Sdf, Usd, UsdValidation
@@ -13,6 +14,7 @@ from usdsmoke.validators.findings import Problem, Severity, grouped
 
 __all__ = ["check_layer_results", "check_shown_results", "recorded_results"]
 
+_AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
 _SHOWN = 12  # digits of a hash that people compare
 
 
@@ -30,13 +32,14 @@ def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
 
 def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
     """The files of a look are there and hold what the layer recorded."""
-    problems = []
-    for file_path, recorded in recorded_results(layer).items():
-        severity, trouble = _compare(file_path, recorded)
-        if trouble:
-            message = f"{os.path.basename(file_path)} {trouble}"
-            problems.append(Problem(severity, "", message))
-    return problems
+    results = recorded_results(layer)
+    with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
+        found = list(pool.map(_compare, results.keys(), results.values()))
+    return [
+        Problem(severity, "", f"{os.path.basename(file_path)} {trouble}")
+        for file_path, (severity, trouble) in zip(results, found, strict=True)
+        if trouble
+    ]
 
 
 def check_shown_results(

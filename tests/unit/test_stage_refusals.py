@@ -1,0 +1,192 @@
+"""What is refused on the way in: each with the prim, what was found, and what to do."""
+
+import os
+import zipfile
+
+import pytest
+
+from tests.usd_fixtures import (
+    HEADER,
+    density_prim,
+    plume_stage,
+    sampled,
+    sequence,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+    write_vdb,
+)
+from usdsmoke.config import StageConfig
+from usdsmoke.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
+from usdsmoke.stage import find_volumes, open_stage
+
+DEFAULT = "asset filePath = @./cache/smoke.0001.vdb@"
+
+
+def refuse(folder, body, error, reason, header=HEADER, **settings):
+    stage = open_stage(write_text(folder / "shot.usda", world(body, header)))
+    with pytest.raises(error, match=reason):
+        find_volumes(stage, StageConfig(**settings))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("none.usda", None, r"none\.usda: it is missing, may not be read"),
+        ("bad.usda", '#usda 1.0\ndef Xform "a" {', r"bad\.usda: .*Expected }"),
+        ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc: "),
+        ("notes.txt", "hello", r"notes\.txt: .* wanted a readable \.usda"),
+    ],
+)
+def test_a_file_that_is_no_stage_is_refused_in_one_line(tmp_path, capfd, name, content, reason):
+    if content is not None:
+        write_text(tmp_path / name, content)
+    with pytest.raises(StageError, match=reason) as caught:
+        open_stage(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_stage_without_volumes_is_refused(tmp_path):
+    refuse(tmp_path, 'def Mesh "m" {}', VolumeNotFound, "no Volume on the stage .*meshes")
+
+
+def test_a_broken_arc_is_named_where_the_volume_may_lie_behind_it(tmp_path, capfd):
+    body = 'def "smoke" (references = @./gone.usda@) {}'
+    refuse(tmp_path, body, VolumeNotFound, r"a part of the stage is missing.*gone\.usda")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        ("/World/fire", "no prim </World/fire> .* </World/smoke>"),
+        ("/World", "</World> is of type Xform; wanted one of the stage's Volumes: </World/smoke>"),
+        ("/World/plain", "is of type none"),
+        ("/World/off", "</World/off> is inactive"),
+        ("World/smoke", "'World/smoke' is no path of a prim"),
+        ("/World/smoke.extent", "is no path of a prim"),
+        ("a b", "'a b' is no path of a prim"),
+    ],
+)
+def test_a_named_prim_that_is_no_volume_is_refused_with_those_there_are(tmp_path, path, reason):
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim(DEFAULT)) + 'def "plain" {}\ndef Volume "off" (active=false) {}'
+    refuse(tmp_path, body, VolumeNotFound, reason, prims=[path])
+
+
+def test_an_instance_proxy_is_refused_with_its_source(tmp_path):
+    write_sequence(tmp_path, [1])
+    body = f"""
+    class "source"
+    {{
+        def Volume "v" {{ rel field:density = </World/source/v/density>\n{density_prim(DEFAULT)} }}
+    }}
+    def "copy" (instanceable = true
+                references = </World/source>) {{}}
+"""
+    reason = "</World/copy/v>: it lies inside the instance </World/copy>.*</World/source/v>"
+    refuse(tmp_path, body, StageError, reason)
+    refuse(tmp_path, body, StageError, "set instanceable = false", prims=["/World/copy/v"])
+    outside = body + volume_prim("", relations="rel field:density = </World/copy/v/density>")
+    reason = "cannot change the field </World/copy/v/density>"
+    refuse(tmp_path, outside, StageError, reason, prims=["/World/smoke"])
+
+
+@pytest.mark.parametrize(
+    ("relations", "reason"),
+    [
+        ("", r'no relationship "field:density"; it has: none; name .* stage\.density'),
+        (
+            "rel field:temp = </World/smoke/t>",
+            'no relationship "field:density"; it has: field:temp',
+        ),
+        ("rel field:density", "has no target"),
+        ("rel field:density = </World/none>", "leads to </World/none>, where there is no prim"),
+        ("rel field:density = </World>", "leads to </World>, which is of type Xform"),
+        ("rel field:density = [</World/a>, </World/b>]", "has 2 targets"),
+        ("rel field:density = </World/smoke.extent>", "where there is no prim"),
+    ],
+)
+def test_a_density_that_leads_nowhere_is_refused(tmp_path, relations, reason):
+    refuse(tmp_path, volume_prim("", relations=relations), FieldNotFound, reason)
+
+
+@pytest.mark.parametrize(
+    ("asset", "reason"),
+    [
+        ("@@", "is @@, authored in .*shot.usda: wanted the path of a .vdb file"),
+        ("@./none.vdb@", "@./none.vdb@, authored in .*shot.usda: nothing is found there"),
+        ("@op:/obj/smoke/cache@", r"a node inside Houdini.*write the volumes to files"),
+        ("@./box.usdz[smoke.vdb]@", r"inside the package .*box\.usdz, .*unpack it"),
+        ("@./folder.vdb@", r"folder\.vdb is a folder; wanted a \.vdb file"),
+    ],
+)
+def test_a_path_that_is_no_file_on_disk_is_refused(tmp_path, asset, reason):
+    (tmp_path / "folder.vdb").mkdir()
+    write_vdb(tmp_path / "smoke.vdb")
+    with zipfile.ZipFile(tmp_path / "box.usdz", "w") as package:
+        package.write(tmp_path / "smoke.vdb", "smoke.vdb")
+    body = volume_prim(density_prim(f"asset filePath = {asset}"))
+    refuse(tmp_path, body, AssetNotResolved, reason)
+
+
+def test_a_field_without_any_file_path_is_refused(tmp_path):
+    reason = "</World/smoke/density> of Volume </World/smoke> has no filePath at any timeCode"
+    refuse(tmp_path, volume_prim(density_prim("")), AssetNotResolved, reason)
+    blocked = density_prim(sampled("asset filePath", {1: "None", 2: "None"}))
+    refuse(tmp_path, volume_prim(blocked), AssetNotResolved, reason)
+
+
+def test_all_missing_files_are_named_at_once(tmp_path):
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim(sequence([1, 2, 3, 4, 9])))
+    reason = r"</World/smoke/density> at timeCode 2 is .*0002\.vdb@.*timeCodes 3,4,9\)"
+    refuse(tmp_path, body, AssetNotResolved, reason)
+
+
+def test_a_missing_velocity_file_is_refused_too(tmp_path):
+    write_sequence(tmp_path, [1])
+    relations = "rel field:density = </World/smoke/density>\nrel field:vel = </World/smoke/vel>"
+    body = density_prim(DEFAULT) + density_prim("asset filePath = @./v.vdb@", name="vel")
+    refuse(tmp_path, volume_prim(body, relations=relations), AssetNotResolved, "</World/smoke/vel>")
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason"),
+    [
+        ("9", r"no density is authored at timeCode 9; </World/smoke> has 1-4; choose"),
+        ("0", "at timeCode 0; </World/smoke> has 1-4"),
+        ("1,2.5", r"at timeCode 2\.5"),
+        ("10-20", "at any timeCode in '10-20'; </World/smoke> has 1-4"),
+    ],
+)
+def test_time_codes_that_do_not_exist_are_refused_with_those_that_do(tmp_path, frames, reason):
+    with pytest.raises(StageError, match=reason):
+        find_volumes(open_stage(plume_stage(tmp_path)), StageConfig(frames=frames))
+
+
+def test_a_single_frame_inside_a_gap_is_refused(tmp_path):
+    write_sequence(tmp_path, [1, 3])
+    values = {1: "@./cache/smoke.0001.vdb@", 2: "None", 3: "@./cache/smoke.0003.vdb@"}
+    body = volume_prim(density_prim(sampled("asset filePath", values)))
+    refuse(tmp_path, body, StageError, "at timeCode 2; </World/smoke> has 1,3", frames="2")
+
+
+def test_a_named_volume_without_selected_frames_is_refused(tmp_path):
+    write_sequence(tmp_path, [1, 2, 3])
+    body = volume_prim(density_prim(sequence([1, 2])), name="early") + volume_prim(
+        density_prim(sequence([3])), name="late"
+    )
+    reason = "</World/early> was named, but none of its timeCodes 1,2 is in '3'"
+    names = ["/World/early", "/World/late"]
+    refuse(tmp_path, body, StageError, reason, frames="3", prims=names)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_stage_is_refused(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    stage_file.chmod(0)
+    with pytest.raises(StageError, match="may not be read"):
+        open_stage(stage_file)
