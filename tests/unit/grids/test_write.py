@@ -125,9 +125,7 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
     "change",
     [
         {"values": make_field(seed=5).values},
-        {"grid_class": "unknown"},
         {"index_to_world": np.diag([0.1, 0.1, 0.11, 1.0])},
-        {"background": 0.25},
         {"name": "other"},
     ],
     ids=lambda change: next(iter(change)),

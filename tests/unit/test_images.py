@@ -1,0 +1,269 @@
+"""Style images of every kind arrive as display-encoded RGB; what cannot be one is refused."""
+
+import hashlib
+import io
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from usdsmoke import images
+from usdsmoke.errors import ImageError
+from usdsmoke.images import decode_srgb, encode_srgb, read_style_image
+
+LEVELS = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
+LINEAR = np.random.default_rng(1).random((4, 5, 3), dtype=np.float32)
+
+
+def save_exr(file_path: Path, channels: dict[str, np.ndarray]) -> Path:
+    with OpenEXR.File({}, channels) as image:
+        image.write(str(file_path))
+    return file_path
+
+
+def rgb_channels(pixels: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.ascontiguousarray(pixels[..., n]) for n, name in enumerate("RGB")}
+
+
+# -- the display's curve
+
+
+def test_curve_meets_the_standards_landmarks() -> None:
+    assert encode_srgb(np.array([0.0, 1.0])).tolist() == pytest.approx([0.0, 1.0], abs=1e-15)
+    assert encode_srgb(np.array(0.0031308)) == pytest.approx(0.04045, abs=1e-6)
+    assert encode_srgb(np.array(0.001)) == pytest.approx(0.01292)
+    assert decode_srgb(np.array(0.5)) == pytest.approx(0.21404114048223255)
+
+
+@given(st.floats(-1.0, 4.0))
+def test_decoding_undoes_encoding(value: float) -> None:
+    # The two straight parts meet at constants of five digits, so there is a gap of 1e-8 there.
+    assert decode_srgb(encode_srgb(np.array(value))) == pytest.approx(value, abs=1e-7)
+
+
+# -- reading
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "bmp", "webp", "tga", "ppm"])
+def test_eight_bit_pixels_keep_their_levels(tmp_path: Path, suffix: str) -> None:
+    file_path = tmp_path / f"style.{suffix}"
+    Image.fromarray(LEVELS).save(file_path, **({"lossless": True} if suffix == "webp" else {}))
+    style = read_style_image(file_path)
+    assert style.name == f"style.{suffix}"
+    assert style.pixels.dtype == np.float32
+    assert style.pixels.flags.c_contiguous
+    assert np.array_equal(np.rint(style.pixels * 255), LEVELS)
+    assert style.alpha is None
+    assert style.sha256 == hashlib.sha256(file_path.read_bytes()).hexdigest()
+
+
+def test_jpeg_is_read(tmp_path: Path) -> None:
+    Image.new("RGB", (16, 8), (200, 100, 50)).save(tmp_path / "a.jpg", quality=95)
+    pixels = read_style_image(tmp_path / "a.jpg").pixels
+    assert pixels.shape == (8, 16, 3)
+    assert np.allclose(pixels * 255, (200, 100, 50), atol=2)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "LA", "CMYK", "YCbCr"])
+def test_every_colour_mode_becomes_rgb(tmp_path: Path, mode: str) -> None:
+    white = Image.new("RGB", (3, 2), (255, 255, 255)).convert(mode)
+    white.save(tmp_path / "a.tif")
+    style = read_style_image(tmp_path / "a.tif")
+    assert style.pixels.shape == (2, 3, 3)
+    assert np.allclose(style.pixels, 1.0, atol=0.01)
+    assert style.alpha is None
+
+
+def test_palette_gives_its_colours(tmp_path: Path) -> None:
+    image = Image.new("P", (2, 1))
+    image.putpalette([10, 20, 30, 200, 100, 50])
+    image.putdata([1, 0])
+    image.save(tmp_path / "a.png")
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    assert np.rint(pixels * 255).tolist() == [[[200, 100, 50], [10, 20, 30]]]
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])
+def test_sixteen_bit_grey_keeps_its_precision(tmp_path: Path, suffix: str) -> None:
+    grey = np.array([[0, 1, 257], [32768, 65534, 65535]], np.uint16)
+    file_path = tmp_path / f"a.{suffix}"
+    if suffix == "pgm":
+        file_path.write_bytes(b"P5 3 2 65535\n" + grey.astype(">u2").tobytes())
+    else:
+        Image.fromarray(grey).save(file_path)
+    pixels = read_style_image(file_path).pixels
+    assert np.allclose(pixels, np.repeat(grey[..., None] / 65535, 3, -1), atol=1e-7)
+
+
+def test_sixteen_bit_colour_is_scaled_not_cut_off(tmp_path: Path) -> None:
+    chunks = [
+        (b"IHDR", struct.pack(">2I5B", 2, 1, 16, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(b"\0" + struct.pack(">6H", 65535, 32896, 0, 65535, 16448, 8224))),
+        (b"IEND", b""),
+    ]
+    packed = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )
+    (tmp_path / "a.png").write_bytes(packed)
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    assert np.allclose(pixels, [[[1, 128 / 255, 0], [1, 64 / 255, 32 / 255]]], atol=1e-6)
+
+
+def test_alpha_is_given_beside_straight_colour(tmp_path: Path) -> None:
+    rgba = np.dstack([LEVELS, np.full((4, 5), 128, np.uint8)])
+    rgba[0, 0, 3] = 0
+    Image.fromarray(rgba).save(tmp_path / "a.png")
+    style = read_style_image(tmp_path / "a.png")
+    assert np.array_equal(np.rint(style.pixels * 255), LEVELS)
+    assert style.alpha is not None
+    assert style.alpha.shape == (4, 5)
+    assert style.alpha[0, 0] == 0.0
+    assert style.alpha[1, 1] == pytest.approx(128 / 255)
+
+
+def test_transparent_palette_entry_is_alpha(tmp_path: Path) -> None:
+    image = Image.new("P", (2, 1))
+    image.putpalette([10, 20, 30, 200, 100, 50])
+    image.putdata([0, 1])
+    image.save(tmp_path / "a.gif", transparency=1)
+    alpha = read_style_image(tmp_path / "a.gif").alpha
+    assert alpha is not None
+    assert alpha.tolist() == [[1.0, 0.0]]
+
+
+def test_camera_orientation_is_applied(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6  # turn by 90 degrees clockwise to see it upright
+    Image.fromarray(LEVELS).save(tmp_path / "a.png", exif=exif)
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    assert np.array_equal(np.rint(pixels * 255), np.rot90(LEVELS, -1))
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 0), (17, 200, 255)])
+@pytest.mark.parametrize("size", [(1, 1), (7, 3)])
+def test_single_pixels_and_plain_colours_are_images_too(
+    tmp_path: Path, size: tuple[int, int], colour: tuple[int, int, int]
+) -> None:
+    Image.new("RGB", size, colour).save(tmp_path / "a.png")
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    assert pixels.shape == (size[1], size[0], 3)
+    assert np.allclose(pixels * 255, colour)
+
+
+def test_exr_is_linear_light_that_gets_clipped_and_encoded(tmp_path: Path) -> None:
+    linear = LINEAR.copy()
+    linear[0, 0] = (-0.5, 7.0, 0.21404114)
+    style = read_style_image(save_exr(tmp_path / "a.exr", rgb_channels(linear)))
+    assert np.allclose(style.pixels, encode_srgb(np.clip(linear, 0, 1)), atol=1e-6)
+    assert style.pixels[0, 0].tolist() == pytest.approx([0.0, 1.0, 0.5], abs=1e-6)
+
+
+def test_exr_is_known_by_its_first_bytes_and_half_is_read(tmp_path: Path) -> None:
+    save_exr(tmp_path / "a.exr", rgb_channels(LINEAR.astype(np.float16)))
+    os.rename(tmp_path / "a.exr", tmp_path / "a.png")
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    assert np.allclose(pixels, encode_srgb(LINEAR), atol=1e-3)
+
+
+def test_exr_of_luminance_is_grey_and_alpha_is_taken_out(tmp_path: Path) -> None:
+    grey = LINEAR[..., 0]
+    assert np.allclose(
+        read_style_image(save_exr(tmp_path / "y.exr", {"Y": grey.copy()})).pixels,
+        encode_srgb(grey)[..., None].repeat(3, -1),
+        atol=1e-6,
+    )
+    alpha = np.full((4, 5), 0.5, np.float32)
+    alpha[0, 0] = 0.0
+    premultiplied = LINEAR * alpha[..., None]
+    style = read_style_image(
+        save_exr(tmp_path / "a.exr", {**rgb_channels(premultiplied), "A": alpha})
+    )
+    assert np.array_equal(style.alpha, alpha)
+    assert np.allclose(style.pixels[1:], encode_srgb(LINEAR)[1:], atol=1e-6)
+    assert np.isfinite(style.pixels).all()
+
+
+# -- refusing
+
+
+def test_missing_image_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match=r"none\.png: No such file"):
+        read_style_image(tmp_path / "none.png")
+    with pytest.raises(ImageError, match="Is a directory"):
+        read_style_image(tmp_path)
+
+
+@pytest.mark.parametrize("packed", [b"", b"not an image\n" * 9, b"%!PS-Adobe-3.0 EPSF-3.0\n"])
+def test_other_files_are_refused_with_the_formats_that_are_read(
+    tmp_path: Path, packed: bytes
+) -> None:
+    (tmp_path / "a.png").write_bytes(packed)
+    with pytest.raises(ImageError, match=r"a\.png is no image .* EXR, PNG, JPEG, TIFF"):
+        read_style_image(tmp_path / "a.png")
+
+
+def test_cut_off_images_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    buffer = io.BytesIO()
+    Image.effect_noise((64, 64), 90).save(buffer, "PNG")
+    (tmp_path / "a.png").write_bytes(buffer.getvalue()[:-1500])
+    with pytest.raises(ImageError, match=r"a\.png cannot be decoded"):
+        read_style_image(tmp_path / "a.png")
+    packed = save_exr(tmp_path / "a.exr", rgb_channels(LINEAR)).read_bytes()
+    for length in (40, len(packed) - 40):
+        (tmp_path / "a.exr").write_bytes(packed[:length])
+        with pytest.raises(ImageError, match=r"a\.exr cannot be decoded"):
+            read_style_image(tmp_path / "a.exr")
+
+
+def test_nan_pixels_are_counted(tmp_path: Path) -> None:
+    linear = LINEAR.copy()
+    linear[0, 0, 0], linear[1, 1, 2] = np.nan, np.inf
+    save_exr(tmp_path / "a.exr", rgb_channels(linear))
+    with pytest.raises(ImageError, match=r"a\.exr has 2 numbers that are NaN or infinite"):
+        read_style_image(tmp_path / "a.exr")
+
+
+def test_exr_without_colour_lists_its_channels(tmp_path: Path) -> None:
+    save_exr(tmp_path / "a.exr", {"Z": LINEAR[..., 0].copy(), "id": LINEAR[..., 1].copy()})
+    with pytest.raises(ImageError, match="has the channels Z, id; wanted R, G and B, or Y"):
+        read_style_image(tmp_path / "a.exr")
+
+
+def test_fully_transparent_image_is_refused(tmp_path: Path) -> None:
+    Image.new("RGBA", (3, 3), (255, 0, 0, 0)).save(tmp_path / "a.png")
+    with pytest.raises(ImageError, match="fully transparent"):
+        read_style_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("suffix", ["png", "exr"])
+def test_huge_image_is_refused_by_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    file_path = tmp_path / f"a.{suffix}"
+    if suffix == "exr":
+        save_exr(file_path, rgb_channels(LINEAR))
+    else:
+        Image.fromarray(LEVELS).save(file_path)
+    monkeypatch.setattr(images, "_MAX_PIXELS", 19)
+    with pytest.raises(ImageError, match="5 x 4 pixels"):
+        read_style_image(file_path)
+
+
+def test_decompression_bomb_is_refused_without_unpacking_it(tmp_path: Path) -> None:
+    """Two kilobytes that claim 60 000 x 60 000 pixels."""
+    header = struct.pack(">2I5B", 60_000, 60_000, 8, 2, 0, 0, 0)
+    packed = b"\x89PNG\r\n\x1a\n"
+    for name, data in ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(10**6))), (b"IEND", b"")):
+        packed += struct.pack(">I", len(data)) + name + data
+        packed += struct.pack(">I", zlib.crc32(name + data))
+    (tmp_path / "bomb.png").write_bytes(packed)
+    with pytest.raises(ImageError, match=r"bomb\.png is too large.*scale it down"):
+        read_style_image(tmp_path / "bomb.png")
