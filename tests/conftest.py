@@ -1,0 +1,30 @@
+"""Fixtures of the tests that run usdsmoke from end to end."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Shot:
+    """Three small frames, a style image, and a place for the result."""
+    return make_shot(tmp_path)
+
+
+@pytest.fixture
+def quick_grids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenVDB in this process: no limits, but no process to start for every file either."""
+    monkeypatch.setattr("usdsmoke.grids.read.run_child", run_here)
+    monkeypatch.setattr("usdsmoke.grids.write.run_child", run_here)
+
+
+@pytest.fixture
+def core(monkeypatch: pytest.MonkeyPatch, quick_grids: None) -> FakeCore:
+    """A core that takes no time and leaves traces in what it writes."""
+    fake = FakeCore()
+    for name, module in fake.modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    return fake

@@ -1,0 +1,196 @@
+"""A shot to stylize, and quick stand-ins for the core and for OpenVDB's process.
+
+The stand-ins can be put in place of the real modules before those are imported, so that a process
+that is only there to be killed starts without torch.
+"""
+
+import sys
+import tempfile
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from pxr import Usd, UsdVol
+
+from tests.grids_fixtures import raw_grid, write_raw
+from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
+from usdsmoke.config import GridsConfig
+from usdsmoke.core.progress import Progress
+from usdsmoke.errors import BindingMissing, GridTooLarge
+from usdsmoke.grids import worker
+from usdsmoke.grids.child import ChildFailure
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.pipeline import StylizeResult, stylize
+from usdsmoke.volume import DenseField, VolumeFrame
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Where a test's inputs and outputs are."""
+
+    folder: Path
+    stage: Path
+    style: Path
+    output: Path
+
+    def arguments(self, *more: str) -> list[str]:
+        """Of ``usdsmoke stylize``."""
+        files = [str(self.stage), "--style", str(self.style), "-o", str(self.output)]
+        return ["stylize", *files, *more]
+
+
+def make_shot(folder: Path, n_frames: int = 3, names: Sequence[str] = ("density",)) -> Shot:
+    """A stage with one Volume, /World/smoke, whose density is another number in every frame."""
+    time_codes = range(1, n_frames + 1)
+    for code in time_codes:
+        write_vdb(folder / f"in/cache/smoke.{code:04d}.vdb", names, value=0.5 + code / 8)
+    stage = write_text(
+        folder / "in/shot.usda", world(volume_prim(density_prim(sequence(time_codes))))
+    )
+    return Shot(folder, stage, make_style(folder / "in/style.png"), folder / "out")
+
+
+def make_style(file_path: Path) -> Path:
+    """A small picture with some colour in it."""
+    ramp = np.linspace(0, 255, 24 * 16 * 3).reshape(16, 24, 3).astype(np.uint8)
+    file_path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(ramp).save(file_path)
+    return file_path
+
+
+@dataclass(frozen=True)
+class FakeStylized:
+    """The same attributes as the core's frames."""
+
+    time_code: float
+    density: DenseField
+    emission: DenseField | None
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FakeScene:
+    """The same attributes as the core's scenes, as far as they are asked for."""
+
+    gamma_w: float = 2.0
+    gamma_w_shape: float = 1.0
+    up_axis: str = "Z"
+
+
+class FakeCore:
+    """Halves the density, so that a result can be told from its source; colours it by the seed."""
+
+    def __init__(self) -> None:
+        self.stylized: list[float] = []  # timeCodes, in the order in which they were done
+        self.velocities: list[bool] = []
+        self.before_frame: Callable[[float], None] = lambda time_code: None
+
+    def measure_scene(self, frames: Sequence[VolumeFrame], config: Any, up_axis: str) -> FakeScene:
+        return FakeScene(up_axis=up_axis)
+
+    def stylize_window(
+        self,
+        frames: Iterable[VolumeFrame],
+        styles: Sequence[np.ndarray],
+        scene: FakeScene,
+        config: Any,
+        progress: Callable[[Progress], None] | None = None,
+        time_codes_per_second: float = 24.0,
+    ) -> Iterator[FakeStylized]:
+        for number, frame in enumerate(frames):
+            self.before_frame(frame.time_code)
+            self.stylized.append(frame.time_code)
+            self.velocities.append(frame.velocity is not None)
+            for step in config.optimize.steps:
+                if progress is not None:
+                    progress(Progress(step, frame.time_code, number, 0, 2, 3, 0, 1, 0.5))
+            yield self._stylize(frame, config)
+
+    def render_view(self, density: DenseField, *_: Any) -> np.ndarray:
+        return np.full((8, 8, 4), min(float(density.values.max(initial=0.0)), 1.0), np.float32)
+
+    def display_picture(self, picture: np.ndarray) -> np.ndarray:
+        return picture[..., :3]
+
+    def _stylize(self, frame: VolumeFrame, config: Any) -> FakeStylized:
+        density, emission = frame.density, None
+        if "shape" in config.optimize.steps:
+            density = replace(density, values=density.values * np.float32(0.5))
+        if "colour" in config.optimize.steps:
+            colour = np.array([1.0, 0.5, 0.25], np.float32) * (1 + config.optimize.seed)
+            values = density.values[..., None] * colour
+            background = (0.0, 0.0, 0.0)
+            emission = replace(
+                density, name="emission", values=values, background=background,
+                grid_class="unknown",
+            )  # fmt: skip
+        return FakeStylized(frame.time_code, density, emission, {"loss": np.float64(0.5)})
+
+    def modules(self) -> dict[str, types.ModuleType]:
+        """Modules that can stand in ``sys.modules`` for the core's."""
+        homes = {
+            "usdsmoke.core.stylize": ("stylize_window",),
+            "usdsmoke.core.scene": ("measure_scene",),
+            "usdsmoke.core.render": ("render_view", "display_picture"),
+        }
+        modules = {}
+        for home, names in homes.items():
+            modules[home] = types.ModuleType(home)
+            for name in names:
+                setattr(modules[home], name, getattr(self, name))
+        return modules
+
+
+def run_here(
+    request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: Any
+) -> tuple[Any, list[np.ndarray]]:
+    """What ``grids.child.run_child`` does, without another process and its limits."""
+    with tempfile.TemporaryDirectory() as folder:
+        for n, array in enumerate(arrays):
+            np.save(Path(folder) / f"in{n}.npy", array)
+        try:
+            answer, n_arrays = worker._ACTIONS[request["action"]](request, Path(folder))
+        except (BindingMissing, GridTooLarge):
+            raise
+        except worker._BINDING_ERRORS as error:
+            raise ChildFailure(str(error)) from None
+        return answer, [np.load(Path(folder) / f"out{n}.npy") for n in range(n_arrays)]
+
+
+def pose(core: FakeCore) -> None:
+    """Put the stand-ins in place for the rest of this process."""
+    import usdsmoke.grids.read
+    import usdsmoke.grids.write
+
+    sys.modules.update(core.modules())
+    usdsmoke.grids.read.run_child = run_here
+    usdsmoke.grids.write.run_child = run_here
+
+
+def run(shot: Shot, *settings: str, **options: Any) -> StylizeResult:
+    """Stylize a shot; settings are texts such as ``windows.size=3``."""
+    return stylize(shot.stage, shot.style, shot.output, settings=settings, **options)
+
+
+def shown_files(root_stage: Path, field: str = "density") -> dict[float, str]:
+    """Resolved file by timeCode, through the stage that a user opens."""
+    stage = Usd.Stage.Open(str(root_stage))
+    volume = UsdVol.Volume(stage.GetPrimAtPath("/World/smoke"))
+    attribute = stage.GetPrimAtPath(volume.GetFieldPath(field)).GetAttribute("filePath")
+    return {code: attribute.Get(code).resolvedPath for code in attribute.GetTimeSamples()}
+
+
+def values_of(file_path: str | Path, grid: str = "density") -> np.ndarray:
+    """The voxels of one grid of a file."""
+    return read_grids(file_path, [GridRequest(grid)], GridsConfig())[0].values
+
+
+def write_nan(file_path: Path) -> None:
+    """A density with one NaN and one infinite voxel."""
+    values = np.ones((4, 3, 2), np.float32)
+    values[1, 2, 1], values[3, 0, 0] = np.nan, np.inf
+    write_raw(file_path, raw_grid(values))

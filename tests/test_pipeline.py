@@ -1,0 +1,177 @@
+"""From stage to look layer: what is written, what is left out, what is told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pxr import Sdf, Usd, UsdVol
+
+import usdsmoke
+from tests.pipeline_fixtures import (
+    FakeCore,
+    Shot,
+    make_shot,
+    make_style,
+    run,
+    shown_files,
+    values_of,
+)
+from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
+from usdsmoke.config import GridsConfig
+from usdsmoke.grids.content_hash import check_content
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.pipeline import stylize
+from usdsmoke.run_progress import RunProgress
+
+
+@pytest.mark.usefixtures("core")
+def test_every_timecode_shows_its_own_stylized_file(shot: Shot) -> None:
+    result = run(shot)
+    files = shown_files(result.root_stage)
+    assert [Path(name).name for name in files.values()] == [
+        "smoke.0001.vdb", "smoke.0002.vdb", "smoke.0003.vdb",
+    ]  # fmt: skip
+    for code, file_path in files.items():
+        np.testing.assert_allclose(values_of(file_path), (0.5 + code / 8) / 2)
+    assert shown_files(result.root_stage, "emission") == files
+    assert [str(file_path) for file_path in result.frames] == list(files.values())
+
+
+@pytest.mark.usefixtures("core")
+def test_inputs_stay_as_they_are_and_nothing_temporary_is_left(shot: Shot) -> None:
+    before = file_hashes(shot.stage.parent)
+    result = run(shot)
+    assert file_hashes(shot.stage.parent) == before
+    (record,) = shot.output.glob("vdb/*/run.json")
+    expected = {result.root_stage, result.look_layer, *result.contact_sheets, *result.frames}
+    assert {p for p in shot.output.rglob("*") if p.is_file()} == {*expected, record}
+
+
+@pytest.mark.usefixtures("core")
+def test_the_file_tells_where_it_comes_from(shot: Shot) -> None:
+    result = run(shot, "optimize.seed=3")
+    metadata = read_header(result.frames[0]).metadata
+    record = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
+    assert metadata["usdsmoke:run"] == record["run"]
+    assert metadata["creator"] == f"usdsmoke {usdsmoke.__version__}"
+    assert json.loads(record["config"])["optimize"]["seed"] == 3
+    assert len(record["inputs"]) == 3
+    assert metadata["usdsmoke:source_sha256"] == record["inputs"][0].split("=")[1]
+    for file_path in result.frames:
+        check_content(file_path, GridsConfig())
+
+
+@pytest.mark.usefixtures("core")
+def test_a_source_creator_is_kept(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    write_vdb(shot.stage.parent / "cache/smoke.0001.vdb", metadata={"creator": "Solver 9"})
+    assert read_header(run(shot).frames[0]).metadata["creator"] == "Solver 9"
+
+
+@pytest.mark.usefixtures("core")
+def test_without_a_colour_step_there_is_no_emission(shot: Shot) -> None:
+    result = run(shot, "optimize.steps=[shape]")
+    assert [grid.name for grid in read_header(result.frames[0]).grids] == ["density"]
+    stage = Usd.Stage.Open(str(result.root_stage))
+    assert not UsdVol.Volume(stage.GetPrimAtPath("/World/smoke")).HasFieldRelationship("emission")
+    assert any(omission.what == "RGB emission" for omission in result.plan.omitted)
+
+
+@pytest.mark.usefixtures("core")
+def test_without_a_shape_step_the_density_keeps_its_bits(shot: Shot) -> None:
+    result = run(shot, "optimize.steps=[colour]")
+    source = read_grids(
+        shot.stage.parent / "cache/smoke.0002.vdb", [GridRequest("density")], GridsConfig()
+    )[0]
+    written = read_grids(result.frames[1], [GridRequest("density")], GridsConfig())[0]
+    assert source.values.tobytes() == written.values.tobytes()
+    assert source.ijk_min == written.ijk_min
+    np.testing.assert_array_equal(source.index_to_world, written.index_to_world)
+
+
+@pytest.mark.usefixtures("core")
+def test_prune_empties_both_grids_where_there_is_too_little_smoke(shot: Shot) -> None:
+    result = run(shot, "grids.prune=0.35")  # frame 1 has 0.3125 after the shape step, 2 has 0.375
+    assert values_of(result.frames[0]).size == 0
+    assert values_of(result.frames[0], "emission").size == 0
+    assert values_of(result.frames[1]).size > 0
+
+
+@pytest.mark.usefixtures("core")
+def test_other_timecodes_go_on_showing_the_source(shot: Shot) -> None:
+    result = run(shot, "stage.frames=2")
+    files = shown_files(result.root_stage)
+    assert Path(files[1.0]).parent == shot.stage.parent / "cache"
+    assert Path(files[2.0]) == result.frames[0]
+    emission = shown_files(result.root_stage, "emission")
+    assert values_of(emission[1.0], "emission").size == 0
+    assert values_of(emission[2.0], "emission").size > 0
+
+
+@pytest.mark.usefixtures("core")
+def test_two_volumes_of_one_name_get_files_of_their_own(tmp_path: Path) -> None:
+    write_vdb(tmp_path / "in/a.vdb", value=1.0)
+    write_vdb(tmp_path / "in/b.vdb", value=2.0)
+    groups = "".join(
+        f"""
+    def Xform "{name}"
+    {{
+        def Volume "smoke"
+        {{
+            rel field:density = </World/{name}/smoke/density>
+            {density_prim(f"asset filePath = @./{name}.vdb@")}
+        }}
+    }}"""
+        for name in "ab"
+    )
+    stage = write_text(tmp_path / "in/shot.usda", world(groups))
+    result = stylize(stage, make_style(tmp_path / "style.png"), tmp_path / "out")
+    names = [file_path.name for file_path in result.frames]
+    assert names == ["World_a_smoke.0001.vdb", "World_b_smoke.0001.vdb"]
+    assert [values_of(file_path).max() for file_path in result.frames] == [0.5, 1.0]
+    assert len(result.contact_sheets) == 2
+
+
+def test_velocity_is_read_in_windows_of_several_frames_only(tmp_path: Path, core: FakeCore) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    run(shot)
+    assert core.velocities == [True, True, True]
+    core.velocities.clear()
+    result = run(shot, "windows.size=1", force=True)
+    assert core.velocities == [False, False, False]
+    assert any(
+        omission.what == "velocity grids" and "windows.size is 1" in omission.reason
+        for omission in result.plan.omitted
+    )
+
+
+@pytest.mark.usefixtures("core")
+def test_velocity_is_copied_as_it_is_when_asked_for(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1, names=("density", "vel"))
+    result = run(shot, "layer.copy_velocity=true")
+    grids = {grid.name for grid in read_header(result.frames[0]).grids}
+    assert grids == {"density", "emission", "vel"}
+    np.testing.assert_array_equal(values_of(result.frames[0], "vel"), 0.625)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_contact_sheet_shows_source_result_and_style(shot: Shot) -> None:
+    result = run(shot)
+    (sheet,) = result.contact_sheets
+    pixels = np.asarray(Image.open(sheet).convert("RGB"))
+    assert sheet.name == "contact_sheet.png"
+    assert pixels.shape[1] > 4 * 256 and pixels.shape[0] > 3 * 256
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100  # the style's ramp is in it
+
+
+def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) -> None:
+    reports: list[RunProgress] = []
+    run(shot, progress=reports.append)
+    assert [r.step for r in reports[:3]] == ["check"] * 3
+    shares = [r.share for r in reports if r.step in ("shape", "colour", "write")]
+    assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
+    assert [r.frame for r in reports if r.step == "write"] == [0, 1, 2]
+    assert all(r.n_frames == 3 for r in reports if r.step == "colour")
