@@ -84,7 +84,7 @@ def write_frame(
         except ChildFailure as failure:
             raise WriteFailed(
                 f"cannot write {target.name} in {target.parent}: {failure}; check the output "
-                "folder and its disk"
+                "folder and its disk, and whether grids.memory_limit_gib is large enough"
             ) from None
 
     publish_file(target, write, lambda temporary: _check_written(temporary, target, stored, config))
