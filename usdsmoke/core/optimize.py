@@ -16,6 +16,7 @@ __all__ = ["Adam", "Minimum", "minimize"]
 
 BLOW_UP = 10.0  # a loss this many times the best recent one counts as a step gone wrong
 MOST_ROLLBACKS = 12
+REMEMBER_EVERY = 8  # iterations between two states to roll back to
 
 
 @dataclass
@@ -92,42 +93,60 @@ def minimize(
     Raises:
         NonFiniteError: still not finite after many halvings.
     """
-    adam = adam or Adam()
-    good = ([p.detach().clone() for p in parameters], adam.copy())
-    smoothed = best = math.inf
-    rollbacks, slow = 0, 1.0
+    state = _State(parameters, adam or Adam(), rate)
     history: list[float] = []
     span = max(n_iterations // 4, 10)
     for iteration in range(n_iterations):
         loss = objective(iteration)
         gradients = list(torch.autograd.grad(loss, parameters))
         value = float(loss.detach())
-        sound = math.isfinite(value) and all(bool(torch.isfinite(g).all()) for g in gradients)
-        if not sound or value > BLOW_UP * best:
-            rollbacks, slow = rollbacks + 1, slow / 2
-            if rollbacks > MOST_ROLLBACKS:
-                raise NonFiniteError(
-                    f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best {best:.3g}, "
-                    f"after {MOST_ROLLBACKS} reductions of the learning rate from {rate:g}; "
-                    "lower the learning rate and look for extreme values in the inputs"
-                )
-            with torch.no_grad():
-                for p, kept in zip(parameters, good[0], strict=True):
-                    p.copy_(kept)
-            adam = good[1].copy()
+        if not state.accept(iteration, value, gradients):
             continue
-        if iteration % 8 == 0:
-            good = ([p.detach().clone() for p in parameters], adam.copy())
-        smoothed = value if math.isinf(smoothed) else 0.9 * smoothed + 0.1 * value
-        best = min(best, smoothed)
+        smoothed = value if not history else 0.9 * history[-1] + 0.1 * value
         history.append(smoothed)
-        now = rate * slow * _schedule(iteration / n_iterations)
+        state.best = min(state.best, smoothed)
+        now = state.rate * _schedule(iteration / n_iterations)
         with torch.no_grad():
-            adam.step(parameters, gradients, now)
+            state.adam.step(parameters, gradients, now)
             if project is not None:
                 project()
         stalled = len(history) > span and history[-1 - span] - smoothed < tolerance * abs(smoothed)
         ended = "converged" if stalled else "iterations" if iteration == n_iterations - 1 else ""
-        yield Minimum(iteration, value, smoothed, rollbacks, now, ended)
+        yield Minimum(iteration, value, smoothed, state.rollbacks, now, ended)
         if stalled:
             return
+
+
+class _State:
+    """Where an optimisation stands, and where it stood when all was well."""
+
+    def __init__(self, parameters: list[Tensor], adam: Adam, rate: float) -> None:
+        self.parameters, self.adam, self.rate = parameters, adam, rate
+        self.first_rate = rate
+        self.best = math.inf
+        self.rollbacks = 0
+        self._remember()
+
+    def _remember(self) -> None:
+        self._good = ([p.detach().clone() for p in self.parameters], self.adam.copy())
+
+    def accept(self, iteration: int, value: float, gradients: list[Tensor]) -> bool:
+        """True when the step may be taken; else everything is rolled back and the rate halved."""
+        sound = math.isfinite(value) and all(bool(torch.isfinite(g).all()) for g in gradients)
+        if sound and value <= BLOW_UP * self.best:
+            if iteration % REMEMBER_EVERY == 0:
+                self._remember()
+            return True
+        self.rollbacks += 1
+        self.rate /= 2
+        if self.rollbacks > MOST_ROLLBACKS:
+            raise NonFiniteError(
+                f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best {self.best:.3g}, "
+                f"after {MOST_ROLLBACKS} halvings of the learning rate from {self.first_rate:g}; "
+                "lower the learning rate and look for extreme values in the inputs"
+            )
+        with torch.no_grad():
+            for p, kept in zip(self.parameters, self._good[0], strict=True):
+                p.copy_(kept)
+        self.adam = self._good[1].copy()
+        return False

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from usdsmoke.core.project import colour_map
 from usdsmoke.core.refine import refine_field
@@ -16,7 +17,7 @@ from usdsmoke.volume import DenseField
 
 __all__ = ["display_picture", "render_fields", "render_view"]
 
-MOST_REFINEMENT = 6
+MOST_REFINEMENT = 4  # subdivisions of a voxel in a picture; beyond that it is shown blurred
 
 
 def render_view(
@@ -40,9 +41,17 @@ def render_view(
         return np.zeros((image_size, image_size, 4), np.float32)
     tiny = orbit_view(azimuth, elevation, up_axis, np.zeros(3), 1, 1, 1e-3 * smoke.voxel_size)
     fitted = fit_view(tiny, smoke, margin=0)
-    pixel_size = max(fitted.height, fitted.width) * fitted.pixel_size / (image_size - 4)
-    view = fit_view(replace(tiny, pixel_size=pixel_size), smoke)
-    return render_fields(density, emission, to_stage, gamma_w, view)
+    longest = max(fitted.height, fitted.width) * fitted.pixel_size
+    factor = min(MOST_REFINEMENT, max(1, math.ceil(smoke.voxel_size * image_size / longest - 1e-3)))
+    # drawn at one voxel a pixel, where the splatted lattice does not beat with the pixels, then resampled
+    view = fit_view(replace(tiny, pixel_size=smoke.voxel_size / factor), smoke)
+    picture = torch.from_numpy(render_fields(density, emission, to_stage, gamma_w, view))
+    scale = image_size / max(view.height, view.width)
+    size = [max(1, round(view.height * scale)), max(1, round(view.width * scale))]
+    resized = F.interpolate(
+        picture.permute(2, 0, 1)[None], size=size, mode="bilinear", antialias=True, align_corners=False
+    )
+    return resized[0].permute(1, 2, 0).contiguous().numpy()
 
 
 def render_fields(

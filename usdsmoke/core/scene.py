@@ -133,8 +133,9 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
     voxel = float(np.median([smoke.voxel_size for smoke in filled]))
     longest = max(_longest_side(smoke, config, up_axis) for smoke in filled)
-    # pixels smaller than the voxels would leave gaps between them
-    pixel_size = max(longest / config.views.image_size, voxel / config.grids.refine)
+    # whole voxels a pixel: splatted lattices of any other pitch beat with the pixels, up to 8 % of brightness
+    fine = voxel / config.grids.refine
+    pixel_size = fine * max(1, round(longest / config.views.image_size / fine))
     coarse = max(pixel_size, voxel)
     columns = [_columns(s, _middle_view(s, config, up_axis, coarse)) for s in filled]
     thick = float(np.median([np.percentile(c, config.optics.percentile) for c in columns]))

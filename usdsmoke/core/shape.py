@@ -42,10 +42,10 @@ from usdsmoke.core.transport import correct_mass, warp
 from usdsmoke.core.warm import departure_points
 from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["Displaced", "Potential", "run_shape_step"]
+__all__ = ["Displaced", "Potential", "border_mask", "displacement_from", "run_shape_step"]
 
 N_LEVELS = 5  # of the coefficient pyramid
-SHIFT = 2.0  # voxels over which the fading mask is blurred
+BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,16 @@ class Displaced:
     density: DenseField
     potential: Potential
     report: dict[str, Any]
+
+
+def border_mask(density: Tensor) -> Tensor:
+    """1 inside the smoke, falling smoothly to 0 *at* its border, [I J K].
+
+    The blurred mask is one half at the border: the upper half of its range is taken, or smoke would still move at the
+    silhouette and pile up there as a bright rim.
+    """
+    inside = (2 * smooth_mask(density, BORDER) - 1).clamp_min(0)
+    return inside * inside * (3 - 2 * inside)
 
 
 def displacement_from(potential: Tensor, mask: Tensor, kind: str, cap: float, lattice: Lattice) -> Tensor:
@@ -109,7 +119,7 @@ class _Octave:
         sides = self.lattice.spacing
         reach = [math.ceil(cap / s) if n > 1 else 0 for s, n in zip(sides, self.lattice.shape, strict=True)]
         self.active = reachable_voxels(self.density, (reach[0], reach[1], reach[2]))
-        self.mask = smooth_mask(self.density, SHIFT)
+        self.mask = border_mask(self.density)
         self._kind, self._cap, self._gamma_w = config.shape.displacement, cap, scene.gamma_w_shape
         positions = self.lattice.positions(self.active)
         still = self.density[tuple(self.active.T)]
@@ -239,7 +249,7 @@ def _move_finally(
     lattice = surround(source, cap)
     box = lattice.fill(source)
     values = potential.on(lattice)
-    mask = smooth_mask(box, SHIFT)
+    mask = border_mask(box)
     u = config.optimize.strength * displacement_from(values, mask, config.shape.displacement, cap, lattice)
     moved = warp(box, u, scheme=config.shape.interpolation).clamp_min(0)
     sides = u.new_tensor(lattice.spacing)

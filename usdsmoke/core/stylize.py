@@ -139,7 +139,7 @@ def _stylize_frame(
         smoke = activate(density, frame.density_to_stage, device)
         ends = displaced.report.pop("ends")
         report["shape"] = {
-            **summarize(ends), **displaced.report, "seconds": time.perf_counter() - started
+            **_summarize(ends), **displaced.report, "seconds": time.perf_counter() - started
         }  # fmt: skip
     colours = emission = None
     if "colour" in steps:
@@ -154,7 +154,7 @@ def _stylize_frame(
             smoke, start, targets, scene, config, plan, watch("colour", plan)
         )
         emission = _emission_field(density, smoke, colours, scene, config.optimize.strength)
-        report["colour"] = {**summarize(ends), "seconds": time.perf_counter() - started}
+        report["colour"] = {**_summarize(ends), "seconds": time.perf_counter() - started}
     return (
         StylizedFrame(frame.time_code, density, emission, report),
         _Neighbour(frame.time_code, displaced, smoke, colours),
@@ -166,7 +166,7 @@ def _plan_octaves(per_octave: Sequence[int], config: Config, warm: bool) -> list
     return warm_iterations(plan, config.windows.warm_iterations) if warm else plan
 
 
-def summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
+def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
     """How the octaves of a step ended, as plain values."""
     return {
         "loss": [end.smoothed for end in ends],
