@@ -1,0 +1,165 @@
+"""The plan: what is found from headers alone, what is left out and why, what it costs, refusals."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline_fixtures import Shot, make_shot
+from tests.usd_fixtures import (
+    density_prim,
+    plume_stage,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
+from usdsmoke import plan as plan_module
+from usdsmoke.config import resolve_config
+from usdsmoke.errors import PlanError, UnsupportedGrid
+from usdsmoke.grids.binding import find_binding
+from usdsmoke.plan import Plan, check_plan, make_plan
+from usdsmoke.stage import find_volumes, open_stage
+
+
+def plan_of(stage: Path, *settings: str) -> Plan:
+    config = resolve_config(assignments=settings)
+    return make_plan(find_volumes(open_stage(stage), config.stage), config)
+
+
+def reason_for(plan: Plan, what: str) -> str:
+    """Why something is left out; "" when it is not."""
+    return next((item.reason for item in plan.omitted if item.what.startswith(what)), "")
+
+
+@pytest.fixture(autouse=True)
+def no_voxels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan never opens a file with OpenVDB: that would be done by a child process."""
+
+    def refuse(*arguments: object) -> None:
+        raise AssertionError("the plan has read voxels")
+
+    monkeypatch.setattr("usdsmoke.grids.read.run_child", refuse)
+
+
+def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -> None:
+    described = plan_of(shot.stage, "windows.size=2").to_dict()
+    assert {"volumes", "frames", "windows", "needed", "omitted", "estimate"} <= set(described)
+    assert [frame["active_voxels"] for frame in described["frames"]] == [24, 24, 24]
+    assert [frame["box"] for frame in described["frames"]] == [[4, 3, 2]] * 3
+    assert [frame["output_file"] for frame in described["frames"]] == [
+        "smoke.0001.vdb", "smoke.0002.vdb", "smoke.0003.vdb",
+    ]  # fmt: skip
+    assert [window["time_codes"] for window in described["windows"]] == [(1, 2), (3,)]
+    assert [frame["window"] for frame in described["frames"]] == [0, 0, 1]
+    assert all(item["what"] and item["reason"] for item in described["omitted"])
+    assert set(described["estimate"]) == {"memory_gib", "seconds", "bytes_written"}
+    json.dumps(described, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what", "reason"),
+    [
+        (["optimize.steps=[shape]"], "RGB emission", "no colour step"),
+        (["optimize.steps=[colour]"], "displacement of the density", "no shape step"),
+        ([], "transmittance along the rays of the shape step", "grey picture is the opacity"),
+        (["stage.frames=2"], "velocity grids", "one frame only"),
+        (["windows.size=1"], "velocity grids", "windows.size is 1"),
+        ([], "velocity grids", "neither the Volumes nor their files have any"),
+        ([], "VGG-19 parameters", "embedded features need no file"),
+        (["features.network=vgg19"], "network layers below the last", "nothing looks at them"),
+        (["views.azimuth=0", "views.elevation=0"], "further views", "one view is asked for"),
+        (["optimize.strength=0"], "the optimisation", "the source is given back"),
+        (["losses.style=0"], "style loss and features", "losses.style is 0"),
+        ([], "total variation", "losses.total_variation is 0"),
+    ],
+)
+def test_what_a_scene_does_not_need_is_left_out_with_its_reason(
+    shot: Shot, settings: list[str], what: str, reason: str
+) -> None:
+    assert reason in reason_for(plan_of(shot.stage, *settings), what)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ([], "RGB emission"),
+        (["losses.total_variation=1"], "total variation"),
+        (["features.network=vgg19"], "VGG-19 parameters"),
+        ([], "further views"),
+        (["optimize.steps=[colour]"], "transmittance"),
+    ],
+)
+def test_what_is_needed_is_not_said_to_be_left_out(
+    shot: Shot, settings: list[str], what: str
+) -> None:
+    assert reason_for(plan_of(shot.stage, *settings), what) == ""
+
+
+def test_velocity_in_the_density_file_is_planned_for_windows_of_several_frames(
+    tmp_path: Path,
+) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    frames = plan_of(shot.stage, "windows.size=2").to_dict()["frames"]
+    assert [frame["velocity"] for frame in frames] == [["vel"], ["vel"], []]
+
+
+def test_fields_and_empty_space_and_thin_volumes_are_named(tmp_path: Path) -> None:
+    openvdb = find_binding()
+    grid = openvdb.FloatGrid()
+    grid.name, grid.gridClass = "density", "fog volume"
+    for ijk in [(0, 0, 0), (9, 0, 9)]:
+        grid.getAccessor().setValueOn(ijk, 1.0)
+    openvdb.write(str(tmp_path / "thin.vdb"), grids=[grid])
+    relations = "\n".join(f"rel field:{n} = </World/smoke/density>" for n in ("density", "heat"))
+    body = density_prim("asset filePath = @./thin.vdb@")
+    stage = write_text(tmp_path / "s.usda", world(volume_prim(body, relations=relations)))
+    plan = plan_of(stage)
+    assert "they stay as they are" in reason_for(plan, "fields heat of </World/smoke>")
+    assert reason_for(plan, "everything three-dimensional") == "the volume is one voxel thick"
+    assert "these voxels are empty" in reason_for(plan, "98% of the boxes")
+
+
+def test_an_empty_frame_is_known_from_its_header(tmp_path: Path) -> None:
+    stage = plume_stage(tmp_path)
+    openvdb = find_binding()
+    grid = openvdb.FloatGrid()
+    grid.name, grid.gridClass = "density", "fog volume"
+    openvdb.write(str(tmp_path / "cache/smoke.0002.vdb"), grids=[grid])
+    plan = plan_of(stage)
+    assert [frame.is_empty for frame in plan.volumes[0].frames] == [False, True, False, False]
+    assert reason_for(plan, "pictures and features at timeCodes 2") == "the frames are empty"
+
+
+def test_a_grid_that_holds_no_smoke_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    write_vdb(tmp_path / "s.vdb", grid_class="level set")
+    body = volume_prim(density_prim("asset filePath = @./s.vdb@"))
+    stage = write_text(tmp_path / "s.usda", world(body))
+    with pytest.raises(UnsupportedGrid, match="is a level set; wanted a fog volume"):
+        plan_of(stage)
+
+
+def test_too_little_memory_is_refused_with_both_numbers(shot: Shot) -> None:
+    plan = plan_of(shot.stage, "optimize.memory_limit_gib=0.1")
+    needed = f"{plan.estimate.memory_gib:.1f}"
+    with pytest.raises(PlanError, match=rf"about {needed} GiB.*24 voxels.*0\.1 GiB.*views\.pool"):
+        check_plan(plan)
+
+
+def test_the_machines_memory_counts_when_no_limit_is_set(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_module, "available_memory_gib", lambda: 0.25)
+    with pytest.raises(PlanError, match=r"there are 0\.2 GiB \(what the machine has left\)"):
+        check_plan(plan_of(shot.stage))
+    monkeypatch.setattr(plan_module, "available_memory_gib", lambda: math.inf)
+    check_plan(plan_of(shot.stage))
+
+
+def test_too_little_disk_is_refused_with_both_numbers(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_module, "free_disk_bytes", lambda folder: 1_000_000)
+    with pytest.raises(PlanError, match=r"takes about 67 MB; the disk of .* has 1 MB free"):
+        check_plan(plan_of(shot.stage), shot.output)
