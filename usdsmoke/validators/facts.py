@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdValidation, UsdVol
@@ -25,6 +26,7 @@ __all__ = [
 ]
 
 _PREFIX = "field:"
+_READING = Lock()  # UsdValidation runs validators at the same time, and all want the same headers
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,8 @@ def header_of(file_path: str) -> FileHeader:
         state = os.stat(file_path)
     except OSError:
         return read_header(file_path)
-    return _read_once(file_path, state.st_mtime_ns, state.st_size)
+    with _READING:
+        return _read_once(file_path, state.st_mtime_ns, state.st_size)
 
 
 def file_trouble(shown: Shown) -> str:

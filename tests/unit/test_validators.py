@@ -1,0 +1,300 @@
+"""The volume validators: each finds its own fault, names prim and timeCode, and is silent else."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from pxr import Usd, UsdValidation
+
+from tests.usd_fixtures import (
+    density_prim,
+    plume_stage,
+    sampled,
+    sequence,
+    volume_prim,
+    world,
+    write_empty,
+    write_sequence,
+    write_text,
+    write_vdb,
+)
+from usdsmoke.errors import StageError
+from usdsmoke.validators import PREFIX, Severity, facts, register_validators, validate
+
+DENSITY = "/World/smoke/density"
+FILE = "asset filePath = @./cache/smoke.0001.vdb@"
+EXTENT = "float3[] extent = [(-9, -9, -9), (9, 9, 9)]\n"
+TWO = "rel field:density = </World/smoke/density>\nrel field:temp = </World/smoke/temp>"
+
+
+def findings(folder, body, relations=None, extent=EXTENT):
+    """What ours find on a stage whose Volume has ``body``, after its first file was written."""
+    if not (folder / "cache/smoke.0001.vdb").exists():
+        write_sequence(folder, [1])
+    text = world(volume_prim(extent + body, relations=relations))
+    return ours(write_text(folder / "shot.usda", text))
+
+
+def ours(stage_file):
+    return [item for item in validate(stage_file) if ":" not in item.rule]
+
+
+def only(found, rule):
+    """The one finding that there is, of the rule that is meant."""
+    assert [item.rule for item in found] == [rule], found
+    return found[0]
+
+
+def test_a_sound_stage_has_no_findings(tmp_path):
+    assert validate(plume_stage(tmp_path)) == []
+
+
+def test_the_rules_stand_in_usds_own_registry():
+    names = register_validators()
+    assert register_validators() == names
+    registry = UsdValidation.ValidationRegistry()
+    assert all(registry.HasValidator(name) for name in names)
+    assert len(names) == 14
+    metadata = registry.GetValidatorMetadata(PREFIX + "GridMissing")
+    assert "usdsmoke" in metadata.GetKeywords()
+    assert metadata.GetSchemaTypes() == ["UsdVolVolume"]
+
+
+def test_any_program_can_run_them_through_usd(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    (tmp_path / "cache/smoke.0003.vdb").unlink()
+    validators = UsdValidation.ValidationRegistry().GetOrLoadValidatorsByName(register_validators())
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(stage_file)))
+    assert [str(error.GetIdentifier()) for error in errors] == [
+        "usdsmokeValidators:FieldFileMissing.FieldFileMissing"
+    ]
+    assert errors[0].GetMessage().startswith("timeCode 3: @./cache/smoke.0003.vdb@ resolves to no")
+
+
+def test_a_missing_extent_is_found(tmp_path):
+    found = only(findings(tmp_path, density_prim(FILE), extent=""), "VolumeExtentMissing")
+    assert (found.severity, found.prim_path) == (Severity.WARN, "/World/smoke")
+
+
+@pytest.mark.parametrize(
+    ("relation", "words"),
+    [
+        ("rel field:temp", "has 0 targets; wanted one"),
+        ("rel field:temp = </World/none>", "leads to </World/none>, where there is no prim"),
+        ("rel field:temp = </World>", "of type Xform; wanted an OpenVDBAsset"),
+        ("rel field:temp = </World/smoke.extent>", "where there is no prim"),
+    ],
+)
+def test_a_relationship_that_leads_nowhere_is_found(tmp_path, relation, words):
+    relations = f"rel field:density = </World/smoke/density>\n{relation}"
+    found = only(findings(tmp_path, density_prim(FILE), relations), "FieldTargetInvalid")
+    assert found.severity == Severity.ERROR
+    assert found.prim_path == "/World/smoke.field:temp"
+    assert words in found.message
+
+
+def test_missing_files_are_found_once_a_path_with_their_time_codes(tmp_path):
+    write_sequence(tmp_path, [1, 2])
+    found = findings(tmp_path, density_prim(sequence([1, 2, 3, 4])))
+    assert [(item.rule, item.time_code) for item in found] == [
+        ("FieldFileMissing", 3.0),
+        ("FieldFileMissing", 4.0),
+    ]
+    assert found[0].prim_path == DENSITY
+    same = sampled("asset filePath", {1: "@./a.vdb@", 2: "@./a.vdb@", 3: "@./a.vdb@"})
+    found = only(findings(tmp_path, density_prim(same)), "FieldFileMissing")
+    assert found.time_code == 1.0
+    assert found.message.endswith("(also at timeCodes 2,3)")
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ("", "filePath is empty"),
+        ("asset filePath = @@", "filePath is empty"),
+        ("asset filePath = @op:/obj/smoke@", "a node inside Houdini"),
+        ("asset filePath = @./notes.vdb@", "does not begin with the mark of VDB files"),
+        ("asset filePath = @./folder.vdb@", "which is no file"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_found(tmp_path, files, words):
+    write_text(tmp_path / "notes.vdb", "not a volume, but long enough to be looked into")
+    (tmp_path / "folder.vdb").mkdir()
+    found = only(findings(tmp_path, density_prim(files)), "FieldFileMissing")
+    assert found.severity == Severity.ERROR
+    assert words in found.message
+
+
+def test_a_grid_that_the_file_lacks_is_found_with_those_it_has(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["temp", "vel"])
+    found = only(findings(tmp_path, density_prim(FILE)), "GridMissing")
+    assert (found.severity, found.prim_path, found.time_code) == (Severity.ERROR, DENSITY, None)
+    assert "temp, vel" in found.message
+
+
+def test_an_index_beyond_the_grids_of_one_name_is_found(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["density", "density"])
+    index = sampled("int fieldIndex", {1: "1", 2: "5"})
+    found = only(findings(tmp_path, density_prim(FILE, extra=index)), "GridMissing")
+    assert found.time_code == 2.0
+
+
+def test_a_data_type_that_does_not_fit_is_found_and_a_missing_one_noted(tmp_path):
+    wrong = density_prim(FILE).replace('"float"', '"float3"')
+    found = only(findings(tmp_path, wrong), "FieldTypeMismatch")
+    assert found.severity == Severity.ERROR
+    assert 'is "float3" but the grid "density" holds float; wanted float or half' in found.message
+    missing = density_prim(FILE).replace('token fieldDataType = "float"', "")
+    assert only(findings(tmp_path, missing), "FieldTypeMismatch").severity == Severity.INFO
+    assert findings(tmp_path, density_prim(FILE).replace('"float"', '"half"')) == []
+
+
+@pytest.mark.parametrize(
+    ("token", "grid_class", "wrong"),
+    [
+        ("levelSet", "fog volume", True),
+        ("fogVolume", "level set", True),
+        ("fogVolume", "", False),
+        ("unknown", "level set", False),
+    ],
+)
+def test_a_class_that_contradicts_the_grids_is_found(tmp_path, token, grid_class, wrong):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", grid_class=grid_class)
+    found = findings(tmp_path, density_prim(FILE).replace("fogVolume", token))
+    assert [item.rule for item in found] == (["FieldClassMismatch"] if wrong else [])
+
+
+def test_a_token_that_the_schema_does_not_know_is_found(tmp_path):
+    body = density_prim(FILE, extra='token vectorDataRoleHint = "Colour"')
+    found = only(findings(tmp_path, body), "FieldTokenUnknown")
+    assert found.severity == Severity.ERROR
+    assert found.prim_path == f"{DENSITY}.vectorDataRoleHint"
+    assert '"Colour"; wanted one of None, Point, Normal, Vector, Color' in found.message
+
+
+@pytest.mark.parametrize(
+    ("codes", "gaps"),
+    [
+        ([1, 2, 3, 7, 8, 9], [3.0]),
+        ([1, 2, 3, 7, 8, 20], [3.0, 8.0]),
+        ([1, 3, 5, 7], []),
+        ([1, 2], []),
+        ([1, 10, 12], []),
+        ([1, 1.5, 2, 2.5], []),
+    ],
+)
+def test_a_hole_in_a_regular_sequence_is_found(tmp_path, codes, gaps):
+    files = sampled("asset filePath", dict.fromkeys(codes, "@./cache/smoke.0001.vdb@"))
+    found = findings(tmp_path, density_prim(files))
+    assert [(item.rule, item.time_code) for item in found] == [("FrameGap", gap) for gap in gaps]
+
+
+def test_a_blocked_sample_inside_a_sequence_is_a_gap(tmp_path):
+    values = dict.fromkeys([1, 2, 3, 4, 5], "@./cache/smoke.0001.vdb@") | {4: "None"}
+    found = only(findings(tmp_path, density_prim(sampled("asset filePath", values))), "FrameGap")
+    assert "from timeCode 3 straight to 5" in found.message
+
+
+def test_an_absolute_path_is_a_warning(tmp_path):
+    write_sequence(tmp_path, [1])
+    body = density_prim(f"asset filePath = @{tmp_path}/cache/smoke.0001.vdb@")
+    found = only(findings(tmp_path, body), "AbsolutePath")
+    assert (found.severity, found.prim_path) == (Severity.WARN, DENSITY)
+
+
+def test_fields_from_several_files_are_found(tmp_path):
+    for code in (1, 2, 3):
+        write_vdb(tmp_path / f"cache/smoke.{code:04d}.vdb", ["density", "temp"])
+    temp = density_prim(sequence([1, 3]), name="temp", grid='token fieldName = "temp"')
+    found = only(
+        findings(tmp_path, density_prim(sequence([1, 2, 3])) + temp, TWO), "MixedFilesPerVolume"
+    )
+    assert (found.severity, found.time_code) == (Severity.WARN, 2.0)
+    assert "density in smoke.0002.vdb, temp in smoke.0001.vdb" in found.message
+
+
+def test_an_empty_grid_in_a_file_of_its_own_is_no_fault(tmp_path):
+    write_sequence(tmp_path, [1])
+    write_empty(tmp_path / "none.vdb")
+    relations = TWO.replace("temp", "emission")
+    empty = density_prim(
+        "asset filePath = @./none.vdb@", "emission", grid='token fieldName = "emission"'
+    ).replace('"float"', '"float3"')
+    assert findings(tmp_path, density_prim(FILE) + empty, relations) == []
+
+
+def test_a_relationship_of_another_name_than_its_grid_is_found(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["soot"])
+    body = density_prim(FILE, grid='token fieldName = "soot"')
+    found = only(findings(tmp_path, body), "FieldNameMismatch")
+    assert 'field:density shows the grid "soot"' in found.message
+
+
+def test_split_velocity_components_have_their_usual_names(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["density", "vel.x"])
+    vel = density_prim(FILE, "vel_x", grid='token fieldName = "vel.x"')
+    relations = TWO.replace("temp", "vel_x")
+    assert findings(tmp_path, density_prim(FILE) + vel, relations) == []
+
+
+def test_fields_whose_voxels_do_not_meet_are_found_unless_it_is_velocity(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["density", "temp", "vel"])
+    shift = """
+            double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 2: (0.1, 0, 0) }
+            uniform token[] xformOpOrder = ["xformOp:translate"]"""
+    files = sampled("asset filePath", dict.fromkeys([1, 2], "@./cache/smoke.0001.vdb@"))
+    for name, rules in (("temp", ["GridTransformMismatch"]), ("vel", [])):
+        other = density_prim(files, name, shift, f'token fieldName = "{name}"')
+        if name == "vel":
+            other = other.replace('"float"', '"float3"').replace("fogVolume", "unknown")
+        found = findings(tmp_path, density_prim(files) + other, TWO.replace("temp", name))
+        assert [item.rule for item in found] == rules
+        assert [item.time_code for item in found] == [2.0] * len(rules)
+
+
+def test_stock_validators_are_heard_too_and_nothing_is_said_twice(tmp_path, capfd):
+    write_sequence(tmp_path, [1])
+    text = world(volume_prim(EXTENT + density_prim("asset filePath = @./gone.vdb@")))
+    stage_file = write_text(tmp_path / "shot.usda", text.replace('    upAxis = "Z"\n', ""))
+    found = validate(stage_file)
+    rules = [item.rule for item in found]
+    assert "usdGeomValidators:StageMetadataChecker.MissingUpAxisMetadata" in rules
+    assert any(rule.startswith("usdUtilsValidators:MissingReferenceValidator") for rule in rules)
+    assert len(set(found)) == len(found)
+    order = [list(Severity).index(item.severity) for item in found]
+    assert order == sorted(order)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_no_stage_is_refused(tmp_path):
+    with pytest.raises(StageError, match=r"cannot open the stage .*none\.usda"):
+        validate(tmp_path / "none.usda")
+
+
+def test_a_long_sequence_reads_every_header_once(tmp_path, monkeypatch):
+    codes = list(range(1, 61))
+    write_sequence(tmp_path, codes)
+    read = []
+    monkeypatch.setattr(
+        facts, "read_header", lambda path, keep=facts.read_header: read.append(path) or keep(path)
+    )
+    facts._read_once.cache_clear()
+    assert findings(tmp_path, density_prim(sequence(codes))) == []
+    assert len(read) == len(set(read)) == 60
+
+
+def test_validating_never_loads_torch_or_openvdb(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    code = f"""
+import sys, json
+from usdsmoke.validators import validate
+found = validate({str(stage_file)!r})
+loaded = [name for name in ("torch", "openvdb", "pyopenvdb") if name in sys.modules]
+print(json.dumps([len(found), loaded]))
+"""
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )  # fmt: skip
+    assert json.loads(answer.stdout) == [0, []]
+    assert answer.stderr == ""

@@ -1,0 +1,45 @@
+"""Files of a result that were lost, replaced or changed are found, with and without their layer."""
+
+from pxr import Usd
+
+from tests.usd_fixtures import dense_field, make_look, plume_stage, write_text, write_vdb
+from usdsmoke.grids.header import read_header
+from usdsmoke.grids.write import write_frame
+from usdsmoke.validators import Severity, validate
+
+
+def ours(stage_file):
+    return [item for item in validate(stage_file) if ":" not in item.rule]
+
+
+def test_a_changed_file_of_a_result_is_found(tmp_path):
+    files = make_look(plume_stage(tmp_path), tmp_path / "out", frames="1-2", ours=True)
+    first, second = (tmp_path / f"out/vdb/smoke.000{n}.vdb" for n in (1, 2))
+    assert validate(files.root_stage) == []
+    write_frame(first, [dense_field("density", 0.5), dense_field("emission")], {}, False)
+    second.unlink()
+    messages = {item.message for item in ours(files.root_stage) if item.rule == "ResultChanged"}
+    assert len(messages) == 2
+    assert any(text.startswith("smoke.0001.vdb is not the file of this") for text in messages)
+    assert any(text.startswith("smoke.0002.vdb is missing") for text in messages)
+    assert {item.rule for item in ours(files.look_layer)} == {"ResultChanged"}
+
+
+def test_values_that_no_longer_fit_the_stored_hash_are_found_with_and_without_the_layer(tmp_path):
+    files = make_look(plume_stage(tmp_path, [1]), tmp_path / "out", ours=True)
+    vdb_file = tmp_path / "out/vdb/smoke.0001.vdb"
+    promised = {
+        key: value
+        for key, value in read_header(vdb_file).metadata.items()
+        if key.startswith("usdsmoke:")
+    }
+    write_vdb(vdb_file, ["density", "emission"], value=0.75, metadata=promised)
+    (found,) = ours(files.root_stage)
+    assert found.rule == "ResultChanged"
+    assert found.severity == Severity.ERROR
+    assert "was changed after it was written: its grids hash to" in found.message
+    flat = tmp_path / "out/flat.usda"
+    assert Usd.Stage.Open(str(files.root_stage)).Flatten().Export(str(flat))
+    bare = flat.read_text().replace("usdsmoke = {", "other = {")
+    write_text(flat, bare)
+    assert "GridHashMismatch" in {item.rule for item in ours(flat)}
