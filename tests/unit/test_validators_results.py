@@ -43,3 +43,20 @@ def test_values_that_no_longer_fit_the_stored_hash_are_found_with_and_without_th
     bare = flat.read_text().replace("usdsmoke = {", "other = {")
     write_text(flat, bare)
     assert "GridHashMismatch" in {item.rule for item in ours(flat)}
+
+
+def test_a_shader_of_a_renderer_that_is_not_installed_is_a_warning(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    shader = """
+def Material "look"
+{
+    def Shader "volume"
+    {
+        uniform token info:id = "someone:standard_volume"
+    }
+}
+"""
+    write_text(stage_file, stage_file.read_text() + shader)
+    (found,) = validate(stage_file)
+    assert found.rule.endswith("ShaderSdrCompliance.MissingShaderIdInRegistry")
+    assert (found.severity, found.prim_path) == (Severity.WARN, "/look/volume.info:id")

@@ -17,13 +17,17 @@ _SEVERITIES = {
     UsdValidation.ValidationErrorType.Warn: Severity.WARN,
     UsdValidation.ValidationErrorType.Info: Severity.INFO,
 }
+# Errors of this machine's installation rather than of the stage: a renderer's shader is unknown
+# wherever that renderer is not installed.
+_OF_THE_INSTALLATION = {"usdShadeValidators:ShaderSdrCompliance.MissingShaderIdInRegistry"}
 _TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
 
 
 def validate(file_path: str | os.PathLike[str]) -> list[Finding]:
     """Everything that any validator says about a stage or layer, worst first, each thing once.
 
-    A layer is looked at as the stage that it is by itself. Files are opened for their headers;
+    A layer is looked at as the stage that it is by itself. Severities are the validators' own, but
+    for a shader that no installed renderer knows, which is a warning. Files are opened for their headers;
     those that usdsmoke wrote are read whole, each in a process of its own, to compare their hashes.
 
     Raises:
@@ -54,8 +58,9 @@ def _to_finding(error: UsdValidation.ValidationError) -> Finding:
     match = _TIME.match(message)
     identifier = str(error.GetIdentifier())
     is_ours = identifier.startswith(PREFIX)
+    severity = _SEVERITIES.get(error.GetType(), Severity.INFO)
     return Finding(
-        severity=_SEVERITIES.get(error.GetType(), Severity.INFO),
+        severity=Severity.WARN if identifier in _OF_THE_INSTALLATION else severity,
         rule=str(error.GetName()) if is_ours else identifier,
         prim_path=_place(error),
         time_code=float(match[1]) if is_ours and match else None,
