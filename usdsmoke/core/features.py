@@ -1,10 +1,11 @@
 """Feature maps of pictures by layer name, whatever network makes them.
 
-A network is built for one style image, because the embedded one learns from it, and is then called with a
-picture and the names of the layers that are wanted; layers deeper than those are not evaluated.
+A network is built for one style image, because the embedded one learns from it, and is then called
+with a picture and the names of the layers that are wanted; deeper layers are not evaluated.
 """
 
-from typing import Callable, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 from torch import Tensor
 
@@ -24,7 +25,7 @@ class Network(Protocol):
 
 
 class EmbeddedFeatures:
-    """The default: oriented filters and filters learned from the style image; no weights file, no download."""
+    """The default: oriented filters, and filters learned from the style image; no weights file."""
 
     names = OrientedFeatures.names + LearnedFeatures.names
 

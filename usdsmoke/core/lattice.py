@@ -51,7 +51,10 @@ class Lattice:
 
 
 def surround(smoke: ActiveSmoke, reach: float) -> Lattice:
-    """The box of the smoke with room for it to move by ``reach`` stage units; axes one voxel thick stay so."""
+    """The box of the smoke with room for it to move by ``reach`` stage units.
+
+    Axes one voxel thick stay so: what is flat moves in its plane.
+    """
     low, high = smoke.box
     sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
     room = np.where(high > low, np.ceil(reach / sides).astype(np.int64) + 1, 0)
@@ -60,7 +63,10 @@ def surround(smoke: ActiveSmoke, reach: float) -> Lattice:
 
 
 def reachable_voxels(density: Tensor, reach: tuple[int, int, int]) -> Tensor:
-    """Voxels [N 3] of a box [I J K] to which smoke can come: the active ones, dilated by whole voxels."""
+    """Voxels [N 3] of a box [I J K] to which smoke can come.
+
+    They are the active ones, dilated by ``reach`` whole voxels along i, j, k.
+    """
     grown = (density > 0).to(density.dtype)[None, None]
     for axis, steps in enumerate(reach):
         if steps:

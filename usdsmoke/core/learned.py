@@ -1,7 +1,7 @@
-"""Filters learned from the style image itself by clustering its patches: three layers in well under a second.
+"""Filters learned from the style image itself by clustering its patches, in well under a second.
 
-Each layer is a spherical k-means dictionary [Coates2012] of whitened patches of the layer below, followed by
-relu; max-pooling stands between layers.
+Each of three layers is a spherical k-means dictionary [Coates2012] of whitened patches of the layer
+below, followed by relu; max-pooling stands between layers.
 """
 
 import torch
@@ -25,7 +25,9 @@ def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator
     return columns
 
 
-def _cluster_directions(points: Tensor, n: int, n_iterations: int, generator: torch.Generator) -> Tensor:
+def _cluster_directions(
+    points: Tensor, n: int, n_iterations: int, generator: torch.Generator
+) -> Tensor:
     """[n D] unit vectors: spherical k-means of points [N D]; empty clusters are drawn anew."""
     points = points / points.norm(dim=1, keepdim=True).clamp_min(1e-8)
     start = torch.randint(len(points), (n,), generator=generator).to(points.device)
@@ -105,7 +107,9 @@ class LearnedFeatures:
         return ((picture - self._mean) @ self._matrix).permute(2, 0, 1)[None]
 
     def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
-        """[1 C H W] maps of a picture [H W 3], halved after each layer; none deeper than the deepest wanted.
+        """[1 C H W] maps of a picture [H W 3], halved after each layer.
+
+        Layers deeper than the deepest wanted are not evaluated.
 
         Gradients: through ``picture``.
         """

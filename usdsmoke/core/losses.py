@@ -1,13 +1,14 @@
 r"""What pictures are compared by.
 
 The style loss of a layer compares Gram matrices G = F F^T / sum T^2 of guided features T * F
-[Christen2020, eqs. 3 and 6; Gatys2017]. Deviations from the paper, each for stability or speed of convergence:
+[Christen2020, eqs. 3 and 6; Gatys2017]. Deviations from the paper, each for stability or speed of
+convergence:
 
 - normalised by the guided area, so that a masked region and a whole image compare;
-- channels are scaled by their rms on the style, and a constant channel is appended, so that the Gram matrix holds
-  the means too and colour cannot drift;
-- relative and rooted, |G - G_S| / |G_S| in the Frobenius norm, so that every layer counts alike and a bad start does
-  not explode;
+- channels are scaled by their rms on the style, and a constant channel is appended, so that the
+  Gram matrix holds the means too and colour cannot drift;
+- relative and rooted, |G - G_S| / |G_S| in the Frobenius norm, so that every layer counts alike and
+  a bad start does not explode;
 - sums are accumulated in float32 at least.
 """
 
@@ -38,7 +39,8 @@ def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
         flat = flat.float()
     if guide is None:
         return flat @ flat.T / flat.shape[1]
-    small = F.adaptive_avg_pool2d(guide[None, None], maps.shape[-2:]).reshape(1, -1)
+    height, width = maps.shape[-2:]
+    small = F.adaptive_avg_pool2d(guide[None, None], (height, width)).reshape(1, -1)
     guided = flat * small
     return guided @ guided.T / (small**2).sum().clamp_min(1e-12)
 

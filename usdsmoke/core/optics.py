@@ -1,13 +1,16 @@
 r"""Emission and absorption along a ray, exact on every segment.
 
-One rule serves everything: on a segment of optical depth t = gamma * d * h with constant density and
-colour, the light that reaches its front is C * (1 - exp(-t)), and exp(-t) of what comes from behind
-passes [Max1995]. It is second order in h and bounded for every optical depth.
+One rule serves everything: on a segment of optical depth t = gamma * d * h with constant density
+and colour, the light that reaches its front is C * (1 - exp(-t)), and exp(-t) of what comes from
+behind passes [Max1995]. It is second order in h and bounded for every optical depth.
 
-The paper's images are these divided by gamma [Christen2020, eqs. 7-9]: its grey integral of
-d * tau is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by gamma gives
-ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no division by the image's maximum.
+The paper's images are these divided by gamma [Christen2020, eqs. 7-9]: its grey integral of d * tau
+is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by gamma
+gives ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no division by the image's
+maximum.
 """
+
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -27,7 +30,7 @@ class _AttenuationRatio(torch.autograd.Function):
     """(1 - exp(-t)) / t with the limit 1 at t = 0, in value and gradient."""
 
     @staticmethod
-    def forward(ctx, optical_depth: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, optical_depth: Tensor) -> Tensor:
         small = optical_depth < 1e-4
         safe = torch.where(small, torch.ones_like(optical_depth), optical_depth)
         series = 1 - optical_depth / 2 + optical_depth**2 / 6
@@ -36,7 +39,7 @@ class _AttenuationRatio(torch.autograd.Function):
         return ratio
 
     @staticmethod
-    def backward(ctx, upstream: Tensor) -> Tensor:  # type: ignore[override]
+    def backward(ctx: Any, upstream: Tensor) -> Tensor:
         optical_depth, ratio = ctx.saved_tensors
         small = optical_depth < 1e-2  # the quotient below cancels there
         safe = torch.where(small, torch.ones_like(optical_depth), optical_depth)
@@ -51,7 +54,7 @@ def attenuation_ratio(optical_depth: Tensor) -> Tensor:
 
     Gradients: through ``optical_depth``, finite for every t >= 0.
     """
-    return _AttenuationRatio.apply(optical_depth)
+    return cast(Tensor, _AttenuationRatio.apply(optical_depth))
 
 
 def segment_weights(optical_depth: Tensor) -> Tensor:

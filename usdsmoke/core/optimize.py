@@ -1,4 +1,4 @@
-"""Adam that does not lose what it has: rolls back, slows down, stops when converged, keeps the best.
+"""Adam that does not lose what it has: it rolls back, slows down and stops when converged.
 
 It minimises any objective and knows nothing of smoke, so it can be tested on a quadratic bowl.
 """
@@ -45,7 +45,11 @@ class Adam:
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
         return Adam(
-            self.betas, self.epsilon, self.n_steps, [t.clone() for t in self.first], [t.clone() for t in self.second]
+            self.betas,
+            self.epsilon,
+            self.n_steps,
+            [t.clone() for t in self.first],
+            [t.clone() for t in self.second],
         )
 
 
@@ -77,9 +81,9 @@ def minimize(
 ) -> Iterator[Minimum]:
     """Minimises ``objective`` over ``parameters`` in place, one iteration per item.
 
-    A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters and moments back
-    to the last good state and halves the rate. The run ends early when the smoothed loss has fallen by less than
-    ``tolerance`` (relative) over a quarter of the iterations.
+    A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
+    and moments back to the last good state and halves the rate. The run ends early when the
+    smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of the iterations.
 
     Args:
         objective: iteration -> scalar loss; draws whatever it draws by that number.
@@ -141,8 +145,9 @@ class _State:
         self.rate /= 2
         if self.rollbacks > MOST_ROLLBACKS:
             raise NonFiniteError(
-                f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best {self.best:.3g}, "
-                f"after {MOST_ROLLBACKS} halvings of the learning rate from {self.first_rate:g}; "
+                f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best "
+                f"{self.best:.3g}, after {MOST_ROLLBACKS} halvings of the learning rate from "
+                f"{self.first_rate:g}; "
                 "lower the learning rate and look for extreme values in the inputs"
             )
         with torch.no_grad():

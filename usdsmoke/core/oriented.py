@@ -1,8 +1,8 @@
-r"""A fixed bank of oriented filters on the style's own colour axes: texture without a trained network.
+r"""A fixed bank of oriented filters on the style's own colour axes: no trained network is needed.
 
-Three pyramid levels; at each one 24 quadrature Gabor pairs (8 orientations x 3 frequencies) give a local
-energy m = sqrt(even^2 + odd^2 + 1e-3). A level's feature map holds what m has beyond its own neighbourhood, the
-whitened colour and the even responses: 51 channels.
+Three pyramid levels; at each one 24 quadrature Gabor pairs (8 orientations x 3 frequencies) give a
+local energy m = sqrt(even^2 + odd^2 + 1e-3). A level's feature map holds what m has beyond its own
+neighbourhood, the whitened colour and the even responses: 51 channels.
 """
 
 import math
@@ -20,13 +20,12 @@ SIZE = 7
 _BINOMIAL = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 
 
-def colour_whitening(
-    pixels: Tensor, floor: float, relative: float = 0.0
-) -> tuple[Tensor, Tensor]:
-    """Mean [3] and ZCA matrix [3 3] of colours: W = U diag((e + floor + relative * e_max)^-1/2) U^T.
+def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tuple[Tensor, Tensor]:
+    """Mean [3] and ZCA matrix [3 3] of colours [... 3].
 
-    The floors keep directions that the style hardly has from being blown up: without them a two-colour
-    style gets green and yellow tints, and a constant one divides by zero.
+    W = U diag((e + floor + relative * e_max)^-1/2) U^T with the covariance's eigenvalues e and
+    eigenvectors U. The floors keep directions that the style hardly has from being blown up:
+    without them a two-colour style gets green and yellow tints, and a constant one divides by zero.
     """
     flat = pixels.reshape(-1, 3).double()
     mean = flat.mean(0)
@@ -89,7 +88,9 @@ class OrientedFeatures:
         self._bank = torch.cat([even, odd]).to(style)
 
     def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
-        """[1 C H/2^l W/2^l] maps of a picture [H W 3]; levels below the deepest wanted are not evaluated.
+        """[1 C H/2^l W/2^l] maps of a picture [H W 3].
+
+        Levels below the deepest wanted are not evaluated.
 
         Gradients: through ``picture``.
         """

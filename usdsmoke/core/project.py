@@ -5,11 +5,12 @@ touched, and the adjoint is a plain gather. Two linear maps come out of it:
 
 - ``column_map``: density -> column integral of density per pixel, for the grey picture;
 - ``colour_map``: voxel colour -> composited picture, for fixed density. The density is splatted
-  trilinearly into view-aligned slabs, the slabs are weighted by ``optics.segment_weights``, and each
-  voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
+  trilinearly into view-aligned slabs, the slabs are weighted by ``optics.segment_weights``, and
+  each voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
 """
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,21 +23,23 @@ from usdsmoke.core.views import View
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 
-NEGLIGIBLE = 1e-9  # of the largest weight: below this an entry is rounded away in float32 sums anyway
+NEGLIGIBLE = (
+    1e-9  # of the largest weight: below this an entry is rounded away in float32 sums anyway
+)
 
 
 class _Apply(torch.autograd.Function):
-    """values [N C] -> picture [P C]; both directions are sums over sorted runs, so they repeat bit by bit."""
+    """Values [N C] -> picture [P C]; both ways sum over sorted runs, which repeat bit by bit."""
 
     @staticmethod
-    def forward(ctx, values: Tensor, image: "SparseImage") -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
         ctx.image = image
         return F.embedding_bag(
             image.voxel, values, image.pixel_start, mode="sum", per_sample_weights=image.by_pixel
         )
 
     @staticmethod
-    def backward(ctx, upstream: Tensor):  # type: ignore[override]
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         return ctx.image.adjoint(upstream.contiguous()), None
 
 
@@ -58,25 +61,30 @@ class SparseImage:
 
     def apply(self, values: Tensor) -> Tensor:
         """Picture [H W C] of voxel values [N C]. Gradients: through ``values``, exact adjoint."""
-        return _Apply.apply(values, self).view(self.height, self.width, -1)
+        flat = cast(Tensor, _Apply.apply(values, self))
+        return flat.view(self.height, self.width, -1)
 
     def adjoint(self, picture: Tensor) -> Tensor:
         """Voxel values [N C] of a picture [H W C] or [P C]: the transpose of ``apply``."""
         flat = picture.reshape(self.height * self.width, -1)
         start = torch.arange(0, self.pixel.numel(), 4, dtype=torch.int32, device=flat.device)
         return F.embedding_bag(
-            self.pixel.reshape(-1), flat, start, mode="sum", per_sample_weights=self.weight.reshape(-1)
+            self.pixel.reshape(-1),
+            flat,
+            start,
+            mode="sum",
+            per_sample_weights=self.weight.reshape(-1),
         )
 
 
 @dataclass(frozen=True)
 class _Footprint:
-    """Where voxels fall: pixel indices and bilinear weights [N 4], depth [N], length per volume [N]."""
+    """Where voxels fall in a view."""
 
-    pixel: Tensor
-    weight: Tensor
-    depth: Tensor
-    per_area: Tensor  # 1 / area that a pixel covers at the voxel, perpendicular to the ray
+    pixel: Tensor  # [N 4] int32
+    weight: Tensor  # [N 4], bilinear
+    depth: Tensor  # [N], along the view's axis, stage units
+    per_area: Tensor  # [N], 1 / area that a pixel covers at the voxel, perpendicular to the ray
 
 
 def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footprint:
@@ -97,7 +105,9 @@ def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footpr
     else:
         visible = (depth > 1e-6 * depth.abs().amax()).to(depth.dtype)
         scale = view.focal / torch.where(visible > 0, depth, torch.ones_like(depth))
-        slant = torch.sqrt(1 + (right**2 + up**2) / torch.where(visible > 0, depth, torch.ones_like(depth)) ** 2)
+        slant = torch.sqrt(
+            1 + (right**2 + up**2) / torch.where(visible > 0, depth, torch.ones_like(depth)) ** 2
+        )
         per_area = scale**2 * slant  # the area seen at a slant is smaller by its cosine
     x = (view.width - 1) / 2 + right * scale
     y = (view.height - 1) / 2 - up * scale
@@ -116,8 +126,12 @@ def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footpr
 
 
 def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
-    """Sorts the entries by pixel; those that no pixel could show are left out of both directions alike."""
-    weight = torch.where(weight > NEGLIGIBLE * weight.amax(), weight, torch.zeros_like(weight)) if len(weight) else weight
+    """Sorts the entries by pixel; what no pixel could show is left out of both directions alike."""
+    weight = (
+        torch.where(weight > NEGLIGIBLE * weight.amax(), weight, torch.zeros_like(weight))
+        if len(weight)
+        else weight
+    )
     flat = pixel.reshape(-1)
     keep = torch.nonzero(weight.reshape(-1)).squeeze(1)
     order = keep[torch.argsort(flat[keep], stable=True)]
@@ -166,7 +180,9 @@ def colour_map(
     foot = project_voxels(positions, view, density.dtype)
     n_pixels = view.height * view.width
     if len(positions) == 0:
-        return _sorted_image(view, foot.pixel, foot.weight), density.new_zeros(view.height, view.width)
+        return _sorted_image(view, foot.pixel, foot.weight), density.new_zeros(
+            view.height, view.width
+        )
     slab = (foot.depth - foot.depth.min()) / step
     slab0 = torch.floor(slab)
     far = slab - slab0

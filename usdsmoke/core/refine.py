@@ -12,8 +12,8 @@ __all__ = ["refine_field"]
 def refine_field(field: DenseField, factor: int) -> DenseField:
     """The field on voxels ``factor`` times smaller along every axis with more than one voxel.
 
-    Trilinear between voxel centres and towards the background beyond the box, so that the integral over space is kept.
-    The box grows by one source voxel on every side that is subdivided.
+    Trilinear between voxel centres and towards the background beyond the box, so that the integral
+    over space is kept. The box grows by one source voxel on every side that is subdivided.
 
     Args:
         field: [i j k] or [i j k 3].
@@ -33,8 +33,14 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
     planes = []
     for position in axes[0]:  # slab by slab, so that the positions never fill memory
         grid = torch.stack(torch.meshgrid(position[None], axes[1], axes[2], indexing="ij"), -1)
-        shifted = values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
-        planes.append(sample_linear(shifted, grid.reshape(-1, 3)).view(len(axes[1]), len(axes[2]), *values.shape[3:]))
+        shifted = (
+            values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
+        )
+        planes.append(
+            sample_linear(shifted, grid.reshape(-1, 3)).view(
+                len(axes[1]), len(axes[2]), *values.shape[3:]
+            )
+        )
     refined = torch.stack(planes).numpy() + (outside if values.ndim == 4 else outside[0])
     old_from_new = np.diag([*(1.0 / scale), 1.0])
     old_from_new[3, :3] = 0.5 / scale - 0.5

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 __all__ = ["OCTAVE_SCALE", "octave_iterations", "warm_iterations"]
 
-OCTAVE_SCALE = 2  # resolution ratio of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
+OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 
 def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]:
@@ -30,9 +30,9 @@ def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]
 
 
 def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
-    """Iterations of a frame that starts from its neighbour: a share of the finest octave's, none of the others'.
+    """Iterations of a frame that starts from its neighbour, coarse to fine.
 
-    The coarse structure has come with the start.
+    A share of the finest octave's, none of the others': the coarse structure came with the start.
 
     >>> warm_iterations([60, 50, 40], 0.5)
     [0, 0, 20]

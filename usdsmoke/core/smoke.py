@@ -1,5 +1,6 @@
 """The active voxels of a frame, and the same smoke at half the resolution."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,8 @@ __all__ = ["ActiveSmoke", "activate", "coarsen", "densify", "make_octaves", "sam
 class ActiveSmoke:
     """Voxels that hold smoke: nothing in the core touches the empty rest of the box.
 
-    ``ijk`` are absolute voxel indices of this resolution, so that neither noise nor octaves depend on how the
-    box was cropped.
+    ``ijk`` are absolute voxel indices of this resolution, so that neither noise nor octaves depend
+    on how the box was cropped.
     """
 
     ijk: Tensor  # [N 3] int64
@@ -40,8 +41,8 @@ class ActiveSmoke:
         """Edge of the cube of a voxel's volume (2-D: of the square of its face), stage units."""
         if len(self.ijk) == 0 or self.thin_axis is None:
             return self.voxel_volume ** (1 / 3)
-        sides = [self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis]
-        return float(np.linalg.norm(np.cross(*sides))) ** 0.5
+        across, along = (self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis)
+        return float(np.linalg.norm(np.cross(across, along))) ** 0.5
 
     @property
     def positions(self) -> Tensor:
@@ -80,8 +81,8 @@ def _flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:
 def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     """The smoke at half the resolution along every axis that has more than one voxel; mass is kept.
 
-    Blocks are aligned to even absolute indices, and the coarse transform maps block centres, so column integrals of
-    density agree between octaves.
+    Blocks are aligned to even absolute indices, and the coarse transform maps block centres, so
+    column integrals of density agree between octaves.
     """
     if len(smoke.ijk) == 0:
         return smoke
@@ -102,7 +103,7 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     return ActiveSmoke(ijk + first, density, block_to_index @ smoke.index_to_stage)
 
 
-def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: tuple[int, int, int]) -> Tensor:
+def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: Sequence[int]) -> Tensor:
     """Voxel values [N C] as a dense box [I J K C], zero elsewhere."""
     dense = values.new_zeros(shape[0] * shape[1] * shape[2], values.shape[1])
     dense[_flat_key(ijk, low, torch.as_tensor(shape, device=ijk.device))] = values
@@ -110,7 +111,7 @@ def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: tuple[int, int, int
 
 
 def sample_colours(smoke: ActiveSmoke, colours: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
-    """Colours at points, trilinear between those voxels that hold smoke, and how much smoke was near.
+    """Colours at points, trilinear between the voxels that hold smoke, and how much smoke is near.
 
     Empty voxels take no part (normalised weights), so nothing bleeds in from outside the smoke.
 
@@ -119,13 +120,16 @@ def sample_colours(smoke: ActiveSmoke, colours: Tensor, positions: Tensor) -> tu
         positions: [P 3], stage space, float64.
 
     Returns:
-        [P C], and the trilinear weight of active voxels [P 1] in [0, 1]; the colour is 0 where that is 0.
+        [P C], and the trilinear weight of active voxels [P 1] in [0, 1]; the colour is 0 where
+        that is 0.
     """
     matrix = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=positions.device)
     low = smoke.ijk.amin(0) - 1
     shape = tuple(int(n) for n in (smoke.ijk.amax(0) - low + 2))
     ones = torch.ones_like(colours[:, :1])
-    box = densify(smoke.ijk, torch.cat([colours, ones], 1), low, shape).view(-1, colours.shape[1] + 1)
+    box = densify(smoke.ijk, torch.cat([colours, ones], 1), low, shape).view(
+        -1, colours.shape[1] + 1
+    )
     place = positions @ matrix[:3, :3] + matrix[3, :3] - low
     base = torch.floor(place)
     part = (place - base).to(colours.dtype)

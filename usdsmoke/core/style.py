@@ -28,9 +28,7 @@ def decode_srgb(encoded: Tensor) -> Tensor:
     return torch.where(encoded <= 0.04045, encoded / 12.92, curve)
 
 
-def scale_style(
-    style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor
-) -> Tensor:
+def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor) -> Tensor:
     """The style image tiled and resized for pictures of a given size, [h w 3].
 
     Args:
@@ -44,7 +42,9 @@ def scale_style(
     scale = longer_side * config.size / config.tiling / max(height, width)
     size = [max(1, round(height * scale)), max(1, round(width * scale))]
     if size != [height, width]:
-        pixels = F.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
+        pixels = F.interpolate(
+            pixels, size=size, mode="bilinear", antialias=True, align_corners=False
+        )
     pixels = pixels.repeat(1, 1, config.tiling, config.tiling)
     height, width = pixels.shape[-2:]
     if min(height, width) < SMALLEST:

@@ -40,7 +40,7 @@ class StyleTargets:
 
     @property
     def background(self) -> Tensor:
-        """Mean colour of the styles, linear [3]: what stands behind the smoke while it is optimised."""
+        """Mean colour of the styles, linear [3]: what stands behind the smoke it is painted on."""
         means = [
             decode_srgb(torch.as_tensor(np.ascontiguousarray(style))).mean(dim=(0, 1))
             for style in self._styles

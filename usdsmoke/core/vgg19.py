@@ -1,7 +1,8 @@
 """VGG-19 feature maps for those who have the weights; nothing is downloaded.
 
-Takes torchvision's state dict (``vgg19-dcbb9e9d.pth``) or the same tensors in a safetensors file, from the configured path, the
-environment variable ``USDSMOKE_VGG19`` or torch's hub cache, in this order.
+Takes torchvision's state dict (``vgg19-dcbb9e9d.pth``) or the same tensors in a safetensors file,
+from the configured path, the environment variable ``USDSMOKE_VGG19`` or torch's hub cache, in this
+order.
 """
 
 import hashlib
@@ -49,13 +50,13 @@ def find_vgg19_file(configured: str = "") -> Path:
         if place.is_file():
             return place
     raise FeatureError(
-        f"no VGG-19 weights at {places[0]}; give torchvision's {FILE_NAME} or a safetensors file as "
-        "features.vgg19_file or in USDSMOKE_VGG19, or use features.network=embedded"
+        f"no VGG-19 weights at {places[0]}; give torchvision's {FILE_NAME} or a safetensors file "
+        "as features.vgg19_file or in USDSMOKE_VGG19, or use features.network=embedded"
     )
 
 
 def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
-    """The float tensors of a safetensors file: a length, a JSON table and raw little-endian data."""
+    """The float tensors of a safetensors file: a length, a JSON table, raw little-endian data."""
     data = file_path.read_bytes()
     length = int.from_bytes(data[:8], "little")
     if not 2 <= length <= len(data) - 8:
@@ -75,7 +76,8 @@ def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
 class Vgg19Features:
     """Rectified maps ``relu1_1`` .. ``relu5_4`` of VGG-19 [Simonyan2015] with max-pooling.
 
-    Differs from the original in replicated instead of zero borders, which leave no dark comb along the edge of the picture.
+    Differs from the original in replicated instead of zero borders, which leave no dark comb along
+    the edge of the picture.
     """
 
     names = tuple(name for name, *_ in _convolutions())
@@ -111,8 +113,8 @@ class Vgg19Features:
             if weight is None or bias is None or tuple(weight.shape) != (n_out, n_in, 3, 3):
                 found = "nothing" if weight is None else list(weight.shape)
                 raise FeatureError(
-                    f"features.{index}.weight in {file_path} is {found}; wanted [{n_out}, {n_in}, 3, 3] "
-                    "as in torchvision's VGG-19"
+                    f"features.{index}.weight in {file_path} is {found}; wanted "
+                    f"[{n_out}, {n_in}, 3, 3] as in torchvision's VGG-19"
                 )
             parameters[name] = (weight.float(), bias.float())
         return cls(parameters, sha256)

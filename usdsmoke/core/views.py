@@ -16,7 +16,8 @@ class View:
 
     ``right``, ``up``, ``forward`` are orthonormal in stage space. A point projects to
     pixel x = W/2 - 1/2 + s * (p - centre).right and y = H/2 - 1/2 - s * (p - centre).up, where
-    s = 1 / pixel_size (orthographic) or focal / depth (perspective, ``centre`` is the eye, ``focal`` in pixels).
+    s = 1 / pixel_size (orthographic) or focal / depth (perspective: ``centre`` is the eye and
+    ``focal`` in pixels).
     """
 
     right: np.ndarray
@@ -87,10 +88,10 @@ def camera_view(
 def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
     """``n`` (azimuth, elevation) pairs in degrees, [n 2], spread over the configured ranges.
 
-    ``fixed`` and ``uniform`` lay out a lattice (fixed always contains the middle and takes rings
-    around it), ``poisson`` keeps the most distant of many random candidates, one point after the other, which is
-    a Poisson-disc set without a radius that could fail [Mitchell1991]. Every count and every range
-    is valid, a zero range included: the angle is then constant.
+    ``fixed`` and ``uniform`` lay out a lattice (fixed always contains the middle, as its first
+    pair), ``poisson`` keeps the most distant of many random candidates, one point after the other,
+    which is a Poisson-disc set without a radius that could fail [Mitchell1991]. Every count and
+    every range is valid, a zero range included: the angle is then constant.
     """
     half = np.array([config.azimuth, config.elevation])
     middle = np.array([config.centre_azimuth, config.centre_elevation])

@@ -15,12 +15,15 @@ FILL_LEVELS = 4  # halvings over which smoke that was not there before takes its
 
 
 def departure_points(frame: VolumeFrame, positions: Tensor, seconds: float) -> Tensor:
-    """Where the smoke at some points was a while ago: one Euler step back, [N 3] float64, stage space.
+    """Where the smoke at some points was a while ago, one Euler step back.
 
     Args:
         frame: its velocity is sampled at the points; without one they stay where they are.
         positions: [N 3] float64, stage space.
         seconds: how long ago.
+
+    Returns:
+        [N 3] float64, stage space.
     """
     velocity = frame.velocity
     if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
@@ -45,8 +48,8 @@ def carry_colours(
 ) -> Tensor:
     """The neighbouring frame's colours at this frame's voxels, [N 3].
 
-    Smoke that has come from nowhere takes the colour of the nearest coarser voxels that had smoke, and white noise where
-    even those had none.
+    Smoke that has come from nowhere takes the colour of the nearest coarser voxels that had smoke,
+    and white noise where even those had none.
 
     Args:
         before, colours: the neighbour's smoke and its colours.
