@@ -27,8 +27,9 @@ def validate(file_path: str | os.PathLike[str]) -> list[Finding]:
     """Everything that any validator says about a stage or layer, worst first, each thing once.
 
     A layer is looked at as the stage that it is by itself. Severities are the validators' own, but
-    for a shader that no installed renderer knows, which is a warning. Files are opened for their headers;
-    those that usdsmoke wrote are read whole, each in a process of its own, to compare their hashes.
+    for a shader that no installed renderer knows, which is a warning. Files are opened for their
+    headers; those that usdsmoke wrote are read whole, each in a process of its own, to compare
+    their hashes.
 
     Raises:
         StageError: the file is missing, of no USD format, or cannot be parsed.
