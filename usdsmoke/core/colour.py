@@ -1,13 +1,15 @@
 r"""The colour step: RGB on fixed density. [Christen2020, eq. 4 and section 3.1]
 
-With the density fixed, a view's picture is a fixed sparse linear map of the voxel colours, computed once per view and
-octave. Unknowns are the display-encoded colours of the active voxels, clipped to [0, 1]. Octaves go coarse to
-fine; a finer one starts from the interpolated colours of the one before. The first one starts from white noise, which density multiplies
-in the picture, as the paper does.
+With the density fixed, a view's picture is a fixed sparse linear map of the voxel colours, computed
+once per view and octave. Unknowns are the display-encoded colours of the active voxels, clipped to
+[0, 1]. Octaves go coarse to fine; a finer one starts from the interpolated colours of the one
+before. The first one starts from white noise, which density multiplies in the picture, as the paper
+does.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -48,14 +50,12 @@ class ColourView:
     def straight_picture(self, colours: Tensor, background: Tensor) -> Tensor:
         """Display-encoded picture [H W 3] of the smoke's own colour, its opacity divided out.
 
-        Where there is (nearly) no smoke it tends to the background. This is what the network sees: thin smoke
-        is then painted like thick smoke. Seen through its opacity, it would have to take impossible
-        colours to look like the style, and ends in tints that the style does not have.
+        Where there is (nearly) no smoke it tends to the background. This is what the network sees:
+        thin smoke is then painted like thick smoke. Seen through its opacity, it would have to take
+        impossible colours to look like the style, and ends in tints that the style does not have.
         """
         alpha = self.alpha[..., None]
-        return encode_srgb(
-            (self.image.apply(colours) + THIN * background) / (alpha + THIN)
-        )
+        return encode_srgb((self.image.apply(colours) + THIN * background) / (alpha + THIN))
 
 
 def prepare_views(smoke: ActiveSmoke, views: Sequence[View], gamma_w: float) -> list[ColourView]:
@@ -69,7 +69,7 @@ def prepare_views(smoke: ActiveSmoke, views: Sequence[View], gamma_w: float) -> 
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
-    """Display-encoded start colours [N 3]: white noise keyed by voxel index, or plain white density."""
+    """Display-encoded start colours [N 3]: white noise keyed by voxel, or plain white density."""
     if init == "noise":
         return white_noise(smoke.ijk, 3, seed).to(smoke.density.dtype)
     return torch.ones(len(smoke.ijk), 3, dtype=smoke.density.dtype, device=smoke.ijk.device)
@@ -93,7 +93,8 @@ def optimize_colours(
         views: the pool; iteration t sees views t * n_views, ... of it, modulo its size.
         colours: start, [N 3], display-encoded, in [0, 1].
         targets: one per style image; their losses are added.
-        background: linear colour [3] behind the smoke, the style's mean, so that the border is no outlier.
+        background: linear colour [3] behind the smoke, the style's mean, so that the border is no
+            outlier.
         rate: Adam's step in display-encoded units.
         n_iterations: at most this many.
         n_views: pictures per iteration.
@@ -138,8 +139,8 @@ def run_colour_step(
 
     Args:
         smoke: the (moved) density at full resolution.
-        start: display-encoded colours [N 3] carried over from a neighbouring frame; only octaves with iterations
-            left refine them. None starts from ``colour.init`` at the coarsest octave.
+        start: display-encoded colours [N 3] carried over from a neighbouring frame; only octaves
+            with iterations left refine them. None starts from ``colour.init`` at the coarsest one.
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
 
@@ -170,7 +171,7 @@ def run_colour_step(
             config.views.count,
             config.losses.total_variation,
             config.optimize.tolerance,
-            (lambda state, at=number: watch(at, state)) if watch is not None else None,
+            partial(watch, number) if watch is not None else None,
         )
         before = octave
         ends += [end] if end is not None else []

@@ -43,13 +43,17 @@ def render_view(
     fitted = fit_view(tiny, smoke, margin=0)
     longest = max(fitted.height, fitted.width) * fitted.pixel_size
     factor = min(MOST_REFINEMENT, max(1, math.ceil(smoke.voxel_size * image_size / longest - 1e-3)))
-    # drawn at one voxel a pixel, where the splatted lattice does not beat with the pixels, then resampled
+    # at one voxel a pixel the splatted lattice does not beat with the pixels; resampled afterwards
     view = fit_view(replace(tiny, pixel_size=smoke.voxel_size / factor), smoke)
     picture = torch.from_numpy(render_fields(density, emission, to_stage, gamma_w, view))
     scale = image_size / max(view.height, view.width)
     size = [max(1, round(view.height * scale)), max(1, round(view.width * scale))]
     resized = F.interpolate(
-        picture.permute(2, 0, 1)[None], size=size, mode="bilinear", antialias=True, align_corners=False
+        picture.permute(2, 0, 1)[None],
+        size=size,
+        mode="bilinear",
+        antialias=True,
+        align_corners=False,
     )
     return resized[0].permute(1, 2, 0).contiguous().numpy()
 
@@ -73,7 +77,8 @@ def render_fields(
         view: orthographic or perspective.
 
     Returns:
-        [H W 4] float32: scene-linear colour premultiplied by alpha, and alpha. ``display_picture`` makes it presentable.
+        [H W 4] float32: scene-linear colour premultiplied by alpha, and alpha; see
+        ``display_picture``.
     """
     smoke = activate(density, to_stage, torch.device("cpu"))
     if len(smoke.ijk) == 0:
@@ -86,7 +91,7 @@ def render_fields(
     if emission is not None:
         index = (smoke.ijk - torch.tensor(emission.ijk_min)).numpy()
         sigma = (gamma_w * smoke.density).clamp_min(1e-30)
-        # a quotient of interpolated C x sigma and sigma: colour weighted by density, no bleeding from outside
+        # interpolated C x sigma over sigma: weighted by density, so nothing bleeds in from outside
         colours = torch.from_numpy(emission.values[tuple(index.T)]) / sigma[:, None]
     image, alpha = colour_map(
         smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
@@ -94,8 +99,14 @@ def render_fields(
     return torch.cat([image.apply(colours), alpha[..., None]], dim=-1).numpy()
 
 
-def display_picture(picture: np.ndarray, background: float | tuple[float, float, float] = 0.0) -> np.ndarray:
-    """Display-encoded [H W 3] in [0, 1] of a premultiplied linear picture [H W 4] over a linear background."""
+def display_picture(
+    picture: np.ndarray, background: float | tuple[float, float, float] = 0.0
+) -> np.ndarray:
+    """A premultiplied linear picture [H W 4] over a linear background, fit for a screen.
+
+    Returns:
+        [H W 3], display-encoded, in [0, 1].
+    """
     behind = (1 - picture[..., 3:]) * np.asarray(background, np.float32)
     return encode_srgb(torch.from_numpy(picture[..., :3] + behind)).clamp(0, 1).numpy()
 

@@ -1,4 +1,7 @@
-"""What every frame of a shot shares: extinction and image scale. Measured once, so that exposure does not jump."""
+"""What every frame of a shot shares, measured once: extinction and image scale.
+
+Measured frame by frame, exposure and the style's size would jump.
+"""
 
 import math
 from collections.abc import Sequence
@@ -27,8 +30,8 @@ class Scene:
     pixel_size: float  # of the finest octave's pictures
     up_axis: str
     reference_voxel_size: float  # of the source, before any refinement; gamma = gamma_w * this
-    image_size: int  # pixels of the longer side of the largest picture, which the style is scaled to
-    grey_mean: float = 0.5  # of the grey picture inside the smoke, which the grey style is matched to
+    image_size: int  # pixels of the largest picture's longer side, which the style is scaled to
+    grey_mean: float = 0.5  # of the grey pictures inside the smoke: grey styles are matched to it
     grey_deviation: float = 0.2
 
 
@@ -88,7 +91,9 @@ def frame_views(
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
     return [
-        fit_view(orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size), smoke)
+        fit_view(
+            orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size), smoke
+        )
         for a, e in sample_angles(config.views, config.views.pool, seed)
     ]
 
@@ -112,9 +117,10 @@ def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
 def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -> Scene:
     """Extinction and pixel size from a few frames of the shot; empty frames are passed over.
 
-    An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the optical depth
-    ``optics.depth``, seen from the middle view, in the median of the frames; likewise ``gamma_shape``. A set gamma is
-    per voxel, the paper's meaning, and is divided by the voxel size.
+    An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
+    optical depth ``optics.depth``, seen from the middle view, in the median of the frames; likewise
+    ``gamma_shape``. A set gamma is per voxel, the paper's meaning, and is divided by the voxel
+    size.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -133,7 +139,7 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
     voxel = float(np.median([smoke.voxel_size for smoke in filled]))
     longest = max(_longest_side(smoke, config, up_axis) for smoke in filled)
-    # whole voxels a pixel: splatted lattices of any other pitch beat with the pixels, up to 8 % of brightness
+    # whole voxels a pixel: lattices of any other pitch beat with the pixels, up to 8 % of brightness
     fine = voxel / config.grids.refine
     pixel_size = fine * max(1, round(longest / config.views.image_size / fine))
     coarse = max(pixel_size, voxel)

@@ -1,13 +1,15 @@
 r"""The shape step: density moved by an optimised displacement. [Christen2020, eqs. 4-5; Kim2019]
 
-The grey picture is the opacity 1 - exp(-gamma * column): it needs column sums only, which are linear in density. The
-unknown is a potential on the voxels; its curl (or gradient) is the displacement u, and the density becomes d(x - u(x)).
+The grey picture is the opacity 1 - exp(-gamma * column): it needs column sums only, which are linear
+in density. The unknown is a potential on the voxels; its curl (or gradient) is the displacement u,
+and the density becomes d(x - u(x)).
 
 Deviations from the reference, each against a fault seen there:
 
-- |u| is capped smoothly at ``shape.reach`` of the smoke's longest side, and fades with the smoothed density, or a
-  bright rim grows along the border of what moved;
-- the guide T is the *source's* silhouette: one that follows the moved smoke lets the optimiser cheat;
+- |u| is capped smoothly at ``shape.reach`` of the smoke's longest side, and fades with the smoothed
+  density, or a bright rim grows along the border of what moved;
+- the guide T is the *source's* silhouette: one that follows the moved smoke lets the optimiser
+  cheat;
 - Adam on a pyramid of coefficients scaled to displacement in place of Laplacian-normalised ascent;
 - lengths are in stage units, so octaves and crops agree.
 """
@@ -15,7 +17,8 @@ Deviations from the reference, each against a fault seen there:
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -38,7 +41,7 @@ from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, make_octaves
 from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.transport import correct_mass, warp
+from usdsmoke.core.transport import Scheme, correct_mass, warp
 from usdsmoke.core.warm import departure_points
 from usdsmoke.volume import DenseField, VolumeFrame
 
@@ -56,7 +59,7 @@ class Potential:
     lattice: Lattice
 
     def on(self, lattice: Lattice, departures: Tensor | None = None) -> Tensor:
-        """The potential on another box, [I J K C], optionally taken from where each voxel's smoke was."""
+        """The potential on another box, [I J K C], or at the points its voxels' smoke came from."""
         positions = lattice.positions() if departures is None else departures
         found = self.lattice.sample(self.values, positions.to(self.values.device))
         return found.view(*lattice.shape, -1)
@@ -74,18 +77,20 @@ class Displaced:
 def border_mask(density: Tensor) -> Tensor:
     """1 inside the smoke, falling smoothly to 0 *at* its border, [I J K].
 
-    The blurred mask is one half at the border: the upper half of its range is taken, or smoke would still move at the
-    silhouette and pile up there as a bright rim.
+    The blurred mask is one half at the border: the upper half of its range is taken, or smoke would
+    still move at the silhouette and pile up there as a bright rim.
     """
     inside = (2 * smooth_mask(density, BORDER) - 1).clamp_min(0)
     return inside * inside * (3 - 2 * inside)
 
 
-def displacement_from(potential: Tensor, mask: Tensor, kind: str, cap: float, lattice: Lattice) -> Tensor:
-    """u on the voxels of a box, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
+def displacement_from(
+    potential: Tensor, mask: Tensor, kind: str, cap: float, lattice: Lattice
+) -> Tensor:
+    """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
 
-    The potential is faded before it is derived, so that a stream function's displacement stays free of divergence
-    where the mask falls off; the cap alone disturbs it.
+    The potential is faded before it is derived, so that a stream function's displacement stays free
+    of divergence where the mask falls off; the cap alone disturbs it.
     """
     faded = potential * mask[..., None]
     if kind == "stream":
@@ -117,7 +122,10 @@ class _Octave:
         self.lattice = surround(smoke, cap)
         self.density = self.lattice.fill(smoke)
         sides = self.lattice.spacing
-        reach = [math.ceil(cap / s) if n > 1 else 0 for s, n in zip(sides, self.lattice.shape, strict=True)]
+        reach = [
+            math.ceil(cap / s) if n > 1 else 0
+            for s, n in zip(sides, self.lattice.shape, strict=True)
+        ]
         self.active = reachable_voxels(self.density, (reach[0], reach[1], reach[2]))
         self.mask = border_mask(self.density)
         self._kind, self._cap, self._gamma_w = config.shape.displacement, cap, scene.gamma_w_shape
@@ -126,7 +134,9 @@ class _Octave:
         self._views = []
         for view in frame_views(smoke, config, scene, seed, factor):
             image = column_map(positions, smoke.voxel_volume, view)
-            self._views.append(_GreyView(image, opacity(self._gamma_w * image.apply(still[:, None])[..., 0])))
+            self._views.append(
+                _GreyView(image, opacity(self._gamma_w * image.apply(still[:, None])[..., 0]))
+            )
 
     def moved(self, potential: Tensor) -> Tensor:
         """Moved density at the active voxels, [N]; the cheap scheme."""
@@ -135,7 +145,12 @@ class _Octave:
         return warp(self.density, chosen, active_ijk=self.active, scheme="linear")
 
     def loss(
-        self, potential: Tensor, targets: Sequence[StyleTarget], keep: float, iteration: int, n_views: int
+        self,
+        potential: Tensor,
+        targets: Sequence[StyleTarget],
+        keep: float,
+        iteration: int,
+        n_views: int,
     ) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
         density = self.moved(potential)
@@ -198,7 +213,7 @@ def run_shape_step(
             targets.at(factor, grey=True),
             config,
             n_iterations,
-            (lambda state, at=number: watch(at, state)) if watch else None,
+            partial(watch, number) if watch is not None else None,
         )
         potential = Potential(values, octave.lattice)
         ends += [end] if end is not None else []
@@ -234,7 +249,11 @@ def _optimize_octave(
 
     state = None
     for state in minimize(
-        objective, unknowns, config.shape.learning_rate, n_iterations, tolerance=config.optimize.tolerance
+        objective,
+        unknowns,
+        config.shape.learning_rate,
+        n_iterations,
+        tolerance=config.optimize.tolerance,
     ):
         if watch is not None:
             watch(state)
@@ -250,8 +269,10 @@ def _move_finally(
     box = lattice.fill(source)
     values = potential.on(lattice)
     mask = border_mask(box)
-    u = config.optimize.strength * displacement_from(values, mask, config.shape.displacement, cap, lattice)
-    moved = warp(box, u, scheme=config.shape.interpolation).clamp_min(0)
+    u = config.optimize.strength * displacement_from(
+        values, mask, config.shape.displacement, cap, lattice
+    )
+    moved = warp(box, u, scheme=cast(Scheme, config.shape.interpolation)).clamp_min(0)
     sides = u.new_tensor(lattice.spacing)
     report = {"largest displacement": float((u * sides).norm(dim=-1).max()), "cap": cap}
     if config.shape.interpolation != "linear":

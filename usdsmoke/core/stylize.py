@@ -1,4 +1,4 @@
-"""One window of frames in, the same frames stylized out: shape step, then colour step, frame by frame."""
+"""One window of frames in, the same frames stylized out: shape step, then colour step."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -56,10 +56,11 @@ def stylize_window(
     progress: ProgressCallback | None = None,
     time_codes_per_second: float = 24.0,
 ) -> Iterator[StylizedFrame]:
-    """The stylized frames of one window, one by one, so that memory is a frame's and not the shot's.
+    """The stylized frames of one window, one by one: memory is a frame's and not the shot's.
 
-    The first frame starts from noise; each later one starts from its neighbour's result, carried along by the
-    velocity, with ``windows.warm_iterations`` of the iterations. Equal inputs and settings give equal bits on the same machine.
+    The first frame starts from noise; each later one starts from its neighbour's result, carried
+    along by the velocity, with ``windows.warm_iterations`` of the iterations. Equal inputs and
+    settings give equal bits on the same machine.
 
     Args:
         frames: ascending time_code; pulled one at a time.
@@ -78,9 +79,8 @@ def stylize_window(
     before: _Neighbour | None = None
     for number, frame in enumerate(frames):
         watch = _watcher(progress, frame.time_code, number, n_frames)
-        seconds = (
-            (frame.time_code - before.time_code) / time_codes_per_second if before is not None else 0.0
-        )
+        since = frame.time_code - before.time_code if before is not None else 0.0
+        seconds = since / time_codes_per_second
         stylized, before = _stylize_frame(
             frame, before, seconds, targets, scene, config, device, watch
         )
@@ -121,12 +121,14 @@ def _stylize_frame(
     _check_finite(frame)
     density = refine_field(frame.density, config.grids.refine)
     source = activate(density, frame.density_to_stage, device)
-    steps, report = config.optimize.steps, {"voxels": len(source.ijk)}
+    steps = config.optimize.steps
+    report: dict[str, Any] = {"voxels": len(source.ijk)}
     if len(source.ijk) == 0 or config.optimize.strength == 0:
         empty = _empty_emission(density) if "colour" in steps else None
         report["left out"] = "empty frame" if len(source.ijk) == 0 else "strength 0"
         kept = before or _Neighbour(frame.time_code, None, None, None)
-        return StylizedFrame(frame.time_code, density, empty, report), replace(kept, time_code=frame.time_code)
+        stylized = StylizedFrame(frame.time_code, density, empty, report)
+        return stylized, replace(kept, time_code=frame.time_code)
     displaced, smoke = None, source
     if "shape" in steps:
         started = time.perf_counter()
@@ -181,15 +183,21 @@ def _check_finite(frame: VolumeFrame) -> None:
         if item is not None and not np.isfinite(item.values).all():
             count = int((~np.isfinite(item.values)).sum())
             raise NonFiniteError(
-                f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or infinite; '
-                "set grids.repair_nan to the value that shall replace them"
+                f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
+                "infinite; set grids.repair_nan to the value that shall replace them"
             )
 
 
 def _empty_emission(density: DenseField) -> DenseField:
     values = np.zeros((*density.values.shape, 3), np.float32)
     return DenseField(
-        "emission", values, density.ijk_min, density.index_to_world, (0.0, 0.0, 0.0), "unknown", density.half
+        "emission",
+        values,
+        density.ijk_min,
+        density.index_to_world,
+        (0.0, 0.0, 0.0),
+        "unknown",
+        density.half,
     )
 
 
