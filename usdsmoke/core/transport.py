@@ -6,7 +6,8 @@ per unit of time), so that anisotropic and rotated grids are the caller's one ma
 
 ============ ==================================================================================
 "linear"     one trilinear look-up; first order over many steps, keeps the range, blurs
-"maccormack" adds half of what a step back fails to restore [Selle2008]; second order
+"maccormack" adds half of what a step back fails to restore [Selle2008]; second order; first
+             order where that step comes from outside the box
 "cubic"      one cubic B-spline look-up; third order over many steps, costs a prefilter
 ============ ==================================================================================
 
@@ -187,9 +188,10 @@ def _transport(
         moved = sample_cubic(values, departures, outside, boundary)
     else:
         first = sample_linear(values, departures, outside, boundary)
-        box = _fill_box(first, values, active_ijk, outside)
-        restored = sample_linear(box, destinations(), outside, boundary)
-        moved = first + 0.5 * (_take_active(values, active_ijk) - restored)
+        box, where = _fill_box(first, values, active_ijk, outside), destinations()
+        error = _take_active(values, active_ijk) - sample_linear(box, where, outside, boundary)
+        known = _inside(where, values, boundary).to(values.dtype)
+        moved = first + 0.5 * error * (known if error.ndim == 1 else known[:, None])
     if not limiter:
         return moved
     if scheme == "cubic":
@@ -205,6 +207,14 @@ def _range(values: Tensor, boundary: Boundary, outside: float) -> tuple[Tensor, 
     if boundary == "zero":
         low, high = low.clamp(max=outside), high.clamp(min=outside)
     return low, high
+
+
+def _inside(positions: Tensor, values: Tensor, boundary: Boundary) -> Tensor:
+    """Whether a look-up at the positions reads nothing from outside the box, [N] bool."""
+    if boundary == "periodic":
+        return torch.ones_like(positions[:, 0], dtype=torch.bool)
+    last = torch.tensor(values.shape[:3], device=positions.device) - 1
+    return ((positions >= 0) & (positions <= last) | (last == 0)).all(dim=1)
 
 
 def _arrivals(values: Tensor, active_ijk: Tensor | None) -> Tensor:

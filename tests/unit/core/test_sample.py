@@ -1,0 +1,247 @@
+"""Interpolation at index positions against closed forms, torch's grid_sample and SciPy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from usdsmoke.core.sample import (
+    BOUNDARIES,
+    sample_bounds,
+    sample_cubic,
+    sample_linear,
+    voxel_positions,
+)
+from usdsmoke.errors import NonFiniteError, ShapeError
+
+SAMPLERS = (sample_linear, sample_cubic)
+SHAPE = (5, 4, 7)  # asymmetric, so that exchanged axes cannot go unseen
+
+
+def random(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+def scattered(n: int, shape: tuple[int, ...] = SHAPE, margin: float = 2.0, seed: int = 1) -> Tensor:
+    lengths = torch.tensor(shape, dtype=torch.float64)
+    return random(n, 3, seed=seed) * (lengths - 1 + 2 * margin) - margin
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_linear_gives_each_voxel_back_bit_for_bit(boundary, dtype):
+    values = random(*SHAPE, dtype=dtype)
+    sampled = sample_linear(values, voxel_positions(SHAPE, values), boundary=boundary)
+    assert torch.equal(sampled.reshape(SHAPE), values)
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_cubic_goes_through_every_voxel(boundary):
+    values = random(*SHAPE)
+    sampled = sample_cubic(values, voxel_positions(SHAPE, values), boundary=boundary)
+    torch.testing.assert_close(sampled.reshape(SHAPE), values, rtol=0, atol=1e-14)
+
+
+def test_linear_is_exact_for_trilinear_functions_on_an_asymmetric_box():
+    def function(p: Tensor) -> Tensor:
+        i, j, k = p.unbind(dim=-1)
+        return 2 + 3 * i - 5 * j + 7 * k + 0.5 * i * j - 0.25 * j * k + 0.125 * i * j * k
+
+    values = function(voxel_positions(SHAPE, torch.empty(0, dtype=torch.float64))).reshape(SHAPE)
+    positions = scattered(200, margin=0.0)
+    torch.testing.assert_close(
+        sample_linear(values, positions), function(positions), rtol=1e-13, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize(("boundary", "padding"), [("zero", "zeros"), ("nearest", "border")])
+def test_linear_agrees_with_grid_sample_which_wants_the_axes_reversed(boundary, padding):
+    values, positions = random(*SHAPE, 2), scattered(300)
+    scaled = 2 * positions / (torch.tensor(SHAPE) - 1) - 1
+    expected = torch.nn.functional.grid_sample(
+        values.permute(3, 0, 1, 2)[None],
+        scaled.flip(-1)[None, None, None],
+        padding_mode=padding,
+        align_corners=True,
+    )
+    found = sample_linear(values, positions, boundary=boundary)
+    torch.testing.assert_close(found, expected[0, :, 0, 0].T, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("boundary", "mode", "margin"),
+    [("zero", "constant", 9.0), ("nearest", "mirror", 0.0), ("periodic", "grid-wrap", 9.0)],
+)
+def test_cubic_agrees_with_scipy(boundary, mode, margin):
+    values, positions = random(*SHAPE), scattered(300, margin=margin)
+    pad = 40 if boundary == "zero" else 0  # SciPy's own spline does not see past the border
+    expected = ndimage.map_coordinates(
+        np.pad(values.numpy(), pad), positions.numpy().T + pad, order=3, mode=mode
+    )
+    found = sample_cubic(values, positions, boundary=boundary).numpy()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 if pad else 1e-13)
+
+
+def test_outside_the_box_the_background_takes_over_within_one_voxel():
+    values = torch.full((3, 3, 3), 4.0)
+    along = torch.tensor([-3.0, -1.0, -0.75, -0.25, 0.0, 2.0, 2.5, 3.0, 40.0])
+    positions = torch.stack([along, torch.ones(9), torch.ones(9)], dim=1)
+    expected = torch.tensor([0.0, 0.0, 1.0, 3.0, 4.0, 4.0, 2.0, 0.0, 0.0])
+    assert torch.equal(sample_linear(values, positions), expected)
+    shifted = sample_linear(values, positions, outside=-1.0)
+    torch.testing.assert_close(shifted, expected * 1.25 - 1.0)
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_far_outside_nothing_is_smeared_in(sampler):
+    values = torch.ones(4, 5, 6)
+    far = torch.tensor([[-1e30, 2, 2], [2, 1e30, 2], [2, 2, 60], [-20, -20, -20]])
+    assert torch.equal(sampler(values, far), torch.zeros(4))
+    assert torch.equal(sampler(values, far, outside=0.5), torch.full((4,), 0.5))
+    torch.testing.assert_close(sampler(values, far, boundary="nearest"), torch.ones(4))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_periodic_box_repeats(sampler):
+    values, positions = random(*SHAPE), scattered(100)
+    turns = torch.tensor([[-3, 2, 1]]) * torch.tensor(SHAPE)
+    found = sampler(values, positions + turns, boundary="periodic")
+    torch.testing.assert_close(found, sampler(values, positions, boundary="periodic"))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_flat_axis_is_constant_across(sampler, boundary, axis):
+    values = random(4, 5).unsqueeze(axis)
+    positions = scattered(50, tuple(values.shape))
+    moved = positions.clone()
+    moved[:, axis] += 1000.0
+    thick = values.expand(*[9 if n == axis else -1 for n in range(3)])
+    inside = positions.clone()
+    inside[:, axis] = 4.0
+    found = sampler(values, positions, boundary=boundary)
+    assert torch.equal(found, sampler(values, moved, boundary=boundary))
+    if sampler is sample_linear or boundary != "zero":
+        expected = sampler(thick, inside, boundary=boundary)
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_one_voxel_is_constant_everywhere(sampler):
+    found = sampler(torch.full((1, 1, 1), 2.0), torch.tensor([[0.0, 0, 0], [9.5, -3, 1]]))
+    assert torch.equal(found, torch.full((2,), 2.0))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_channels_are_sampled_as_if_alone(sampler):
+    values, positions = random(*SHAPE, 3), scattered(60)
+    together = sampler(values, positions, outside=0.25)
+    alone = [sampler(values[..., c].contiguous(), positions, outside=0.25) for c in range(3)]
+    torch.testing.assert_close(together, torch.stack(alone, dim=1), rtol=0, atol=1e-15)
+
+
+def test_many_positions_are_sampled_as_if_alone():
+    values, positions = random(*SHAPE), scattered(65536 + 5)
+    whole = sample_linear(values, positions)
+    parts = torch.cat([sample_linear(values, part) for part in positions.split(10007)])
+    torch.testing.assert_close(whole, parts, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_bounds_are_those_of_the_cell_that_holds_the_position(boundary):
+    values, positions = random(*SHAPE), scattered(400)
+    mode = {"zero": "constant", "nearest": "edge", "periodic": "wrap"}[boundary]
+    padded = np.pad(values.numpy(), 4, mode=mode)
+    low, high = sample_bounds(values, positions, boundary=boundary)
+    corner = np.floor(positions.numpy()).astype(int) + 4
+    if boundary == "nearest":  # outside the box the nearest cell's border counts
+        corner = np.clip(corner, 4, np.array(SHAPE) + 2)
+    for row, (i, j, k) in enumerate(corner):
+        cell = padded[i : i + 2, j : j + 2, k : k + 2]
+        assert low[row] <= high[row]
+        if boundary == "nearest":
+            assert cell.min() <= low[row] and high[row] <= cell.max()
+        else:
+            assert (low[row], high[row]) == (cell.min(), cell.max())
+
+
+def test_bounds_count_the_background_at_the_border():
+    values = torch.full((3, 3, 3), 4.0)
+    positions = torch.tensor([[1.5, 1.5, 1.5], [2.5, 1.5, 1.5], [9.0, 1.5, 1.5]])
+    low, high = sample_bounds(values, positions, outside=6.0)
+    assert low.tolist() == [4.0, 4.0, 6.0]
+    assert high.tolist() == [4.0, 6.0, 6.0]
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("shape", [SHAPE, (6, 1, 5), (*SHAPE, 2)])
+def test_adjoint_is_exact(sampler, boundary, shape):
+    values = random(*shape).requires_grad_()
+    positions = scattered(500, shape[:3])
+    sampled = sampler(values, positions, boundary=boundary)
+    weights = random(*sampled.shape, seed=2) - 0.5
+    (adjoint,) = torch.autograd.grad(sampled, values, weights)
+    left, right = (sampled * weights).sum(), (values * adjoint).sum()
+    assert (left - right).abs().item() <= 1e-14 * sampled.abs().sum().item()
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("shape", [(4, 3, 3), (4, 1, 5), (2, 3, 2, 2)])
+def test_gradients_agree_with_finite_differences(sampler, boundary, shape):
+    values = random(*shape).requires_grad_()
+    positions = scattered(6, shape[:3]).requires_grad_()
+    assert gradcheck(lambda v, p: sampler(v, p, 0.3, boundary), (values, positions))
+
+
+def test_gradient_of_the_bounds_goes_to_the_corner_that_was_taken():
+    values = random(4, 3, 5).requires_grad_()
+    assert gradcheck(lambda v: sample_bounds(v, scattered(12, (4, 3, 5))), (values,))
+
+
+def test_cubic_error_falls_with_the_fourth_power_of_the_voxel_size():
+    sizes, errors = (16, 24, 32, 48), []
+    for n in sizes:
+        angle = 2 * np.pi * (torch.arange(n, dtype=torch.float64) + 0.5) / n
+        values = (angle.sin()[:, None] * angle.cos()[None, :])[:, None, :]
+        positions = scattered(2000, (n, 1, n), margin=0.0)
+        at = 2 * np.pi * (positions + 0.5) / n
+        exact = at[:, 0].sin() * at[:, 2].cos()
+        errors.append(float((sample_cubic(values, positions, 0, "periodic") - exact).abs().mean()))
+    slope = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert slope == pytest.approx(4.0, abs=0.1)
+
+
+@pytest.mark.parametrize("sampler", [*SAMPLERS, sample_bounds])
+def test_no_positions_give_no_values(sampler):
+    found = sampler(torch.ones(3, 4, 5, 2), torch.empty(0, 3))
+    found = found if isinstance(found, Tensor) else found[0]
+    assert found.shape == (0, 2)
+
+
+@pytest.mark.parametrize("sampler", [*SAMPLERS, sample_bounds])
+@pytest.mark.parametrize(
+    ("values", "positions", "boundary", "message"),
+    [
+        (torch.ones(3, 3), torch.zeros(1, 3), "zero", r"shape \[3, 3\]; wanted \[I J K\]"),
+        (torch.ones(0, 0, 0), torch.zeros(1, 3), "zero", "at least one voxel"),
+        (torch.ones(3, 3, 3), torch.zeros(3), "zero", r"positions have shape \[3\]"),
+        (torch.ones(3, 3, 3), torch.zeros(1, 3).double(), "zero", "convert the positions"),
+        (torch.ones(3, 3, 3), torch.zeros(1, 3), "clamp", "wanted one of zero, nearest, periodic"),
+    ],
+)
+def test_what_does_not_fit_is_refused(sampler, values, positions, boundary, message):
+    with pytest.raises(ShapeError, match=message):
+        sampler(values, positions, 0.0, boundary)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_non_finite_positions_are_counted_and_refused(bad):
+    positions = torch.zeros(10, 3)
+    positions[[2, 7], 1] = bad
+    with pytest.raises(NonFiniteError, match="2 of 10 sample positions are NaN or infinite"):
+        sample_linear(torch.ones(3, 3, 3), positions)
