@@ -139,7 +139,7 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
     voxel = float(np.median([smoke.voxel_size for smoke in filled]))
     longest = max(_longest_side(smoke, config, up_axis) for smoke in filled)
-    # whole voxels a pixel: lattices of any other pitch beat with the pixels, up to 8 % of brightness
+    # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
     fine = voxel / config.grids.refine
     pixel_size = fine * max(1, round(longest / config.views.image_size / fine))
     coarse = max(pixel_size, voxel)

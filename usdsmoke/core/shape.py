@@ -1,8 +1,8 @@
 r"""The shape step: density moved by an optimised displacement. [Christen2020, eqs. 4-5; Kim2019]
 
-The grey picture is the opacity 1 - exp(-gamma * column): it needs column sums only, which are linear
-in density. The unknown is a potential on the voxels; its curl (or gradient) is the displacement u,
-and the density becomes d(x - u(x)).
+The grey picture is the opacity 1 - exp(-gamma * column): it needs column sums only, which are
+linear in density. The unknown is a potential on the voxels; its curl (or gradient) is the
+displacement u, and the density becomes d(x - u(x)).
 
 Deviations from the reference, each against a fault seen there:
 
@@ -236,8 +236,13 @@ def _optimize_octave(
     """The potential [I J K C] after one octave, starting from ``base``."""
     pyramid = Pyramid.zeros(octave.lattice.shape, base.shape[-1], N_LEVELS, base)
     spacing = max(octave.lattice.spacing)
-    # a coefficient of 1 on any level moves smoke by about the cap: one learning rate serves all levels
-    scales = [cap * spacing * octave.lattice.shape[0] / level.shape[0] for level in pyramid.levels]
+    # a coefficient of 1 moves smoke by about the cap on any level: one learning rate serves them all
+    scales = [
+        cap
+        * spacing
+        * max(n / m for n, m in zip(octave.lattice.shape, level.shape[:3], strict=True))
+        for level in pyramid.levels
+    ]
     unknowns = [level.requires_grad_(True) for level in pyramid.levels]
 
     def potential() -> Tensor:
@@ -264,7 +269,7 @@ def _optimize_octave(
 def _move_finally(
     density: DenseField, source: ActiveSmoke, potential: Potential, cap: float, config: Config
 ) -> tuple[DenseField, dict[str, Any]]:
-    """The full-resolution density moved by the accurate scheme, and how far the cheap one is off."""
+    """The full density moved by the accurate scheme, and how far the cheap one is off."""
     lattice = surround(source, cap)
     box = lattice.fill(source)
     values = potential.on(lattice)
