@@ -148,13 +148,13 @@ def make_provenance(
     for volume in plan.volumes:
         for frame in volume.frames:
             source_file = frame.source.fields[volume.source.density].file_path
-            inputs[source_file] = run.frames[frame.file_name]["source_hash"]
+            inputs[f"{source_file} {frame.grid.label}"] = run.frames[frame.file_name]["source_hash"]
     facts = RunFacts(
         version=__version__,
         seed=config.optimize.seed,
         config=config_to_dict(config),
         inputs=inputs,
-        styles={style.name: style.sha256 for style in styles},
+        styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
         features=config.features.network,
         features_hash=features_hash,
         packages={**_package_versions(), "openvdb": read_binding_version(config.grids)},

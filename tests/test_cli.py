@@ -1,0 +1,303 @@
+"""The command: exit codes, stdout and stderr, JSON, help, signals, what it loads."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot
+from tests.usd_fixtures import file_hashes, write_text
+from usdsmoke.cli import main
+from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+
+def run_command(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "usdsmoke", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=PROJECT,
+        timeout=60,
+        **options,
+    )
+
+
+def loaded_by(*commands: list[str]) -> set[str]:
+    """Top-level packages that commands load, in a fresh interpreter."""
+    code = (
+        "import sys\nfrom usdsmoke.cli import main\n"
+        f"codes = [main(command) for command in {list(commands)!r}]\n"
+        "print('LOADED', *sorted({name.split('.')[0] for name in sys.modules}))\n"
+        "sys.exit(any(codes))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=PROJECT, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.rpartition("LOADED")[2].split())
+
+
+# The whole way
+
+
+@pytest.mark.usefixtures("core")
+def test_stylize_prints_where_the_result_is_and_says_the_rest_on_stderr(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments()) == 0
+    out, err = capsys.readouterr()
+    assert f"stage to open  {shot.output / 'shot_look.usda'}" in out
+    assert "usdsmoke validate" in out
+    assert "plan for" in err and "estimate" in err
+    assert "check frame 1/3" in err and "plan for" not in out
+
+
+@pytest.mark.usefixtures("core")
+def test_json_is_one_value_with_the_result_and_its_plan(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments("--json")) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert Path(result["root_stage"]).is_file()
+    assert all(Path(name).is_file() for name in result["frames"] + result["contact_sheets"])
+    assert len(result["plan"]["frames"]) == 3
+
+
+@pytest.mark.usefixtures("core")
+def test_options_and_settings_override_the_file_in_this_order(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "optimize: {seed: 1, threads: 1}\nwindows: {size: 5}\ngrids: {half: false}\n"
+    config = str(write_text(shot.folder / "look.yaml", text))
+    options = ["--config", config, "--seed", "2", "--half", "--set", "optimize.seed=3"]
+    options += ["--repair", "nan=0.5", "--frames", "2-3", "--prim", "/World/smoke"]
+    assert main(shot.arguments("--dry-run", "--json", *options)) == 0
+    resolved = json.loads(capsys.readouterr().out)["config"]
+    assert resolved["optimize"]["seed"] == 3
+    assert resolved["optimize"]["threads"] == 1
+    assert resolved["windows"]["size"] == 5
+    assert resolved["grids"]["half"] is True
+    assert resolved["grids"]["repair_nan"] == 0.5
+    assert resolved["stage"]["frames"] == "2-3"
+    assert resolved["stage"]["prims"] == ["/World/smoke"]
+
+
+def test_a_dry_run_prints_the_plan_and_writes_nothing(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = file_hashes(shot.folder)
+    assert main(shot.arguments("--dry-run")) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("plan for") and "left out" in out and err == ""
+    assert file_hashes(shot.folder) == before
+
+
+def test_a_dry_run_reads_no_voxel(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*arguments: object) -> None:
+        raise AssertionError("a VDB file was opened by OpenVDB")
+
+    monkeypatch.setattr("usdsmoke.grids.read.run_child", refuse)
+    assert main(shot.arguments("--dry-run", "--json")) == 0
+
+
+def test_inspect_validate_and_dry_runs_load_no_torch(shot: Shot) -> None:
+    (shot.stage.parent / "shot.usda").write_text(
+        shot.stage.read_text().replace(
+            "rel field", "float3[] extent = [(0, 0, 0), (2, 2, 1)]\n rel field"
+        )
+    )
+    stage = str(shot.stage)
+    loaded = loaded_by(["inspect", stage], ["validate", stage], shot.arguments("--dry-run"))
+    assert "pxr" in loaded
+    assert "torch" not in loaded
+
+
+def test_inspect_shows_volumes_frames_grids_and_sizes(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(shot.stage), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (volume,) = found["volumes"]
+    assert volume["prim_path"] == "/World/smoke" and volume["time_codes"] == [1, 2, 3]
+    field = volume["frames"][1]["fields"]["density"]
+    assert field["file"].endswith("cache/smoke.0002.vdb")
+    (grid,) = field["grids"]
+    assert (grid["name"], grid["type"], grid["class"]) == ("density", "float", "fog volume")
+    assert grid["active_voxels"] == 24 and grid["box"] == [4, 3, 2]
+    assert grid["index_to_world"][0] == [0.5, 0, 0, 0]
+    assert field["field_to_stage"][3] == [0, 0, 0, 1]
+    assert found["stage"]["up_axis"] == "Z" and found["stage"]["meters_per_unit"] == 0.5
+
+    assert main(["inspect", str(shot.stage), "--frames", "2"]) == 0
+    text = capsys.readouterr().out
+    assert "Volume </World/smoke>: 1 frame" in text
+    row = ["2", "density", "density", "float", "fog", "volume", "24", "4", "x", "3", "x", "2"]
+    assert [*row, "smoke.0002.vdb"] in [line.split() for line in text.splitlines()]
+
+
+def test_inspect_reports_problems_in_place_and_exits_with_1(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (shot.stage.parent / "cache/smoke.0002.vdb").write_bytes(b"not a VDB file")
+    assert main(["inspect", str(shot.stage), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    problems = [f["fields"]["density"].get("problem", "") for f in found["volumes"][0]["frames"]]
+    assert problems[0] == problems[2] == "" and "smoke.0002.vdb" in problems[1]
+    assert main(["inspect", str(shot.stage)]) == 1
+    assert f"problem: {problems[1]}" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("core")
+def test_validate_tells_a_sound_result_from_a_damaged_one(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(shot.arguments())
+    root = str(shot.output / "shot_look.usda")
+    capsys.readouterr()
+    assert main(["validate", root, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["errors"] == 0
+    (frame,) = shot.output.glob("vdb/*/smoke.0002.vdb")
+    frame.unlink()
+    assert main(["validate", root]) == 1
+    out = capsys.readouterr().out
+    assert "error" in out and "smoke.0002.vdb" in out
+
+
+def test_settings_prints_a_file_that_can_be_given_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["settings"]) == 0
+    config = write_text(tmp_path / "all.yaml", capsys.readouterr().out)
+    assert resolve_config(read_config(config)) == Config()
+    assert main(["settings", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == config_to_dict(Config())
+
+
+# Usage
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["paint"],
+        ["stylize", "shot.usda"],
+        ["stylize", "shot.usda", "--style", "x.png"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--repair", "nan"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--repair", "nan=inf"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--seed", "one"],
+        ["inspect"],
+        ["inspect", "a.usda", "b.usda"],
+    ],
+)
+def test_wrong_usage_exits_with_2_and_says_how_it_is_meant(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("usage: usdsmoke")
+
+
+def test_the_help_lists_every_section_and_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["stylize", "--help"])
+    assert stopped.value.code == 0
+    text = capsys.readouterr().out
+    for section, settings in config_to_dict(Config()).items():
+        assert f"{section}: {', '.join(settings)}" in text
+
+
+def test_python_m_usdsmoke_is_the_command() -> None:
+    done = run_command("--version")
+    assert (done.returncode, done.stdout.strip()) == (0, "usdsmoke 0.1.0")
+    failed = run_command("inspect", "nowhere.usda", "--json")
+    assert failed.returncode == 1
+    error = json.loads(failed.stdout)["error"]
+    assert error["type"] == "StageError" and "nowhere.usda" in error["message"]
+    assert failed.stderr == f"usdsmoke: {error['message']}\n"
+
+
+# Signals and pipes
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_run_cleanly_and_the_same_command_goes_on(
+    shot: Shot,
+    core: FakeCore,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    code: int,
+) -> None:
+    def interrupt(time_code: float) -> None:
+        if time_code == 2.0:
+            signal.raise_signal(number)
+
+    core.before_frame = interrupt
+    before = signal.getsignal(number)
+    command = shot.arguments("--set", "windows.size=1", "--json")
+    assert main(command) == code
+    assert signal.getsignal(number) == before
+    out, err = capsys.readouterr()
+    assert json.loads(out)["error"]["type"] == "Interrupted"
+    assert "stopped with 1 of 3 frames finished" in err and "Traceback" not in err
+    assert not list(shot.output.glob("*.usd*")) and not list(shot.output.rglob(".*"))
+    core.before_frame = lambda time_code: None
+    core.stylized.clear()
+    assert main(command) == 0
+    assert core.stylized == [2.0, 3.0]
+
+
+def test_nobody_reading_stdout_is_no_error(shot: Shot) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as stdout:
+        done = subprocess.run(
+            [sys.executable, "-m", "usdsmoke", "inspect", str(shot.stage)],
+            stdout=stdout, stderr=subprocess.PIPE, text=True, cwd=PROJECT, timeout=60,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+# Errors
+
+
+def test_verbose_shows_where_an_error_comes_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(tmp_path / "no.usda")]) == 1
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["inspect", str(tmp_path / "no.usda"), "--verbose"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_unexpected_error_is_named_without_a_traceback(
+    shot: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(time_code: float) -> None:
+        raise IndexError("list index out of range")
+
+    core.before_frame = fail
+    assert main(shot.arguments()) == 1
+    err = capsys.readouterr().err
+    assert "unexpected IndexError: list index out of range; --verbose shows where" in err
+    assert "Traceback" not in err
+    assert not shot.output.exists()
+
+
+def test_a_note_is_made_of_fractional_timecodes(
+    tmp_path: Path, core: FakeCore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot = make_shot(tmp_path)
+    shot.stage.write_text(shot.stage.read_text().replace("{ 1: @", "{ 0.5: @"))
+    assert main(shot.arguments()) == 0
+    assert "note: some timeCodes are no whole numbers" in capsys.readouterr().err
