@@ -236,11 +236,9 @@ def _optimize_octave(
     """The potential [I J K C] after one octave, starting from ``base``."""
     pyramid = Pyramid.zeros(octave.lattice.shape, base.shape[-1], N_LEVELS, base)
     spacing = max(octave.lattice.spacing)
-    # a coefficient of 1 moves smoke by about the cap on any level: one learning rate serves them all
+    # a coefficient of 1 moves smoke by about the cap on any level: one rate serves all
     scales = [
-        cap
-        * spacing
-        * max(n / m for n, m in zip(octave.lattice.shape, level.shape[:3], strict=True))
+        cap * spacing * max(n / m for n, m in zip(octave.lattice.shape, level.shape, strict=False))
         for level in pyramid.levels
     ]
     unknowns = [level.requires_grad_(True) for level in pyramid.levels]
