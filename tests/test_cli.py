@@ -1,8 +1,6 @@
 """The command: exit codes, stdout and stderr, JSON, help, signals, what it loads."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.pipeline_fixtures import FakeCore, Shot, make_shot
+from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes, write_text
 from usdsmoke.cli import main
 from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
@@ -225,79 +223,3 @@ def test_python_m_usdsmoke_is_the_command() -> None:
     error = json.loads(failed.stdout)["error"]
     assert error["type"] == "StageError" and "nowhere.usda" in error["message"]
     assert failed.stderr == f"usdsmoke: {error['message']}\n"
-
-
-# Signals and pipes
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_the_run_cleanly_and_the_same_command_goes_on(
-    shot: Shot,
-    core: FakeCore,
-    capsys: pytest.CaptureFixture[str],
-    number: signal.Signals,
-    code: int,
-) -> None:
-    def interrupt(time_code: float) -> None:
-        if time_code == 2.0:
-            signal.raise_signal(number)
-
-    core.before_frame = interrupt
-    before = signal.getsignal(number)
-    command = shot.arguments("--set", "windows.size=1", "--json")
-    assert main(command) == code
-    assert signal.getsignal(number) == before
-    out, err = capsys.readouterr()
-    assert json.loads(out)["error"]["type"] == "Interrupted"
-    assert "stopped with 1 of 3 frames finished" in err and "Traceback" not in err
-    assert not list(shot.output.glob("*.usd*")) and not list(shot.output.rglob(".*"))
-    core.before_frame = lambda time_code: None
-    core.stylized.clear()
-    assert main(command) == 0
-    assert core.stylized == [2.0, 3.0]
-
-
-def test_nobody_reading_stdout_is_no_error(shot: Shot) -> None:
-    read, write = os.pipe()
-    os.close(read)
-    with os.fdopen(write, "w") as stdout:
-        done = subprocess.run(
-            [sys.executable, "-m", "usdsmoke", "inspect", str(shot.stage)],
-            stdout=stdout, stderr=subprocess.PIPE, text=True, cwd=PROJECT, timeout=60,
-        )  # fmt: skip
-    assert (done.returncode, done.stderr) == (141, "")
-
-
-# Errors
-
-
-def test_verbose_shows_where_an_error_comes_from(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["inspect", str(tmp_path / "no.usda")]) == 1
-    assert "Traceback" not in capsys.readouterr().err
-    assert main(["inspect", str(tmp_path / "no.usda"), "--verbose"]) == 1
-    assert "Traceback" in capsys.readouterr().err
-
-
-def test_an_unexpected_error_is_named_without_a_traceback(
-    shot: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(time_code: float) -> None:
-        raise IndexError("list index out of range")
-
-    core.before_frame = fail
-    assert main(shot.arguments()) == 1
-    err = capsys.readouterr().err
-    assert "unexpected IndexError: list index out of range; --verbose shows where" in err
-    assert "Traceback" not in err
-    assert not shot.output.exists()
-
-
-def test_a_note_is_made_of_fractional_timecodes(
-    tmp_path: Path, core: FakeCore, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shot = make_shot(tmp_path)
-    shot.stage.write_text(shot.stage.read_text().replace("{ 1: @", "{ 0.5: @"))
-    assert main(shot.arguments()) == 0
-    assert "note: some timeCodes are no whole numbers" in capsys.readouterr().err

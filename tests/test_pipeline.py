@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
-from usdsmoke.config import GridsConfig
+from usdsmoke.config import GridsConfig, resolve_config
 from usdsmoke.grids.content_hash import check_content
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
@@ -59,7 +60,9 @@ def test_the_file_tells_where_it_comes_from(shot: Shot) -> None:
     assert metadata["creator"] == f"usdsmoke {usdsmoke.__version__}"
     assert json.loads(record["config"])["optimize"]["seed"] == 3
     assert len(record["inputs"]) == 3
-    assert metadata["usdsmoke:source_sha256"] == record["inputs"][0].removeprefix("smoke.0001.vdb density=")
+    assert metadata["usdsmoke:source_sha256"] == record["inputs"][0].removeprefix(
+        "smoke.0001.vdb density="
+    )
     for file_path in result.frames:
         check_content(file_path, GridsConfig())
 
@@ -175,3 +178,17 @@ def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) 
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
     assert [r.frame for r in reports if r.step == "write"] == [0, 1, 2]
     assert all(r.n_frames == 3 for r in reports if r.step == "colour")
+
+
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize("kind", ["file", "sections", "config", "texts"])
+def test_settings_come_as_a_file_as_sections_as_texts_or_ready_made(shot: Shot, kind: str) -> None:
+    sections = {"windows": {"size": 2}}
+    ways: dict[str, dict[str, Any]] = {
+        "file": {"config": write_text(shot.folder / "c.yaml", "windows: {size: 2}\n")},
+        "sections": {"config": {"windows": {"size": 7}}, "settings": sections},
+        "config": {"config": resolve_config(sections)},
+        "texts": {"config": {"windows": {"size": 7}}, "settings": ["windows.size=2"]},
+    }
+    result = usdsmoke.stylize(shot.stage, style=[shot.style], output=shot.output, **ways[kind])
+    assert [len(window.time_codes) for window in result.plan.volumes[0].windows] == [2, 1]

@@ -58,6 +58,9 @@ def find_frame_velocity(
         frame: one timeCode of it.
         headers: by file path, of the frame's files.
         config: ``stage.velocity`` names it, empty tries the usual names.
+
+    Raises:
+        GridNotFound: a velocity was named that is not there.
     """
     sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
     if sources and len({source.file_path for source in sources}) == 1:
@@ -66,9 +69,12 @@ def find_frame_velocity(
         grids = find_velocity(headers[sources[0].file_path], base) if base else ()
         if grids:
             return VelocitySource(sources[0], base, grids)
-    density = frame.fields[volume.density]
-    grids = find_velocity(headers[density.file_path], config.stage.velocity)
-    return VelocitySource(density, config.stage.velocity, grids) if grids else None
+    density, name = frame.fields[volume.density], config.stage.velocity
+    header = headers[density.file_path]
+    grids = find_velocity(header, name)
+    if name and not grids:
+        find_grid(header, GridRequest(name, None, f"velocity, {_where(density)}"))
+    return VelocitySource(density, name, grids) if grids else None
 
 
 def read_frame(

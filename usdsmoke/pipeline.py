@@ -49,7 +49,7 @@ def plan_stylize(
     style: FilePath | Sequence[FilePath],
     output: FilePath,
     config: Settings = None,
-    settings: Sequence[str] = (),
+    settings: Mapping[str, Any] | Sequence[str] = (),
 ) -> Plan:
     """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
 
@@ -64,7 +64,7 @@ def stylize(
     style: FilePath | Sequence[FilePath],
     output: FilePath,
     config: Settings = None,
-    settings: Sequence[str] = (),
+    settings: Mapping[str, Any] | Sequence[str] = (),
     force: bool = False,
     progress: RunProgressCallback | None = None,
     planned: Callable[[Plan], None] | None = None,
@@ -79,7 +79,8 @@ def stylize(
         style: one image file or several.
         output: the folder of the result; made if missing.
         config: a YAML file, a mapping of sections, or ready made; None takes the defaults.
-        settings: further ones, stronger than ``config``: texts such as ``windows.size=3``.
+        settings: further ones, stronger than ``config``: a mapping of sections, or texts such as
+            ``windows.size=3``.
         force: replace an earlier result, which stays whole until the new one is.
         progress: called often, with how far the run is.
         planned: called once with the plan, before anything heavy is loaded.
@@ -112,13 +113,15 @@ def _paths(style: FilePath | Sequence[FilePath]) -> list[FilePath]:
     return [style] if isinstance(style, (str, PathLike)) else list(style)
 
 
-def _resolve(config: Settings, settings: Sequence[str]) -> Config:
+def _resolve(config: Settings, settings: Mapping[str, Any] | Sequence[str]) -> Config:
     if isinstance(config, Config):
         sections: Mapping[str, Any] = config_to_dict(config)
     elif config is None or isinstance(config, Mapping):
         sections = config or {}
     else:
         sections = read_config(Path(config))
+    if isinstance(settings, Mapping):
+        return resolve_config(sections, settings)
     return resolve_config(sections, assignments=settings)
 
 
