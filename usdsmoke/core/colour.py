@@ -1,4 +1,4 @@
-r"""The colour step: RGB on fixed density. [Christen2020, eq. 4 and section 3.1]
+r"""The colour step: RGB on fixed density. [Christen2020, eq. 6 and section 3.1]
 
 With the density fixed, a view's picture is a fixed sparse linear map of the voxel colours, computed
 once per view and octave. Unknowns are the display-encoded colours of the active voxels, clipped to

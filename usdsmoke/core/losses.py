@@ -1,7 +1,7 @@
 r"""What pictures are compared by.
 
 The style loss of a layer compares Gram matrices G = F F^T / sum T^2 of guided features T * F
-[Christen2020, eqs. 3 and 6; Gatys2017]. Deviations from the paper, each for stability or speed of
+[Christen2020, eqs. 3 and 7; Gatys2017]. Deviations from the paper, each for stability or speed of
 convergence:
 
 - normalised by the guided area, so that a masked region and a whole image compare;

@@ -4,7 +4,7 @@ One rule serves everything: on a segment of optical depth t = gamma * d * h with
 and colour, the light that reaches its front is C * (1 - exp(-t)), and exp(-t) of what comes from
 behind passes [Max1995]. It is second order in h and bounded for every optical depth.
 
-The paper's images are these divided by gamma [Christen2020, eqs. 7-9]: its grey integral of d * tau
+The paper's images are these divided by gamma [Christen2020, eqs. 8-10]: its grey integral of d * tau
 is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by gamma
 gives ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no division by the image's
 maximum.
@@ -15,7 +15,13 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-__all__ = ["attenuation_ratio", "composite_segments", "opacity", "segment_weights"]
+__all__ = [
+    "attenuation_ratio",
+    "composite_segments",
+    "opacity",
+    "segment_weights",
+    "transmittance_before",
+]
 
 
 def opacity(optical_depth: Tensor) -> Tensor:
@@ -57,6 +63,22 @@ def attenuation_ratio(optical_depth: Tensor) -> Tensor:
     return cast(Tensor, _AttenuationRatio.apply(optical_depth))
 
 
+def transmittance_before(optical_depth: Tensor) -> Tensor:
+    """What passes all segments in front of each one: exp(-sum_{r<s} t_r), in [0, 1].
+
+    Args:
+        optical_depth: t of the segments, [S ...], front to back along the first axis, >= 0.
+
+    Returns:
+        the same shape; 1 for the foremost segment.
+
+    Gradients: through ``optical_depth``.
+    """
+    # an exclusive sum: taking t_s off the inclusive one leaves infinity minus infinity behind a wall
+    before = torch.cumsum(optical_depth[:-1], dim=0)
+    return torch.exp(-torch.cat([torch.zeros_like(optical_depth[:1]), before]))
+
+
 def segment_weights(optical_depth: Tensor) -> Tensor:
     r"""Share of each segment's colour in the pixel: w_s = exp(-sum_{r<s} t_r) * (1 - exp(-t_s)).
 
@@ -67,10 +89,9 @@ def segment_weights(optical_depth: Tensor) -> Tensor:
         w, the same shape; sum over S is the ray's opacity 1 - exp(-sum t).
 
     Gradients: through ``optical_depth``.
-    Differs from [Christen2020, eq. 9]: multiplied by gamma, and exact where density is constant.
+    Differs from [Christen2020, eq. 10]: multiplied by gamma, and exact where density is constant.
     """
-    before = torch.cumsum(optical_depth, dim=0) - optical_depth
-    return torch.exp(-before) * opacity(optical_depth)
+    return transmittance_before(optical_depth) * opacity(optical_depth)
 
 
 def composite_segments(optical_depth: Tensor, colour: Tensor) -> Tensor:
