@@ -10,6 +10,7 @@ that it wrote, draws held-out views with a renderer of its own and prints the ta
 
 import argparse
 import datetime
+import json
 import os
 import platform
 import subprocess
@@ -77,19 +78,18 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         stage = find_stages(options.data, options.out)["real_plume"]
         styles = options.styles or _default_styles(options.data, options.out)
-        runs = [
-            _measure(stage, style, cameras, options)
-            for style in styles
-            for cameras in (["front"] if options.quick else list(RANGES))
-        ]
+        runs: list[Run] = []
+        for style in styles:
+            for cameras in ["front"] if options.quick else RANGES:
+                runs.append(_measure(stage, style, cameras, options))
+                report = _report(runs, arguments if arguments is not None else sys.argv[1:])
+                if options.report:  # after every run, for they take minutes
+                    options.report.parent.mkdir(parents=True, exist_ok=True)
+                    options.report.write_text(report, encoding="utf-8")
     except (OSError, RuntimeError, ValueError, UsdSmokeError) as error:
         print(f"benchmarks.style_scores: {error}", file=sys.stderr)
         return 1
-    report = _report(runs, arguments if arguments is not None else sys.argv[1:])
     print(report)
-    if options.report:
-        options.report.parent.mkdir(parents=True, exist_ok=True)
-        options.report.write_text(report, encoding="utf-8")
     return 0
 
 
@@ -119,10 +119,12 @@ def _default_styles(data_folder: Path, out_folder: Path) -> list[Path]:
 def _measure(stage: Path, style: Path, cameras: str, options: argparse.Namespace) -> Run:
     azimuth, elevation = RANGES[cameras]
     folder = options.out / f"{style.stem}_{cameras.replace(' ', '_')}"
-    cost = (0.0, 0.0, 0.0)
-    if not (options.reuse and folder.is_dir()):
+    noted = options.out / f"{folder.name}.json"
+    if not (options.reuse and noted.is_file()):
         ranges = [f"views.azimuth={azimuth}", f"views.elevation={elevation}"]
-        cost = stylize_in_child(stage, style, folder, [*ranges, *options.settings])
+        costs = stylize_in_child(stage, style, folder, [*ranges, *options.settings])
+        noted.write_text(json.dumps(costs), encoding="utf-8")
+    cost = json.loads(noted.read_text(encoding="utf-8"))
     (root_stage,) = folder.glob("*_look.usda")
     result = read_result(Usd.Stage.Open(str(root_stage)))
     angles = held_out_angles(N_VIEWS, azimuth, elevation)
