@@ -4,10 +4,10 @@ One rule serves everything: on a segment of optical depth t = gamma * d * h with
 and colour, the light that reaches its front is C * (1 - exp(-t)), and exp(-t) of what comes from
 behind passes [Max1995]. It is second order in h and bounded for every optical depth.
 
-The paper's images are these divided by gamma [Christen2020, eqs. 8-10]: its grey integral of d * tau
-is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by gamma
-gives ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no division by the image's
-maximum.
+The paper's images are these divided by gamma [Christen2020, eqs. 8-10]: its grey integral of
+d * tau is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by
+gamma gives ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no division by the
+image's maximum.
 """
 
 from typing import Any, cast
@@ -74,7 +74,7 @@ def transmittance_before(optical_depth: Tensor) -> Tensor:
 
     Gradients: through ``optical_depth``.
     """
-    # an exclusive sum: taking t_s off the inclusive one leaves infinity minus infinity behind a wall
+    # an exclusive sum: with t_s taken off the inclusive one an infinite t_s would give NaN
     before = torch.cumsum(optical_depth[:-1], dim=0)
     return torch.exp(-torch.cat([torch.zeros_like(optical_depth[:1]), before]))
 

@@ -17,15 +17,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.optics import attenuation_ratio
+from usdsmoke.core.optics import attenuation_ratio, opacity, transmittance_before
 from usdsmoke.core.views import View
 
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 
-NEGLIGIBLE = (
-    1e-9  # of the largest weight: below this an entry is rounded away in float32 sums anyway
-)
+NEGLIGIBLE = 1e-9  # share of a pixel: what is hidden deeper is rounded away in float32 sums anyway
+THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
+MOST_SLABS = 2048  # smoke in few places far apart must not fill memory with the emptiness between
 
 
 class _Apply(torch.autograd.Function):
@@ -79,7 +79,7 @@ class SparseImage:
 
 @dataclass(frozen=True)
 class _Footprint:
-    """Where voxels fall in a view."""
+    """Where voxels fall in a view; float64."""
 
     pixel: Tensor  # [N 4] int32
     weight: Tensor  # [N 4], bilinear
@@ -87,28 +87,27 @@ class _Footprint:
     per_area: Tensor  # [N], 1 / area that a pixel covers at the voxel, perpendicular to the ray
 
 
-def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footprint:
+def project_voxels(positions: Tensor, view: View) -> _Footprint:
     """Bilinear footprints of points in a view.
 
     Args:
         positions: [N 3], stage space, float64: smoke may be far from the origin.
         view: orthographic or perspective; points behind a perspective eye get weight 0.
-        dtype: of the result.
     """
     axes = torch.as_tensor(np.stack([view.right, view.up, view.forward]), device=positions.device)
     centre = torch.as_tensor(view.centre, dtype=positions.dtype, device=positions.device)
-    right, up, depth = ((positions - centre) @ axes.T.to(positions.dtype)).to(dtype).unbind(-1)
+    right, up, depth = ((positions - centre) @ axes.T.to(positions.dtype)).unbind(-1)
     if view.focal is None:
         scale = torch.full_like(depth, 1.0 / view.pixel_size)
         per_area = scale**2
         visible = torch.ones_like(depth)
     else:
-        visible = (depth > 1e-6 * depth.abs().amax()).to(depth.dtype)
-        scale = view.focal / torch.where(visible > 0, depth, torch.ones_like(depth))
-        slant = torch.sqrt(
-            1 + (right**2 + up**2) / torch.where(visible > 0, depth, torch.ones_like(depth)) ** 2
-        )
-        per_area = scale**2 * slant  # the area seen at a slant is smaller by its cosine
+        near = 1e-6 * depth.abs().amax() if len(depth) else depth.new_zeros(())
+        visible = (depth > near).to(depth.dtype)
+        depth = torch.where(depth > near, depth, near.clamp_min(1e-30))
+        scale = view.focal / depth
+        # the area seen at a slant is smaller by its cosine
+        per_area = scale**2 * torch.sqrt(1 + (right**2 + up**2) / depth**2)
     x = (view.width - 1) / 2 + right * scale
     y = (view.height - 1) / 2 - up * scale
     x0, y0 = torch.floor(x), torch.floor(y)
@@ -127,11 +126,6 @@ def project_voxels(positions: Tensor, view: View, dtype: torch.dtype) -> _Footpr
 
 def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
     """Sorts the entries by pixel; what no pixel could show is left out of both directions alike."""
-    weight = (
-        torch.where(weight > NEGLIGIBLE * weight.amax(), weight, torch.zeros_like(weight))
-        if len(weight)
-        else weight
-    )
     flat = pixel.reshape(-1)
     keep = torch.nonzero(weight.reshape(-1)).squeeze(1)
     order = keep[torch.argsort(flat[keep], stable=True)]
@@ -155,8 +149,9 @@ def column_map(
         voxel_volume: stage unit^3.
         view: with pixels at least as large as the voxels, or gaps appear between them.
     """
-    foot = project_voxels(positions, view, dtype)
-    return _sorted_image(view, foot.pixel, foot.weight * (voxel_volume * foot.per_area)[:, None])
+    foot = project_voxels(positions, view)
+    weight = foot.weight * (voxel_volume * foot.per_area)[:, None]
+    return _sorted_image(view, foot.pixel, weight.to(dtype))
 
 
 def colour_map(
@@ -177,29 +172,28 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    foot = project_voxels(positions, view, density.dtype)
-    n_pixels = view.height * view.width
+    foot = project_voxels(positions, view)
     if len(positions) == 0:
-        return _sorted_image(view, foot.pixel, foot.weight), density.new_zeros(
-            view.height, view.width
-        )
-    slab = (foot.depth - foot.depth.min()) / step
+        empty = _sorted_image(view, foot.pixel, foot.weight.to(density.dtype))
+        return empty, density.new_zeros(view.height, view.width)
+    depth = foot.depth - foot.depth.min()
+    slab = depth / max(step, float(depth.max()) / MOST_SLABS)
     slab0 = torch.floor(slab)
-    far = slab - slab0
-    n_slabs = int(slab0.max()) + 2
-    mass = gamma_w * density * voxel_volume * foot.per_area
+    far = (slab - slab0).to(density.dtype)
+    n_slabs, n_pixels = int(slab0.max()) + 2, view.height * view.width
+    mass = (density * (gamma_w * voxel_volume) * foot.per_area).clamp_max(THICKEST)
+    share = (foot.weight * mass[:, None]).to(density.dtype)
     cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel.long()
-    share = foot.weight * mass[:, None]
     depths = torch.zeros(n_slabs * n_pixels, dtype=density.dtype, device=density.device)
     for cell, part in ((cell0, 1 - far), (cell0 + n_pixels, far)):
         depths += torch.bincount(
             cell.reshape(-1), (share * part[:, None]).reshape(-1), minlength=n_slabs * n_pixels
         )
     depths = depths.view(n_slabs, n_pixels)
-    before = torch.cumsum(depths, 0) - depths
-    per_depth = (torch.exp(-before) * attenuation_ratio(depths)).view(-1)
+    per_depth = (transmittance_before(depths) * attenuation_ratio(depths)).view(-1)
     weight = share * (
         per_depth[cell0] * (1 - far)[:, None] + per_depth[cell0 + n_pixels] * far[:, None]
     )
-    alpha = -torch.expm1(-depths.sum(0)).view(view.height, view.width)
+    weight = torch.where(weight > NEGLIGIBLE, weight, torch.zeros_like(weight))
+    alpha = opacity(depths.sum(0)).view(view.height, view.width)
     return _sorted_image(view, foot.pixel, weight), alpha
