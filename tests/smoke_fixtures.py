@@ -1,0 +1,83 @@
+"""Smoke for the core's tests: closed forms on small grids, in any place and at any resolution."""
+
+import numpy as np
+import torch
+
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.volume import DenseField, VolumeFrame
+
+__all__ = [
+    "affine",
+    "frame_of",
+    "gaussian_column",
+    "gaussian_smoke",
+    "puff",
+    "random_style",
+    "smoke_of",
+]
+
+
+def affine(seed: int, mirrored: bool = False) -> np.ndarray:
+    """A rotation, sheared, with voxels of three different sizes, moved: [4 4], row vectors."""
+    generator = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn)) * (-1 if mirrored else 1)
+    shear = np.eye(3) + np.triu(generator.uniform(-0.2, 0.2, (3, 3)), 1)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.diag([0.8, 1.0, 1.3]) @ shear @ turn
+    matrix[3, :3] = generator.uniform(-5, 5, 3)
+    return matrix
+
+
+def puff(n: int = 12, seed: int = 0, cut: float = 0.05) -> np.ndarray:
+    """A ball of smoke with lumps, [n n n] float32, empty outside."""
+    generator = np.random.default_rng(seed)
+    centres = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5] * 3, indexing="ij"), axis=-1)
+    density = np.exp(-((centres / 0.25) ** 2).sum(-1)) * generator.uniform(0.6, 1.0, (n, n, n))
+    return np.where(density > cut, density, 0.0).astype(np.float32)
+
+
+def frame_of(
+    density: np.ndarray,
+    time_code: float = 1.0,
+    velocity: np.ndarray | None = None,
+    ijk_min: tuple[int, int, int] = (0, 0, 0),
+    index_to_world: np.ndarray | None = None,
+) -> VolumeFrame:
+    """A frame in stage space; the velocity [3] is the same everywhere, units per second."""
+    matrix = np.eye(4) if index_to_world is None else index_to_world
+    field = DenseField("density", np.asarray(density, np.float32), ijk_min, matrix)
+    if velocity is None:
+        return VolumeFrame(time_code, field, np.eye(4))
+    values = np.broadcast_to(np.float32(velocity), (*density.shape, 3)).copy()
+    moving = DenseField("velocity", values, ijk_min, matrix)
+    return VolumeFrame(time_code, field, np.eye(4), moving, np.eye(4))
+
+
+def smoke_of(density: np.ndarray, index_to_stage: np.ndarray | None = None) -> ActiveSmoke:
+    """The active voxels of an array whose first voxel has index (0, 0, 0)."""
+    matrix = np.eye(4) if index_to_stage is None else index_to_stage
+    field = DenseField("density", np.asarray(density, np.float32), (0, 0, 0), matrix)
+    return activate(field, np.eye(4), torch.device("cpu"))
+
+
+def gaussian_smoke(n: int, width: float = 0.15) -> ActiveSmoke:
+    """exp(-|x|^2 / (2 width^2)) on [-1/2, 1/2]^3 with n voxels a side."""
+    centres = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5] * 3, indexing="ij"), axis=-1)
+    matrix = np.diag([1 / n, 1 / n, 1 / n, 1.0])
+    matrix[3, :3] = 0.5 / n - 0.5
+    return smoke_of(np.exp(-(centres**2).sum(-1) / (2 * width**2)), matrix)
+
+
+def gaussian_column(x: np.ndarray, y: np.ndarray, width: float = 0.15) -> np.ndarray:
+    """Column integral of that density along any axis, at distances x, y from the middle."""
+    return np.exp(-(x**2 + y**2) / (2 * width**2)) * width * np.sqrt(2 * np.pi)
+
+
+def random_style(height: int = 24, width: int = 32, seed: int = 0) -> np.ndarray:
+    """Coloured stripes and specks, [H W 3] float32 in [0, 1]."""
+    generator = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    stripes = 0.5 + 0.4 * np.sin(0.9 * x + 0.4 * y)
+    picture = np.stack([stripes, 0.3 + 0.0 * x, 1 - stripes], axis=-1)
+    return np.clip(picture + generator.normal(0, 0.05, picture.shape), 0, 1).astype(np.float32)
