@@ -179,6 +179,18 @@ def test_settings_prints_a_file_that_can_be_given_back(
     assert json.loads(capsys.readouterr().out) == config_to_dict(Config())
 
 
+@pytest.mark.usefixtures("core")
+def test_relative_paths_mean_the_folder_one_is_in(
+    shot: Shot, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shot.folder)
+    command = ["stylize", "in/shot.usda", "--style", "in/style.png", "-o", "looks/fire", "--json"]
+    assert main(command) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["root_stage"] == str(shot.folder / "looks/fire/shot_look.usda")
+    assert main(["validate", "looks/fire/shot_look.usda"]) == 0
+
+
 # Usage
 
 

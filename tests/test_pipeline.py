@@ -21,6 +21,7 @@ from tests.pipeline_fixtures import (
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
 from usdsmoke.config import GridsConfig, resolve_config
+from usdsmoke.frames import read_frame
 from usdsmoke.grids.content_hash import check_content
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
@@ -65,6 +66,18 @@ def test_the_file_tells_where_it_comes_from(shot: Shot) -> None:
     )
     for file_path in result.frames:
         check_content(file_path, GridsConfig())
+
+
+@pytest.mark.usefixtures("core")
+def test_the_plan_and_the_settings_stay_with_the_result(shot: Shot) -> None:
+    result = run(shot, "optimize.seed=3", "windows.size=2")
+    text = (result.frames[0].parent / "run.json").read_text()
+    record = json.loads(text)
+    assert record["description"]["settings"]["optimize"]["seed"] == 3
+    assert [window["time_codes"] for window in record["plan"]["windows"]] == [[1, 2], [3]]
+    planned = [omission.what for omission in result.plan.omitted]
+    assert [item["what"] for item in record["plan"]["omitted"]] == planned
+    assert str(shot.folder) not in text
 
 
 @pytest.mark.usefixtures("core")
@@ -192,3 +205,21 @@ def test_settings_come_as_a_file_as_sections_as_texts_or_ready_made(shot: Shot, 
     }
     result = usdsmoke.stylize(shot.stage, style=[shot.style], output=shot.output, **ways[kind])
     assert [len(window.time_codes) for window in result.plan.volumes[0].windows] == [2, 1]
+
+
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize(("kept", "n_readings"), [(2**20, 3), (0, 12)], ids=["small", "large"])
+def test_small_frames_are_read_once_and_large_ones_as_often_as_they_are_wanted(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, kept: int, n_readings: int
+) -> None:
+    """Checked, measured, stylized, shown: with three frames each of them wants every frame."""
+    read = []
+
+    def count(volume: Any, frame: Any, *more: Any) -> Any:
+        read.append(frame.time_code)
+        return read_frame(volume, frame, *more)
+
+    monkeypatch.setattr("usdsmoke.pipeline_frames.read_frame", count)
+    monkeypatch.setattr("usdsmoke.pipeline_frames.KEPT_BYTES", kept)
+    run(shot)
+    assert len(read) == n_readings

@@ -36,7 +36,7 @@ __all__ = [
 
 GIB = 2**30
 
-BASE = 0.6 * GIB  # the interpreter with USD and torch loaded
+BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
 BOX_BYTES = 48  # density before and after, displacement, RGB, and one array in the making
 VOXEL_BYTES = 240  # positions, colours, their gradients and Adam's moments, octaves
 VIEW_BYTES = 96  # four pixels and weights, in two orders

@@ -1,6 +1,5 @@
 """The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -10,20 +9,18 @@ from typing import TYPE_CHECKING, Any
 from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.errors import Interrupted
-from usdsmoke.frames import read_frame
-from usdsmoke.grids.content_hash import hash_fields
 from usdsmoke.layer import author_look
+from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_run, prepare_job, published_runs
-from usdsmoke.pipeline_outputs import collect_volume, make_provenance, write_result
-from usdsmoke.pipeline_pictures import sample_frames, write_contact_sheet
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.pipeline_outputs import collect_volume, make_provenance
+from usdsmoke.pipeline_pictures import write_contact_sheet
+from usdsmoke.pipeline_windows import check_frames, measure_volume, stylize_windows
+from usdsmoke.plan import Plan
 from usdsmoke.provenance import hash_file
 from usdsmoke.run_folder import RunFolder, lock_output, open_run
-from usdsmoke.run_progress import RunProgress, RunProgressCallback, WorkMeter
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.run_progress import RunProgress, RunProgressCallback
 
 if TYPE_CHECKING:
-    from usdsmoke.core.progress import Progress
     from usdsmoke.core.scene import Scene
 
 __all__ = ["Settings", "StylizeResult", "plan_stylize", "stylize"]
@@ -98,11 +95,12 @@ def stylize(
     with lock_output(job.output):
         run = open_run(job.output, description, published_runs(job), force)
         try:
-            source_hashes = _check_frames(job.plan, run, tell)
-            scenes = [_measure_volume(job.plan, volume) for volume in job.plan.volumes]
-            run.begin()
-            seconds = _stylize_windows(job, run, scenes, source_hashes, tell)
-            return _publish(job, run, scenes, features_hash, seconds, tell)
+            reader = FrameReader(job.plan)
+            source_hashes = check_frames(reader, job.plan, run, tell)
+            scenes = [measure_volume(reader, job.plan, volume) for volume in job.plan.volumes]
+            run.begin(_plan_record(job.plan))
+            seconds = stylize_windows(job, run, reader, scenes, source_hashes, tell)
+            return _publish(job, run, reader, scenes, features_hash, seconds, tell)
         except KeyboardInterrupt:
             raise Interrupted(_how_far(run, job.plan)) from None
         finally:
@@ -134,111 +132,16 @@ def _features_hash(config: Config) -> str:
     return hash_file(find_vgg19_file(config.features.vgg19_file))
 
 
-def _windows_to_do(
-    plan: Plan, run: RunFolder
-) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
-    """Volume number, Volume and frames of every window that is not finished.
-
-    A window with one unfinished frame is done again as a whole, because each frame starts from its
-    neighbour: so a run that was stopped gives the same bits as one that was not.
-    """
-    to_do = []
-    for number, volume in enumerate(plan.volumes):
-        frames = {frame.source.time_code: frame for frame in volume.frames}
-        for window in volume.windows:
-            members = tuple(frames[time_code] for time_code in window.time_codes)
-            if any(run.finished(frame.file_name) is None for frame in members):
-                to_do.append((number, volume, members))
-    return to_do
-
-
-def _check_frames(plan: Plan, run: RunFolder, tell: RunProgressCallback) -> dict[str, str]:
-    """Read every frame once, so that damage and NaN show before an hour of work, not after it.
-
-    Returns:
-        Content hash of the source's density by the result's file name.
-    """
-    to_do = [
-        (volume, frame) for _, volume, members in _windows_to_do(plan, run) for frame in members
-    ]
-    hashes = {}
-    for number, (volume, frame) in enumerate(to_do):
-        tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
-        hashes[frame.file_name] = hash_fields([_read(plan, volume, frame).density])
-    return hashes
-
-
-def _read(plan: Plan, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
-    rate = plan.source.time_codes_per_second
-    return read_frame(volume.source, frame.source, plan.config, frame.velocity, rate)
-
-
-def _measure_volume(plan: Plan, volume: VolumePlan) -> "Scene":
-    """Extinction and picture size, from up to three frames of the whole sequence."""
-    from usdsmoke.core.scene import measure_scene
-
-    frames = [_read(plan, volume, frame) for frame in sample_frames(volume)]
-    return measure_scene(frames, plan.config, plan.source.up_axis)
-
-
-def _stylize_windows(
-    job: Job,
-    run: RunFolder,
-    scenes: Sequence["Scene"],
-    source_hashes: Mapping[str, str],
-    tell: RunProgressCallback,
-) -> float:
-    """Stylize every unfinished window and write its frames; the seconds that it took."""
-    from usdsmoke.core.stylize import stylize_window
-
-    plan, started = job.plan, time.monotonic()
-    to_do = _windows_to_do(plan, run)
-    warm = [bool(place) for _, _, members in to_do for place, _ in enumerate(members)]
-    meter, done = WorkMeter(plan.config, warm), 0
-    for number, volume, members in to_do:
-        results = stylize_window(
-            (_read(plan, volume, frame) for frame in members),
-            [style.pixels for style in job.styles],
-            scenes[number],
-            plan.config,
-            _translate(meter, done, len(warm), tell),
-            plan.source.time_codes_per_second,
-        )
-        for frame, stylized in zip(members, results, strict=True):
-            share = meter.share_before(done + 1)
-            tell(RunProgress("write", frame.source.time_code, done, len(warm), share))
-            source_hash = source_hashes[frame.file_name]
-            write_result(run, volume, frame, stylized, plan.config, source_hash)
-            done += 1
-    return time.monotonic() - started
-
-
-def _translate(
-    meter: WorkMeter, first: int, n_frames: int, tell: RunProgressCallback
-) -> Callable[["Progress"], None]:
-    """The core counts frames within a window; the run counts all of them."""
-
-    def report(state: "Progress") -> None:
-        frame = first + state.frame
-        tell(
-            RunProgress(
-                step=state.step,
-                time_code=state.time_code,
-                frame=frame,
-                n_frames=n_frames,
-                share=meter.share(state, frame),
-                octave=state.octave,
-                n_octaves=state.n_octaves,
-                loss=state.loss,
-            )
-        )
-
-    return report
+def _plan_record(plan: Plan) -> dict[str, Any]:
+    """What of the plan stays with the result: nothing that names folders of this machine."""
+    described = plan.to_dict()
+    return {key: described[key] for key in ("windows", "needed", "omitted", "estimate")}
 
 
 def _publish(
     job: Job,
     run: RunFolder,
+    reader: FrameReader,
     scenes: Sequence["Scene"],
     features_hash: str,
     seconds: float,
@@ -256,7 +159,7 @@ def _publish(
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         pixels = [style.pixels for style in styles]
-        write_contact_sheet(sheet, plan, volume, run.folder, scenes[number], pixels)
+        write_contact_sheet(sheet, plan, volume, reader, run.folder, scenes[number], pixels)
     run.finish([files.look_layer, files.root_stage, *sheets])
     return StylizeResult(
         root_stage=files.root_stage,

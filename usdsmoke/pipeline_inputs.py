@@ -63,6 +63,7 @@ def prepare_job(
     """
     if not style_paths:
         raise ImageError("no style image was given; wanted one at least")
+    output = Path(output).absolute()
     stage = open_stage(stage_path)
     source = find_volumes(stage, config.stage)
     styles = tuple(read_style_image(style_path) for style_path in style_paths)

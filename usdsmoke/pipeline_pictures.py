@@ -8,13 +8,13 @@ import numpy as np
 
 from usdsmoke.config import Config
 from usdsmoke.contact_sheet import compose_sheet
-from usdsmoke.frames import read_frame
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.images import write_png
 from usdsmoke.layer.records import EMISSION
+from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import DenseField
+from usdsmoke.volume import DenseField, VolumeFrame
 
 if TYPE_CHECKING:
     from usdsmoke.core.scene import Scene
@@ -37,6 +37,7 @@ def write_contact_sheet(
     target: Path,
     plan: Plan,
     volume: VolumePlan,
+    reader: FrameReader,
     folder: Path,
     scene: "Scene",
     styles: Sequence[np.ndarray],
@@ -47,6 +48,7 @@ def write_contact_sheet(
         target: the PNG.
         plan: gives the settings.
         volume: what is shown.
+        reader: of the source's frames.
         folder: of the result's VDB files.
         scene: extinction and up axis.
         styles: style images, [H W 3] display-encoded.
@@ -58,29 +60,33 @@ def write_contact_sheet(
     frames = sample_frames(volume)
     rows: dict[str, list[np.ndarray]] = {}
     for frame in frames:
-        for name, picture in _frame_pictures(plan.config, volume, frame, folder, scene).items():
+        source = reader.read(volume, frame)
+        result = _read_result(plan.config, volume, folder / frame.file_name)
+        for name, picture in _frame_pictures(plan.config, source, result, scene).items():
             rows.setdefault(name, []).append(picture)
     columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
     write_png(target, compose_sheet(title, columns, list(rows.items()), styles))
 
 
-def _frame_pictures(
-    config: Config, volume: VolumePlan, frame: FramePlan, folder: Path, scene: "Scene"
-) -> dict[str, np.ndarray]:
-    source = read_frame(volume.source, frame.source, config)
+def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[DenseField]:
+    """Density and, after a colour step, emission."""
     names = [volume.source.density]
     if "colour" in config.optimize.steps:
         names.append(EMISSION)
-    wanted = [GridRequest(name) for name in names]
-    density, *emission = read_grids(folder / frame.file_name, wanted, config.grids)
+    return read_grids(file_path, [GridRequest(name) for name in names], config.grids)
+
+
+def _frame_pictures(
+    config: Config, source: VolumeFrame, result: Sequence[DenseField], scene: "Scene"
+) -> dict[str, np.ndarray]:
     to_stage = source.density_to_stage
     pictures = {
         "source": _picture(source.density, None, to_stage, scene, config),
-        "stylized density": _picture(density, None, to_stage, scene, config),
+        "stylized density": _picture(result[0], None, to_stage, scene, config),
     }
-    if emission:
-        pictures["stylized colour"] = _picture(density, emission[0], to_stage, scene, config)
+    if len(result) > 1:
+        pictures["stylized colour"] = _picture(result[0], result[1], to_stage, scene, config)
     return pictures
 
 

@@ -46,6 +46,7 @@ class RunFolder:
     frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # file name: record
     files: list[str] = field(default_factory=list)  # outside this folder, relative to the output
     complete: bool = False  # the look points here and nothing is left to do
+    plan: Mapping[str, Any] = field(default_factory=dict)  # what was planned, for the record
     _made: list[Path] = field(default_factory=list)
 
     @property
@@ -58,12 +59,16 @@ class RunFolder:
         """SHA-256 of the settings that decide the result."""
         return _digest(self.description["settings"])
 
-    def begin(self) -> None:
+    def begin(self, plan: Mapping[str, Any]) -> None:
         """Make the folders that are missing and write the record.
+
+        Args:
+            plan: JSON values to keep in the record.
 
         Raises:
             WriteFailed: the operating system refused.
         """
+        self.plan = plan
         self._made = _make_folders(self.folder)
         remove_leftovers(self.folder)
         self._save()
@@ -121,6 +126,7 @@ class RunFolder:
             "frames": self.frames,
             "files": self.files,
             "complete": self.complete,
+            "plan": self.plan,
         }
         text = json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False)
         publish_file(self.folder / _RECORD, lambda path: _write_text(path, text))
@@ -159,6 +165,7 @@ def find_runs(output: Path) -> Iterator[RunFolder]:
                 frames=record["frames"],
                 files=record["files"],
                 complete=record["complete"],
+                plan=record["plan"],
             )
         except (OSError, ValueError, TypeError, KeyError):
             continue  # not a record of ours

@@ -1,0 +1,44 @@
+"""The frames of a run as they are asked for: to be checked, measured, stylized, shown."""
+
+from usdsmoke.frames import read_frame
+from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.volume import VolumeFrame
+
+__all__ = ["KEPT_BYTES", "FrameReader"]
+
+KEPT_BYTES = 128 * 2**20  # of voxels, over all frames
+
+
+class FrameReader:
+    """Reads frames from disk, and remembers the first ones as long as they are small.
+
+    A frame is wanted two or three times in a run, and every reading starts a process. Frames that
+    do not fit ``KEPT_BYTES`` together with those before are read again each time.
+
+    Args:
+        plan: which grids of which files.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._kept: dict[str, VolumeFrame] = {}
+        self._n_bytes = 0
+
+    def read(self, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
+        """The dense fields of a frame; its arrays are not to be written to.
+
+        Raises:
+            GridError: a file or grid cannot be used.
+            NonFiniteError: NaN or infinite voxels that are not to be repaired.
+        """
+        if frame.file_name in self._kept:
+            return self._kept[frame.file_name]
+        rate = self._plan.source.time_codes_per_second
+        config = self._plan.config
+        read = read_frame(volume.source, frame.source, config, frame.velocity, rate)
+        n_bytes = read.density.values.nbytes
+        n_bytes += read.velocity.values.nbytes if read.velocity else 0
+        if self._n_bytes + n_bytes <= KEPT_BYTES:
+            self._kept[frame.file_name] = read
+            self._n_bytes += n_bytes
+        return read
