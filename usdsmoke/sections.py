@@ -186,7 +186,7 @@ class ShapeConfig:
         "maccormack", "scheme of the final transport", choices=("linear", "maccormack", "cubic")
     )
     mass_correction: bool = _setting(True, "scale the moved density back to the source's mass")
-    learning_rate: float = _setting(0.06, "Adam's step for the displacement potential", above=0.0)
+    learning_rate: float = _setting(0.04, "Adam's step for the displacement potential", above=0.0)
     iterations: list[int] = _setting(
         [60, 50, 40], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )

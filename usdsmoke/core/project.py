@@ -102,9 +102,10 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
         per_area = scale**2
         visible = torch.ones_like(depth)
     else:
-        near = 1e-6 * depth.abs().amax() if len(depth) else depth.new_zeros(())
-        visible = (depth > near).to(depth.dtype)
-        depth = torch.where(depth > near, depth, near.clamp_min(1e-30))
+        seen = depth > (1e-6 * depth.abs().amax() if len(depth) else 0.0)
+        visible = seen.to(depth.dtype)
+        # what is behind the eye takes the depth of the nearest in front, so as to stretch nothing
+        depth = torch.where(seen, depth, depth[seen].amin() if bool(seen.any()) else 1.0)
         scale = view.focal / depth
         # the area seen at a slant is smaller by its cosine
         per_area = scale**2 * torch.sqrt(1 + (right**2 + up**2) / depth**2)

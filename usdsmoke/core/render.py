@@ -17,7 +17,7 @@ from usdsmoke.volume import DenseField
 
 __all__ = ["display_picture", "render_fields", "render_view"]
 
-MOST_REFINEMENT = 4  # subdivisions of a voxel in a picture; beyond that it is shown blurred
+MOST_REFINEMENT = 2  # subdivisions of a voxel in a picture; beyond that it is shown blurred
 
 
 def render_view(

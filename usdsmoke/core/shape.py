@@ -48,6 +48,7 @@ from usdsmoke.volume import DenseField, VolumeFrame
 __all__ = ["Displaced", "Potential", "border_mask", "displacement_from", "run_shape_step"]
 
 N_LEVELS = 5  # of the coefficient pyramid
+THIN = 0.05  # opacity at which the guidance mask is one half
 BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 
@@ -109,6 +110,18 @@ class _GreyView:
     image: SparseImage
     grey: Tensor
 
+    def guide(self) -> Tensor:
+        """T of the guidance mask, [H W]: 1 in all but the thinnest smoke, 0 outside."""
+        return self.grey / (self.grey + THIN)
+
+    def filled(self, grey: Tensor, behind: float) -> Tensor:
+        """What the network sees, [H W 3]: a grey level beyond the silhouette instead of black.
+
+        Against black the silhouette's edge is the strongest structure of the picture, and the optimiser
+        sees little else.
+        """
+        return (grey + (1 - self.guide()) * behind)[..., None].expand(-1, -1, 3)
+
     def picture(self, density: Tensor, gamma_w: float) -> Tensor:
         return opacity(gamma_w * self.image.apply(density[:, None])[..., 0])
 
@@ -129,6 +142,7 @@ class _Octave:
         self.active = reachable_voxels(self.density, (reach[0], reach[1], reach[2]))
         self.mask = border_mask(self.density)
         self._kind, self._cap, self._gamma_w = config.shape.displacement, cap, scene.gamma_w_shape
+        self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
         still = self.density[tuple(self.active.T)]
         self._views = []
@@ -158,9 +172,9 @@ class _Octave:
         for number in range(n_views):
             view = self._views[(iteration * n_views + number) % len(self._views)]
             grey = view.picture(density, self._gamma_w)
-            picture = grey[..., None].expand(-1, -1, 3)
+            picture = view.filled(grey, self._behind)
             for target in targets:
-                total = total + target.loss(picture, view.grey)
+                total = total + target.loss(picture, view.guide())
             if keep:
                 total = total + keep * ((grey - view.grey).abs() * (1 - view.grey)).mean()
         return total / n_views

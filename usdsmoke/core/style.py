@@ -65,6 +65,6 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
     """
     luminance = style @ style.new_tensor([0.2126, 0.7152, 0.0722])
     spread = luminance.std(correction=0).clamp_min(1e-4)
-    wanted = max(deviation, 0.12)  # nearly flat smoke still takes visible structure
+    wanted = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
     matched = (luminance - luminance.mean()) / spread * wanted + mean
     return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()
