@@ -1,0 +1,197 @@
+"""The projection of voxels as a linear map: adjoints, opacity, places, and what is not there."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.smoke_fixtures import affine, puff, smoke_of
+from usdsmoke.core.project import SparseImage, colour_map, column_map
+from usdsmoke.core.smoke import ActiveSmoke
+from usdsmoke.core.views import View, camera_view, orbit_view
+
+KINDS = ["orthographic", "perspective"]
+PLACES = [(0, False), (1, False), (2, True), (3, True)]  # seeds of transforms, mirrored or not
+
+
+def middle(smoke: ActiveSmoke) -> np.ndarray:
+    return smoke.positions.mean(0).numpy()
+
+
+def look_at(smoke: ActiveSmoke, kind: str, size: int = 20) -> View:
+    view = orbit_view(33.0, 14.0, "Y", middle(smoke), size, size + 3, 1.1)
+    if kind == "orthographic":
+        return view
+    axes = np.eye(4)
+    axes[:3, :3] = np.stack([view.right, view.up, -view.forward])
+    axes[3, :3] = middle(smoke) - 25.0 * view.forward
+    return camera_view(axes, 50.0, 45.0, size, size + 3)
+
+
+def maps_of(smoke: ActiveSmoke, view: View, gamma_w: float = 0.3) -> list[SparseImage]:
+    columns = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    density = smoke.density.double()
+    colours, _ = colour_map(
+        smoke.positions, density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+    )
+    return [columns, colours]
+
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*shape, generator=generator, dtype=torch.float64) - 0.5
+
+
+@pytest.mark.parametrize(("seed", "mirrored"), PLACES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_adjoint_is_exact_in_any_view_and_transform(kind, seed, mirrored):
+    smoke = smoke_of(puff(9), affine(seed, mirrored))
+    for image in maps_of(smoke, look_at(smoke, kind)):
+        x, y = random(len(smoke.ijk), 3), random(image.height, image.width, 3, seed=1)
+        seen = image.apply(x)
+        left, right = (seen * y).sum(), (x * image.adjoint(y)).sum()
+        assert float((left - right).abs()) <= 1e-12 * float((seen * y).abs().sum())
+        assert float(seen.abs().max()) > 1e-3
+
+
+def test_autograd_goes_through_the_same_adjoint():
+    smoke = smoke_of(puff(9))
+    for image in maps_of(smoke, look_at(smoke, "orthographic")):
+        x = random(len(smoke.ijk), 2).requires_grad_()
+        y = random(image.height, image.width, 2, seed=1)
+        (gradient,) = torch.autograd.grad((image.apply(x) * y).sum(), x)
+        assert torch.equal(gradient, image.adjoint(y))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("gamma_w", [1e-12, 0.01, 1.0, 1e6])
+def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(gamma_w, kind):
+    smoke = smoke_of(puff(9), affine(1))
+    view = look_at(smoke, kind)
+    image, alpha = colour_map(
+        smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+    )
+    columns = column_map(smoke.positions, smoke.voxel_volume, view).apply(smoke.density[:, None])
+    wanted = -torch.expm1(-gamma_w * columns[..., 0])
+    white = image.apply(torch.ones(len(smoke.ijk), 3))
+    assert torch.allclose(alpha, wanted, rtol=1e-5, atol=1e-6)
+    if gamma_w > 1e-6:  # a picture this faint counts as empty
+        assert torch.allclose(white, wanted[..., None].expand_as(white), rtol=1e-5, atol=1e-6)
+    assert float(alpha.min()) >= 0 and float(alpha.max()) <= 1 and float(alpha.max()) > 0
+
+
+@pytest.mark.parametrize("up_axis", ["Y", "Z"])
+def test_a_turn_of_90_degrees_on_a_cube_is_exact(up_axis):
+    """The turned view of the array is the straight view of the turned array."""
+    density = puff(10)
+    axes = (0, 2) if up_axis == "Y" else (1, 0)
+    turned = np.ascontiguousarray(np.rot90(density, 1, axes))
+    pictures = []
+    for values, azimuth in ((density, 0), (density, 90), (turned, 0), (density, 360)):
+        smoke = smoke_of(values)
+        view = orbit_view(azimuth, 0.0, up_axis, np.full(3, 4.5), 12, 12, 1.0)
+        image = column_map(smoke.positions, 1.0, view, torch.float64)
+        pictures.append(image.apply(smoke.density.double()[:, None]))
+    straight, quarter, straight_of_turned, full = pictures
+    assert torch.allclose(full, straight, atol=1e-12)
+    assert torch.allclose(quarter, straight_of_turned, atol=1e-12)
+    assert not torch.allclose(quarter, straight, atol=1e-2)
+
+
+def test_smoke_far_from_the_origin_gives_the_same_picture():
+    density, matrix = puff(9), np.diag([0.01, 0.01, 0.01, 1.0])
+    far = matrix.copy()
+    far[3, :3] = [1e6, -2e6, 3e6]
+    near_smoke, far_smoke = smoke_of(density, matrix), smoke_of(density, far)
+    pictures = []
+    for smoke in (near_smoke, far_smoke):
+        centre = smoke.index_to_stage[3, :3] + 0.04
+        view = orbit_view(20.0, 10.0, "Y", centre, 16, 16, 0.01)
+        image, _ = colour_map(smoke.positions, smoke.density, smoke.voxel_volume, 30.0, view, 0.01)
+        pictures.append(image.apply(torch.ones(len(smoke.ijk), 3)))
+    assert torch.allclose(pictures[0], pictures[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_smoke_gives_an_empty_picture(kind):
+    view = look_at(smoke_of(puff(9)), kind)
+    nothing = torch.zeros(0, 3, dtype=torch.float64)
+    columns = column_map(nothing, 1.0, view).apply(torch.zeros(0, 1))
+    image, alpha = colour_map(nothing, torch.zeros(0), 1.0, 1.0, view, 1.0)
+    assert columns.shape == (20, 23, 1) and not columns.any()
+    assert alpha.shape == (20, 23) and not alpha.any()
+    assert not image.apply(torch.zeros(0, 3)).any()
+    assert image.adjoint(torch.ones(20, 23, 3)).shape == (0, 3)
+
+
+def test_voxels_behind_or_at_the_eye_are_not_seen_and_change_nothing():
+    smoke = smoke_of(puff(9))
+    view = look_at(smoke, "perspective")
+    behind = torch.from_numpy(view.centre - np.outer([1e-9, 0.1, 50.0], view.forward))
+    positions = torch.cat([smoke.positions, torch.from_numpy(view.centre)[None], behind])
+    density = torch.cat([smoke.density, torch.full((4,), 1e3)])
+    pictures = []
+    for place, values in ((smoke.positions, smoke.density), (positions, density)):
+        image, alpha = colour_map(place, values, 1.0, 0.5, view, 1.0)
+        pictures.append((image.apply(torch.ones(len(values), 3)), alpha))
+    for alone, together in zip(*pictures, strict=True):
+        assert torch.equal(alone, together)
+        assert torch.isfinite(together).all()
+
+
+def test_only_voxels_behind_the_eye_give_an_empty_finite_picture():
+    view = look_at(smoke_of(puff(9)), "perspective")
+    behind = torch.from_numpy(view.centre - np.outer([0.0, 1.0], view.forward))
+    image, alpha = colour_map(behind, torch.ones(2), 1.0, 1.0, view, 1.0)
+    assert not alpha.any() and not image.apply(torch.ones(2, 3)).any()
+    assert not column_map(behind, 1.0, view).apply(torch.ones(2, 1)).any()
+
+
+def test_what_lies_outside_the_image_is_left_out_of_both_directions():
+    view = orbit_view(0.0, 0.0, "Y", np.zeros(3), 4, 4, 1.0)
+    positions = torch.tensor([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [1.9, 0.0, 0.0]]).double()
+    image = column_map(positions, 1.0, view, torch.float64)
+    back = image.adjoint(torch.ones(4, 4, 1, dtype=torch.float64))
+    assert back.flatten().tolist() == pytest.approx(
+        [1.0, 0.0, 0.6]
+    )  # 2/5 of the last falls outside
+
+
+def test_the_front_hides_the_back_and_turns_with_the_view():
+    positions = torch.tensor([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0]]).double()
+    colours = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for azimuth, front in ((0.0, 0), (180.0, 2)):
+        view = orbit_view(azimuth, 0.0, "Y", np.zeros(3), 1, 1, 1.0)
+        image, _ = colour_map(positions, torch.full((2,), 50.0), 1.0, 1.0, view, 1.0)
+        picture = image.apply(colours)[0, 0]
+        assert float(picture[front]) == pytest.approx(1.0) and float(picture.sum()) <= 1.0 + 1e-6
+
+
+def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(monkeypatch):
+    positions = torch.tensor([[0.0, 0.0, 0.0], [1e6, 0.0, 1e6]]).double()
+    view = orbit_view(0.0, 0.0, "Y", np.array([5e5, 0.0, 5e5]), 4, 64, 2e4)
+    cells = []
+
+    def counted(*args, minlength, bincount=torch.bincount):
+        cells.append(minlength)
+        return bincount(*args, minlength=minlength)
+
+    monkeypatch.setattr(torch, "bincount", counted)
+    image, alpha = colour_map(positions, torch.full((2,), 1e10), 1.0, 1.0, view, 1.0)
+    assert max(cells) <= 2050 * 4 * 64
+    assert 0.9 < float(alpha.max()) <= 1.0
+    assert torch.count_nonzero(image.adjoint(torch.ones(4, 64, 1))) == 2
+
+
+@pytest.mark.parametrize("density", [1e-30, 1e30, 3e38])
+@pytest.mark.parametrize("gamma_w", [1e-30, 1.0, 1e30])
+def test_extreme_densities_and_extinctions_give_finite_pictures_and_gradients(density, gamma_w):
+    smoke = smoke_of(np.full((3, 3, 3), density))
+    view = orbit_view(20.0, 10.0, "Y", np.ones(3), 8, 8, 1.0)
+    image, alpha = colour_map(smoke.positions, smoke.density, 1.0, gamma_w, view, 1.0)
+    picture = image.apply(torch.ones(27, 3))
+    assert torch.isfinite(alpha).all() and torch.isfinite(picture).all()
+    assert torch.isfinite(image.adjoint(torch.ones_like(picture))).all()
+    assert float(picture.max()) <= 1.0 + 1e-5
+    if density * gamma_w > 1e6:
+        assert float(alpha.max()) == 1.0
