@@ -38,7 +38,7 @@ def result_text(result: "StylizeResult") -> str:
     rows = [
         ("stage to open", str(result.root_stage)),
         ("look layer", str(result.look_layer)),
-        (f"{len(result.frames)} VDB files", ", ".join(folders)),
+        (_count(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
     ]
     return "\n".join([*_columns(rows), "", f"check it with: usdsmoke validate {result.root_stage}"])
@@ -85,7 +85,8 @@ def _volume_line(volume: "VolumePlan") -> str:
     return (
         f"<{volume.source.prim_path}>: {_count(len(volume.frames), 'frame')} in "
         f"{_count(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} voxels in "
-        f"{_box(largest.size.box)}, written to {largest.file_name} and so on"
+        f"{_box(largest.size.box)}, written to {volume.frames[0].file_name}"
+        f"{' and so on' if len(volume.frames) > 1 else ''}"
     )
 
 

@@ -40,7 +40,8 @@ def list_needed(
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
         n_views = n_different_views(config.views)
-        needed.append(f"{config.views.count} views an iteration, drawn from {n_views}")
+        count = min(config.views.count, n_views)
+        needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
         needed += [_describe_step(step, config) for step in config.optimize.steps]
     gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
     for step, gamma in gammas:
