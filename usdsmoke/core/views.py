@@ -7,7 +7,7 @@ import numpy as np
 
 from usdsmoke.config import ViewsConfig
 
-__all__ = ["View", "camera_view", "orbit_view", "sample_angles", "sample_views"]
+__all__ = ["View", "camera_view", "orbit_view", "sample_angles"]
 
 
 @dataclass(frozen=True)
@@ -118,36 +118,20 @@ def _spread_points(n: int, half: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _lattice(n: int, half: np.ndarray, with_middle: bool) -> np.ndarray:
-    """[n 2] in [-1, 1]^2, row by row; the middle first when asked for."""
+    """[n 2] in [-1, 1]^2, row by row; the middle, when asked for, first instead of its nearest."""
     if n == 1:
         return np.zeros((1, 2))
-    n_free = n - 1 if with_middle else n
-    n_rows = 1 if half[1] == 0 else max(1, round(math.sqrt(n_free * half[1] / max(half[0], 1e-9))))
-    n_rows = min(n_rows, n_free) if half[0] > 0 else n_free
-    counts = [n_free // n_rows + (row < n_free % n_rows) for row in range(n_rows)]
-    points = []
+    n_rows = 1 if half[1] == 0 else max(1, round(math.sqrt(n * half[1] / max(half[0], 1e-9))))
+    n_rows = min(n_rows, n) if half[0] > 0 else n
+    counts = [n // n_rows + (row < n % n_rows) for row in range(n_rows)]
+    full_turn = half[0] >= 180  # the two ends of the range are one angle
+    rows = []
     for row, count in enumerate(counts):
         y = 0.0 if n_rows == 1 else -1 + 2 * row / (n_rows - 1)
-        for column in range(count):
-            full_turn = half[0] >= 180
-            x = 0.0 if count == 1 else -1 + 2 * column / (count if full_turn else count - 1)
-            points.append((x, y))
-    middle = [(0.0, 0.0)] if with_middle else []
-    return np.array(middle + points)
-
-
-def sample_views(
-    config: ViewsConfig,
-    n: int,
-    seed: int,
-    up_axis: str,
-    centre: np.ndarray,
-    height: int,
-    width: int,
-    pixel_size: float,
-) -> list[View]:
-    """``n`` orthographic views at sampled angles; see ``sample_angles`` and ``orbit_view``."""
-    return [
-        orbit_view(float(a), float(e), up_axis, centre, height, width, pixel_size)
-        for a, e in sample_angles(config, n, seed)
-    ]
+        steps = count if full_turn else count - 1
+        rows += [(0.0 if count == 1 else -1 + 2 * k / steps, y) for k in range(count)]
+    points = np.array(rows)
+    if with_middle:
+        nearest = int(np.argmin((points**2).sum(1)))
+        points = np.vstack([np.zeros((1, 2)), np.delete(points, nearest, axis=0)])
+    return points

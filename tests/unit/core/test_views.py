@@ -1,0 +1,141 @@
+"""Views: rigid, where they were asked for, and for every count and range."""
+
+import numpy as np
+import pytest
+
+from usdsmoke.config import ViewsConfig
+from usdsmoke.core.views import View, camera_view, orbit_view, sample_angles
+
+SAMPLINGS = ["fixed", "uniform", "poisson"]
+RANGES = [(12.0, 6.0), (180.0, 0.0), (180.0, 90.0), (0.0, 6.0), (0.0, 0.0), (1e-3, 90.0)]
+
+
+def orbit(azimuth: float, elevation: float, up_axis: str = "Y") -> View:
+    return orbit_view(azimuth, elevation, up_axis, np.zeros(3), 8, 8, 1.0)
+
+
+def seen_at(view: View, point: list[float]) -> tuple[float, float]:
+    """Across and up in the picture, stage units."""
+    return float(np.dot(point, view.right)), float(np.dot(point, view.up))
+
+
+@pytest.mark.parametrize("up_axis", ["Y", "Z"])
+@pytest.mark.parametrize("azimuth", [-400.0, -90.0, 0.0, 33.0, 180.0])
+@pytest.mark.parametrize("elevation", [-90.0, -7.0, 0.0, 45.0, 90.0])
+def test_axes_are_orthonormal_with_one_handedness(azimuth, elevation, up_axis):
+    view = orbit(azimuth, elevation, up_axis)
+    axes = np.stack([view.right, view.up, view.forward])
+    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-14)
+    assert np.cross(view.right, view.forward) == pytest.approx(view.up, abs=1e-14)
+
+
+def test_conventions_of_both_up_axes_at_zero():
+    y_up, z_up = orbit(0, 0, "Y"), orbit(0, 0, "Z")
+    assert y_up.forward == pytest.approx([0, 0, -1]) and y_up.up == pytest.approx([0, 1, 0])
+    assert z_up.forward == pytest.approx([0, 1, 0]) and z_up.up == pytest.approx([0, 0, 1])
+    assert y_up.right == pytest.approx([1, 0, 0]) and z_up.right == pytest.approx([1, 0, 0])
+
+
+@pytest.mark.parametrize("up_axis", ["Y", "Z"])
+def test_positive_elevation_looks_down_from_above(up_axis):
+    view = orbit(20.0, 30.0, up_axis)
+    up = [0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0]
+    assert float(np.dot(view.forward, up)) == pytest.approx(-0.5)
+    assert seen_at(view, up)[1] == pytest.approx(np.cos(np.radians(30)))
+    assert seen_at(view, up)[0] == pytest.approx(0, abs=1e-14)
+
+
+def test_positive_azimuth_walks_around_to_the_right():
+    """From +90 degrees one stands on +X and has what was nearest, at +Z, on the left."""
+    view = orbit(90.0, 0.0)
+    assert view.forward == pytest.approx([-1, 0, 0], abs=1e-15)
+    assert seen_at(view, [0, 0, 1])[0] == pytest.approx(-1)
+
+
+def test_a_full_turn_is_the_same_view():
+    for name in ("right", "up", "forward"):
+        assert getattr(orbit(360 + 17.0, 5.0), name) == pytest.approx(
+            getattr(orbit(17.0, 5.0), name), abs=1e-14
+        )
+
+
+def test_a_camera_looks_along_its_own_minus_z_whatever_its_scale():
+    place = np.diag([3.0, 3.0, 3.0, 1.0])
+    place[3, :3] = [1, 2, 3]
+    view = camera_view(place, 50.0, 25.0, 90, 160)
+    assert view.forward == pytest.approx([0, 0, -1]) and view.up == pytest.approx([0, 1, 0])
+    assert view.centre == pytest.approx([1, 2, 3])
+    assert view.focal == pytest.approx(320.0)  # twice the width
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize(("azimuth", "elevation"), RANGES)
+def test_every_count_and_range_gives_that_many_angles_inside_the_range(
+    sampling, azimuth, elevation
+):
+    config = ViewsConfig(
+        sampling=sampling,
+        azimuth=azimuth,
+        elevation=elevation,
+        centre_azimuth=40.0,
+        centre_elevation=-10.0,
+    )
+    for n in [*range(1, 20), 33, 64]:
+        angles = sample_angles(config, n, seed=3)
+        assert angles.shape == (n, 2)
+        off = np.abs(angles - [40.0, -10.0])
+        assert np.all(off <= np.array([azimuth, elevation]) + 1e-12)
+
+
+@pytest.mark.parametrize("sampling", ["fixed", "uniform"])
+@pytest.mark.parametrize(("azimuth", "elevation"), [r for r in RANGES if max(r) > 0])
+def test_lattices_hold_no_angle_twice(sampling, azimuth, elevation):
+    config = ViewsConfig(sampling=sampling, azimuth=azimuth, elevation=elevation)
+    for n in range(2, 65):
+        angles = sample_angles(config, n, seed=0)
+        angles[:, 0] = np.mod(angles[:, 0] + 180, 360)  # -180 and 180 are one azimuth
+        assert len(np.unique(angles.round(9), axis=0)) == n
+
+
+def test_fixed_angles_start_with_the_middle_and_one_view_is_the_middle():
+    for sampling in ("fixed", "uniform"):
+        assert not sample_angles(ViewsConfig(sampling=sampling), 1, 0).any()
+    for n in range(2, 20):
+        assert not sample_angles(ViewsConfig(sampling="fixed"), n, 0)[0].any()
+
+
+def test_lattices_reach_the_ends_of_the_range():
+    angles = sample_angles(ViewsConfig(sampling="uniform", azimuth=20, elevation=10), 12, 0)
+    assert angles.min(0) == pytest.approx([-20, -10]) and angles.max(0) == pytest.approx([20, 10])
+
+
+def test_poisson_angles_follow_the_seed():
+    config = ViewsConfig(sampling="poisson")
+    first, again, other = (sample_angles(config, 9, seed) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_larger_poisson_set_starts_with_the_smaller_one():
+    config = ViewsConfig(sampling="poisson")
+    assert np.array_equal(sample_angles(config, 20, 5)[:8], sample_angles(config, 8, 5))
+
+
+def smallest_gap(angles: np.ndarray, turn: bool = False) -> float:
+    gaps = angles[:, None] - angles[None]
+    if turn:
+        gaps[..., 0] -= 360 * np.round(gaps[..., 0] / 360)
+    distances = np.linalg.norm(gaps, axis=-1)
+    return float(distances[~np.eye(len(angles), dtype=bool)].min())
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(12.0, 6.0), (180.0, 0.0)])
+def test_poisson_angles_lie_farther_apart_than_random_ones(azimuth, elevation):
+    config = ViewsConfig(sampling="poisson", azimuth=azimuth, elevation=elevation)
+    turn = azimuth == 180
+    spread, loose = [], []
+    for seed in range(8):
+        spread.append(smallest_gap(sample_angles(config, 16, seed), turn))
+        generator = np.random.default_rng(seed)
+        loose.append(smallest_gap(generator.uniform(-1, 1, (16, 2)) * [azimuth, elevation], turn))
+    assert np.mean(spread) > 3 * np.mean(loose)
