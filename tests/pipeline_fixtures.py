@@ -113,7 +113,10 @@ class FakeCore:
     def render_view(self, density: DenseField, *_: Any) -> np.ndarray:
         return np.full((8, 8, 4), min(float(density.values.max(initial=0.0)), 1.0), np.float32)
 
-    def display_picture(self, picture: np.ndarray) -> np.ndarray:
+    def display_picture(self, picture: np.ndarray, *_: Any) -> np.ndarray:
+        return picture[..., :3]
+
+    def grey_picture(self, picture: np.ndarray) -> np.ndarray:
         return picture[..., :3]
 
     def _stylize(self, frame: VolumeFrame, config: Any) -> FakeStylized:
@@ -135,7 +138,7 @@ class FakeCore:
         homes = {
             "usdsmoke.core.stylize": ("stylize_window",),
             "usdsmoke.core.scene": ("measure_scene",),
-            "usdsmoke.core.render": ("render_view", "display_picture"),
+            "usdsmoke.core.render": ("render_view", "display_picture", "grey_picture"),
         }
         modules = {}
         for home, names in homes.items():
