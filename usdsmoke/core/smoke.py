@@ -11,6 +11,8 @@ from usdsmoke.volume import DenseField
 
 __all__ = ["ActiveSmoke", "activate", "coarsen", "densify", "make_octaves", "sample_colours"]
 
+FAINTEST = 1e-35  # an extinction per density that makes less visible does not fit float32
+
 
 @dataclass(frozen=True)
 class ActiveSmoke:
@@ -32,6 +34,8 @@ class ActiveSmoke:
     @property
     def thin_axis(self) -> int | None:
         """The index axis along which the smoke is one voxel thick, or None when it is not 2-D."""
+        if len(self.ijk) == 0:
+            return None
         low, high = self.box
         thin = np.flatnonzero(high == low)
         return int(thin[0]) if len(thin) == 1 else None
@@ -39,7 +43,7 @@ class ActiveSmoke:
     @property
     def voxel_size(self) -> float:
         """Edge of the cube of a voxel's volume (2-D: of the square of its face), stage units."""
-        if len(self.ijk) == 0 or self.thin_axis is None:
+        if self.thin_axis is None:
             return self.voxel_volume ** (1 / 3)
         across, along = (self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis)
         return float(np.linalg.norm(np.cross(across, along))) ** 0.5
@@ -56,17 +60,16 @@ class ActiveSmoke:
         return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
 
 
-def activate(
-    density: DenseField, to_stage: np.ndarray, device: torch.device, above: float = 0.0
-) -> ActiveSmoke:
-    """The voxels of a dense field with density above a threshold; negative density counts as none.
+def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:
+    """The voxels of a dense field that hold smoke.
+
+    Negative density counts as none, and so does what is fainter than ``FAINTEST``.
 
     Args:
         density: [i j k].
         to_stage: [4 4], the field's grid world to stage space.
-        above: voxels at or below this density are left out.
     """
-    chosen = np.argwhere(density.values > max(above, 0.0))
+    chosen = np.argwhere(density.values > FAINTEST)
     values = density.values[tuple(chosen.T)] if len(chosen) else np.zeros(0, np.float32)
     ijk = torch.from_numpy(chosen + np.asarray(density.ijk_min, np.int64)).to(device)
     matrix = np.asarray(density.index_to_world, float) @ np.asarray(to_stage, float)
