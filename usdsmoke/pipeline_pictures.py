@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["sample_frames", "write_contact_sheet"]
 
-_PICTURE_SIZE = 256  # pixels of the longer side
+_PICTURE_SIZE = 300  # pixels of the longer side
+_BACKGROUND = 0.03  # linear; on black the style's dark colours would be lost
 
 
 def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
@@ -97,7 +98,7 @@ def _picture(
     scene: "Scene",
     config: Config,
 ) -> np.ndarray:
-    from usdsmoke.core.render import display_picture, render_view
+    from usdsmoke.core.render import display_picture, grey_picture, render_view
 
     picture = render_view(
         density,
@@ -109,4 +110,4 @@ def _picture(
         config.views.centre_elevation,
         _PICTURE_SIZE,
     )
-    return display_picture(picture)
+    return grey_picture(picture) if emission is None else display_picture(picture, _BACKGROUND)

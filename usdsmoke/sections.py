@@ -98,7 +98,7 @@ class ViewsConfig:
     count: int = _setting(
         1, "views rendered in every iteration; the reference uses 9", low=1, high=64
     )
-    pool: int = _setting(24, "different views that a run draws from", low=1, high=512)
+    pool: int = _setting(16, "different views that a run draws from", low=1, high=512)
     sampling: str = _setting(
         "poisson", "how the pool is spread over the ranges", choices=("fixed", "uniform", "poisson")
     )

@@ -1,11 +1,11 @@
-"""Adam that does not lose what it has: it rolls back, slows down and stops when converged.
+"""Adam that keeps the best it had: rolls back, slows down and stops when converged.
 
 It minimises any objective and knows nothing of smoke, so it can be tested on a quadratic bowl.
 """
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -15,8 +15,12 @@ from usdsmoke.errors import NonFiniteError
 __all__ = ["Adam", "Minimum", "minimize"]
 
 BLOW_UP = 10.0  # a loss this many times the best recent one counts as a step gone wrong
+NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
 MOST_ROLLBACKS = 12
 REMEMBER_EVERY = 8  # iterations between two states to roll back to
+WORSE = (
+    1.05  # an end this much above the best remembered state gives way to it; views differ by less
+)
 
 
 @dataclass
@@ -44,30 +48,28 @@ class Adam:
 
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
-        return Adam(
-            self.betas,
-            self.epsilon,
-            self.n_steps,
-            [t.clone() for t in self.first],
-            [t.clone() for t in self.second],
-        )
+        copied = Adam(self.betas, self.epsilon)
+        copied.restore(self)
+        return copied
+
+    def restore(self, kept: "Adam") -> None:
+        """Takes over the moments of another state."""
+        self.n_steps = kept.n_steps
+        self.first = [t.clone() for t in kept.first]
+        self.second = [t.clone() for t in kept.second]
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where an optimisation ended; yielded after every iteration, the last one is the result."""
+    """Where an optimisation stands; yielded after every good iteration, the last is the result."""
 
     iteration: int
     loss: float
-    smoothed: float
-    rollbacks: int
-    rate: float
+    smoothed: float  # running mean of the loss over about ten iterations
+    rollbacks: int  # so far
+    rate: float  # of the step just taken
     reason: str  # "" while running, then "iterations" or "converged"
-
-
-def _schedule(fraction: float) -> float:
-    """Share of the rate: full for the first half, then linearly down to a tenth."""
-    return 1.0 if fraction < 0.5 else 1.0 - 0.9 * (fraction - 0.5) / 0.5
+    restored: bool = False  # the result is an earlier state, because the last one was worse
 
 
 def minimize(
@@ -79,46 +81,63 @@ def minimize(
     tolerance: float = 0.0,
     adam: Adam | None = None,
 ) -> Iterator[Minimum]:
-    """Minimises ``objective`` over ``parameters`` in place, one iteration per item.
+    """Minimises ``objective`` over ``parameters`` in place; one item per good iteration.
 
     A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
     and moments back to the last good state and halves the rate. The run ends early when the
     smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of the iterations.
+    At the end the best remembered state comes back if the last one is clearly worse.
 
     Args:
         objective: iteration -> scalar loss; draws whatever it draws by that number.
         parameters: leaf tensors that require gradients; changed in place.
-        rate: Adam's step.
+        rate: Adam's step; full for the first half, then linearly down to a tenth.
         n_iterations: at most this many; 0 yields nothing.
         project: called after each step, e.g. to clip colours to their range.
         tolerance: 0 never stops early.
-        adam: moments carried over from an earlier run.
+        adam: moments carried over from an earlier run; changed in place.
 
     Raises:
-        NonFiniteError: still not finite after many halvings.
+        NonFiniteError: still not finite after many halvings, or in every iteration there was.
     """
     state = _State(parameters, adam or Adam(), rate)
     history: list[float] = []
     span = max(n_iterations // 4, 10)
+    latest = None
     for iteration in range(n_iterations):
-        loss = objective(iteration)
-        gradients = list(torch.autograd.grad(loss, parameters))
-        value = float(loss.detach())
+        value, gradients = _evaluate(objective, iteration, parameters)
         if not state.accept(iteration, value, gradients):
             continue
-        smoothed = value if not history else 0.9 * history[-1] + 0.1 * value
-        history.append(smoothed)
-        state.best = min(state.best, smoothed)
         now = state.rate * _schedule(iteration / n_iterations)
         with torch.no_grad():
             state.adam.step(parameters, gradients, now)
             if project is not None:
                 project()
-        stalled = len(history) > span and history[-1 - span] - smoothed < tolerance * abs(smoothed)
-        ended = "converged" if stalled else "iterations" if iteration == n_iterations - 1 else ""
-        yield Minimum(iteration, value, smoothed, state.rollbacks, now, ended)
-        if stalled:
-            return
+        history.append(state.smoothed)
+        latest = Minimum(iteration, value, state.smoothed, state.rollbacks, now, "")
+        fallen = history[-1 - span] - state.smoothed if len(history) > span else math.inf
+        if fallen < tolerance * abs(state.smoothed) and tolerance > 0:
+            latest = replace(latest, reason="converged")
+            break
+        if iteration < n_iterations - 1:
+            yield latest
+    if n_iterations > 0:
+        yield state.settle(latest, lambda: float(objective(n_iterations)))
+
+
+def _evaluate(
+    objective: Callable[[int], Tensor], iteration: int, parameters: list[Tensor]
+) -> tuple[float, list[Tensor]]:
+    loss = objective(iteration)
+    if not loss.requires_grad:  # nothing in it depends on the parameters
+        return float(loss), [torch.zeros_like(p) for p in parameters]
+    gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
+    return float(loss.detach()), list(gradients)
+
+
+def _schedule(fraction: float) -> float:
+    """Share of the rate: full for the first half, then linearly down to a tenth."""
+    return 1.0 if fraction < 0.5 else 1.0 - 0.9 * (fraction - 0.5) / 0.5
 
 
 class _State:
@@ -126,32 +145,71 @@ class _State:
 
     def __init__(self, parameters: list[Tensor], adam: Adam, rate: float) -> None:
         self.parameters, self.adam, self.rate = parameters, adam, rate
-        self.first_rate = rate
-        self.best = math.inf
+        self.smoothed = math.nan
         self.rollbacks = 0
-        self._remember()
+        self._first_rate, self._first_loss = rate, math.nan
+        self._best = math.inf  # smoothed loss
+        self._good = self._copy()  # what is rolled back to
+        self._kept, self._kept_loss = self._good[0], math.inf  # the best of the remembered states
 
-    def _remember(self) -> None:
-        self._good = ([p.detach().clone() for p in self.parameters], self.adam.copy())
+    def _copy(self) -> tuple[list[Tensor], Adam]:
+        return [p.detach().clone() for p in self.parameters], self.adam.copy()
 
     def accept(self, iteration: int, value: float, gradients: list[Tensor]) -> bool:
         """True when the step may be taken; else everything is rolled back and the rate halved."""
-        sound = math.isfinite(value) and all(bool(torch.isfinite(g).all()) for g in gradients)
-        if sound and value <= BLOW_UP * self.best:
-            if iteration % REMEMBER_EVERY == 0:
-                self._remember()
+        if self._is_sound(value) and all(bool(torch.isfinite(g).all()) for g in gradients):
+            begins = math.isnan(self._first_loss)
+            if begins:
+                self._first_loss = self.smoothed = value
+            self.smoothed = 0.9 * self.smoothed + 0.1 * value
+            self._best = min(self._best, self.smoothed)
+            if begins or iteration % REMEMBER_EVERY == 0:
+                self._good = self._copy()
+                if self.smoothed < self._kept_loss:
+                    self._kept, self._kept_loss = self._good[0], self.smoothed
             return True
         self.rollbacks += 1
         self.rate /= 2
         if self.rollbacks > MOST_ROLLBACKS:
             raise NonFiniteError(
                 f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best "
-                f"{self.best:.3g}, after {MOST_ROLLBACKS} halvings of the learning rate from "
-                f"{self.first_rate:g}; "
-                "lower the learning rate and look for extreme values in the inputs"
+                f"{self._best:.3g}, after {MOST_ROLLBACKS} halvings of the learning rate from "
+                f"{self._first_rate:g}; lower it and look for extreme values in the inputs"
+            )
+        self._put(self._good[0])
+        self.adam.restore(self._good[1])
+        return False
+
+    def settle(self, latest: Minimum | None, last_loss: Callable[[], float]) -> Minimum:
+        """The end: the last state, or the best remembered one where that is clearly better.
+
+        After a rollback the last step is not trusted before its loss has been looked at.
+        """
+        if latest is None:
+            raise NonFiniteError(
+                f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations; "
+                "look for extreme values in the inputs"
             )
         with torch.no_grad():
-            for p, kept in zip(self.parameters, self._good[0], strict=True):
-                p.copy_(kept)
-        self.adam = self._good[1].copy()
-        return False
+            worse = self.rollbacks > 0 and not self._is_sound(last_loss())
+        restored = worse or self.smoothed > WORSE * self._kept_loss
+        if restored:
+            self._put(self._kept)
+        return replace(
+            latest,
+            smoothed=self._kept_loss if restored else self.smoothed,
+            rollbacks=self.rollbacks,
+            reason=latest.reason or "iterations",
+            restored=restored,
+        )
+
+    def _is_sound(self, value: float) -> bool:
+        if not math.isfinite(value):
+            return False
+        limit = BLOW_UP * max(self._best, NOISE * self._first_loss)
+        return not value > limit or limit == 0  # before the first loss there is no limit (NaN)
+
+    def _put(self, kept: list[Tensor]) -> None:
+        with torch.no_grad():
+            for p, values in zip(self.parameters, kept, strict=True):
+                p.copy_(values)

@@ -15,7 +15,7 @@ from usdsmoke.core.style import encode_srgb
 from usdsmoke.core.views import View, orbit_view
 from usdsmoke.volume import DenseField
 
-__all__ = ["display_picture", "render_fields", "render_view"]
+__all__ = ["display_picture", "grey_picture", "render_fields", "render_view"]
 
 MOST_REFINEMENT = 2  # subdivisions of a voxel in a picture; beyond that it is shown blurred
 
@@ -109,6 +109,11 @@ def display_picture(
     """
     behind = (1 - picture[..., 3:]) * np.asarray(background, np.float32)
     return encode_srgb(torch.from_numpy(picture[..., :3] + behind)).clamp(0, 1).numpy()
+
+
+def grey_picture(picture: np.ndarray) -> np.ndarray:
+    """[H W 3] in [0, 1]: the opacity of a picture [H W 4] as grey level, which is what the shape step looks at."""
+    return np.repeat(picture[..., 3:], 3, axis=-1)
 
 
 def _pixels_per_voxel(smoke: ActiveSmoke, view: View) -> float:
