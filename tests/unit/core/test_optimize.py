@@ -1,0 +1,188 @@
+"""The optimiser on problems with known answers, and on those that go wrong."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from usdsmoke.core.optimize import Adam, Minimum, minimize
+from usdsmoke.errors import NonFiniteError
+
+GOAL = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
+SCALES = torch.tensor([1.0, 30.0, 0.1], dtype=torch.float64)
+
+
+def start() -> Tensor:
+    return torch.zeros(3, dtype=torch.float64, requires_grad=True)
+
+
+def bowl(x: Tensor) -> Tensor:
+    return (SCALES * (x - GOAL) ** 2).sum()
+
+
+def run(x: Tensor, n: int, rate: float = 0.1, **options: object) -> list[Minimum]:
+    return list(minimize(lambda _: bowl(x), [x], rate, n, **options))  # type: ignore[arg-type]
+
+
+def test_a_quadratic_bowl_is_solved_to_round_off():
+    """Runs one after the other with falling rates; the moments stay with the problem."""
+    x, adam = start(), Adam()
+    for rate in (0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8):
+        ends = run(x, 400, rate, adam=adam)
+    assert (x - GOAL).abs().max().item() < 1e-8
+    assert ends[-1].loss < 1e-15 and ends[-1].rollbacks == 0
+
+
+def test_ups_and_downs_of_round_off_at_the_bottom_are_no_divergence():
+    x = GOAL.clone().requires_grad_()
+    with torch.no_grad():
+        x += 1e-3
+    end = run(x, 300, 1e-4)[-1]
+    assert end.reason == "iterations" and end.rollbacks == 0
+
+
+def test_adam_steps_as_published():
+    """The first two steps of [Kingma2015, algorithm 1] for gradients 2 and -1, by hand."""
+    p, adam = torch.zeros(1, dtype=torch.float64), Adam(betas=(0.9, 0.99), epsilon=0.0)
+    adam.step([p], [torch.tensor([2.0], dtype=torch.float64)], 0.1)
+    assert p.item() == pytest.approx(-0.1)
+    adam.step([p], [torch.tensor([-1.0], dtype=torch.float64)], 0.1)
+    first = (0.9 * 0.2 - 0.1) / (1 - 0.81)
+    second = (0.99 * 0.04 + 0.01) / (1 - 0.99**2)
+    assert p.item() == pytest.approx(-0.1 - 0.1 * first / math.sqrt(second))
+
+
+def test_every_iteration_is_reported_and_the_last_one_says_why_it_ended():
+    ends = run(start(), 25)
+    assert [end.iteration for end in ends] == list(range(25))
+    assert [end.reason for end in ends] == [""] * 24 + ["iterations"]
+    assert ends[0].loss == pytest.approx(bowl(torch.zeros(3).double()).item())
+    rates = [end.rate for end in ends]
+    assert rates[0] == rates[12] == 0.1 and rates[-1] < 0.02 and rates == sorted(rates)[::-1]
+
+
+def test_no_iterations_change_and_yield_nothing():
+    x = start()
+    assert run(x, 0) == [] and not x.any()
+
+
+def test_it_stops_when_converged_and_not_while_the_loss_falls():
+    x = start()
+    ends = run(x, 4000, tolerance=1e-3)
+    assert ends[-1].reason == "converged" and ends[-1].iteration < 2000
+    assert bowl(x).item() < 1e-3
+    assert run(start(), 4, tolerance=0.5)[-1].reason == "iterations"
+
+
+def test_tolerance_zero_never_stops_early_even_when_the_loss_rises():
+    x = start()
+    ends = list(minimize(lambda t: bowl(x) + 0.001 * t, [x], 1e-9, 60))
+    assert ends[-1].iteration == 59 and ends[-1].reason == "iterations"
+
+
+def test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported():
+    def steep(x: Tensor) -> Tensor:
+        return (1e3 * (x - GOAL) ** 4).sum() + bowl(x)
+
+    x = start()
+    end = list(minimize(lambda _: steep(x), [x], 100.0, 200))[-1]
+    assert end.rollbacks >= 3 and end.rate < 100 / 2**3
+    assert torch.isfinite(x).all()
+    assert steep(x).item() <= steep(torch.zeros(3).double()).item()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_loss_that_is_not_finite_is_rolled_back(bad):
+    x, seen = start(), []
+
+    def objective(iteration: int) -> Tensor:
+        seen.append(x.detach().clone())
+        return bowl(x) + (bad if iteration == 10 else 0.0)
+
+    ends = list(minimize(objective, [x], 0.1, 40))
+    assert ends[-1].rollbacks == 1 and [end.iteration for end in ends].count(10) == 0
+    assert torch.equal(seen[11], seen[8])  # the last state that had been remembered
+    assert bowl(x).item() < bowl(torch.zeros(3).double()).item()
+
+
+def test_a_gradient_that_is_not_finite_is_rolled_back():
+    x = start()
+
+    def objective(iteration: int) -> Tensor:
+        trap = torch.sqrt((x * 0).sum()) if iteration == 5 else 0.0  # slope: 0 x infinity
+        return bowl(x) + trap
+
+    end = list(minimize(objective, [x], 0.1, 40))[-1]
+    assert end.rollbacks == 1 and torch.isfinite(x).all()
+
+
+def test_the_moments_are_rolled_back_in_the_state_that_was_carried_in():
+    x, adam = start(), Adam()
+    list(minimize(lambda t: bowl(x) + (math.nan if t == 3 else 0.0), [x], 0.1, 4, adam=adam))
+    assert adam.n_steps == 0  # back before the first step, where all was remembered
+    list(minimize(lambda _: bowl(x), [x], 0.1, 5, adam=adam))
+    assert adam.n_steps == 5
+
+
+def test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings():
+    x = start()
+    with pytest.raises(NonFiniteError, match=r"after 12 halvings of the learning rate from 0\.1"):
+        list(minimize(lambda t: bowl(x) * (math.nan if t else 1.0), [x], 0.1, 100))
+
+
+@pytest.mark.parametrize("n", [1, 5])
+def test_few_iterations_without_a_single_finite_loss_are_not_passed_over_in_silence(n):
+    x = start()
+    with pytest.raises(NonFiniteError, match=f"all {n} iterations"):
+        list(minimize(lambda _: bowl(x) * math.nan, [x], 0.1, n))
+
+
+def test_the_last_step_is_looked_at_when_there_were_rollbacks_before():
+    """Iterations 1 and 3 fail; the step of iteration 4, the last, would fail in a sixth."""
+    x = start()
+    rate = 1e4
+
+    def cliff(_: int) -> Tensor:
+        return bowl(x) + (1e9 * (x.abs().max() > 500)).double()
+
+    end = list(minimize(cliff, [x], rate, 5))[-1]
+    assert end.rollbacks == 2 and end.restored
+    assert not x.any()
+    assert end.smoothed == pytest.approx(bowl(torch.zeros(3).double()).item())
+
+
+def test_the_best_remembered_state_comes_back_when_the_end_is_clearly_worse():
+    """The bowl moves away near the end: what fitted before is worth more than what is left."""
+    x = start()
+
+    def objective(iteration: int) -> Tensor:
+        return bowl(x) if iteration < 60 else bowl(x) + 0.5 * (x**2).sum() + 3.0
+
+    end = list(minimize(objective, [x], 0.1, 64))[-1]
+    assert end.restored
+    assert bowl(x).item() < 0.2
+    assert not run(start(), 64)[-1].restored
+
+
+def test_an_objective_without_the_parameters_leaves_them_alone():
+    x = start()
+    end = list(minimize(lambda _: torch.tensor(0.0), [x], 0.1, 3))[-1]
+    assert end.loss == 0 and not x.any()
+
+
+def test_a_zero_loss_that_rises_later_is_no_divergence():
+    x = start()
+    ends = list(minimize(lambda t: bowl(x) * (t > 2), [x], 0.1, 30))
+    assert len(ends) == 30 and ends[-1].rollbacks == 0
+    assert ends[-1].loss < ends[3].loss
+
+
+def test_the_projection_follows_each_step():
+    x = start()
+
+    def into_range() -> None:
+        x.clamp_(0, 1)
+
+    run(x, 200, project=into_range)
+    assert x.tolist() == pytest.approx([1.0, 0.0, 0.5], abs=0.05)
