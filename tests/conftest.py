@@ -1,9 +1,12 @@
 """Fixtures of the tests that run usdsmoke from end to end."""
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads crawl on shared machines
 
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here
 

@@ -52,7 +52,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("grids.write", GROUND | {"grids*", "publish"}, {"numpy"} | OPENVDB),
     ("grids*", GROUND | {"grids*", "publish"}, {"numpy"}),
     ("images", {"errors", "publish"}, {"numpy", "OpenEXR", "PIL"}),
-    ("contact_sheet*", GROUND | {"images", "publish"}, {"numpy", "PIL", "matplotlib"}),
+    ("contact_sheet*", GROUND | {"images", "publish"}, {"numpy", "PIL"}),
     ("core*", {"errors", "sections", "config", "volume", "core*"}, {"numpy", "torch"}),
     ("run_progress", GROUND | WITHOUT_TORCH, set()),
     ("run_folder", GROUND | {"publish", "provenance"}, set()),
@@ -236,7 +236,6 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
         "torch",
         "pxr",
         "numpy",
-        "matplotlib",
         *OPENVDB,
     }
 

@@ -176,5 +176,7 @@ def _frame_seconds(frame: FrameSize, config: Config, n_styles: int) -> float:
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:
     active, _ = _refined(frame, config)
-    values = 1 + 3 * ("colour" in config.optimize.steps) + 3 * config.layer.copy_velocity
+    values = (
+        1 + 3 * ("colour" in config.optimize.steps) + 3 * (config.layer.copy_velocity is not False)
+    )
     return round(FILE_BYTES + active * (2 if config.grids.half else 4) * values * TREE)

@@ -18,6 +18,7 @@ __all__ = [
     "VelocitySource",
     "find_density",
     "find_frame_velocity",
+    "is_copied",
     "read_frame",
     "read_velocity_grids",
 ]
@@ -77,6 +78,26 @@ def find_frame_velocity(
     return VelocitySource(density, name, grids) if grids else None
 
 
+def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Config) -> bool:
+    """Whether the velocity goes into the result's files as well.
+
+    Unset, ``layer.copy_velocity`` means: when the stage has a field for it beside the density. Clients that
+    take one file per Volume (Blender, Arnold, RenderMan) would otherwise be led back to the source's.
+
+    Args:
+        velocity: as found, None when there is none.
+        density: the field that the result replaces.
+        config: section ``layer``.
+    """
+    if velocity is None or config.layer.copy_velocity is not None:
+        return velocity is not None and bool(config.layer.copy_velocity)
+    return velocity.field.relationship != density.relationship and _same_place(velocity, density)
+
+
+def _same_place(velocity: VelocitySource, density: FieldSource) -> bool:
+    return np.allclose(velocity.field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0)
+
+
 def read_frame(
     volume: VolumeSource,
     frame: FrameSource,
@@ -126,7 +147,7 @@ def read_velocity_grids(
         GridError: they cannot be read.
     """
     where = _where(velocity.field)
-    if not np.allclose(velocity.field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0):
+    if not _same_place(velocity, density):
         raise UnsupportedGrid(
             f"cannot copy the velocity ({where}): the xform of its field prim differs from that of "
             f"<{density.prim_path}>; wanted the same: unset layer.copy_velocity"

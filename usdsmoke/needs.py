@@ -36,6 +36,8 @@ def list_needed(
     with_velocity = [frame for frame in _frames(volumes) if frame.velocity]
     if with_velocity:
         needed.append(f"velocity of {len(with_velocity)} frames")
+    if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
+        needed.append(f"velocity copied into {n_copied} files, so that a frame is one file")
     if _optimizes(config):
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")

@@ -45,9 +45,9 @@ def result_fields(
     if config.grids.prune > 0 and not density.is_empty:
         smoke = density.values > config.grids.prune
         fields = [_keep_where(smoke, field) for field in fields]
-    if config.layer.copy_velocity and frame.velocity is not None:
+    if frame.copied is not None:
         source = frame.source.fields[volume.source.density]
-        fields += read_velocity_grids(frame.velocity, source, config)
+        fields += read_velocity_grids(frame.copied, source, config)
     return fields
 
 
@@ -124,8 +124,7 @@ def collect_volume(
     grids = {volume.source.density: volume.source.density}
     if "colour" in config.optimize.steps:
         grids[EMISSION] = EMISSION
-    if config.layer.copy_velocity:
-        grids |= _copied_velocity(volume)
+    grids |= _copied_velocity(volume)
     return StylizedVolume(
         source=volume.source,
         frames=written,
@@ -181,7 +180,7 @@ def _extent(
 
 def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
     """Relationship and grid of the copied velocity, where the stage has a relationship for it."""
-    velocity = volume.frames[0].velocity
+    velocity = volume.frames[0].copied
     if velocity is None:
         return {}
     names = volume.source.velocity

@@ -19,7 +19,7 @@ from usdsmoke.estimate import (
     estimate_run,
     free_disk_bytes,
 )
-from usdsmoke.frames import VelocitySource, find_density, find_frame_velocity
+from usdsmoke.frames import VelocitySource, find_density, find_frame_velocity, is_copied
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.naming import frame_file_names, volume_stems
 from usdsmoke.needs import Omission, list_needed, list_omitted
@@ -38,7 +38,8 @@ class FramePlan:
     source: FrameSource
     size: FrameSize
     grid: GridHeader
-    velocity: VelocitySource | None  # None: there is none, or it is not needed
+    velocity: VelocitySource | None  # None: there is none, or the core does not need it
+    copied: VelocitySource | None  # None: it is not written into the result's file
     file_name: str  # of the result
 
     @property
@@ -184,13 +185,16 @@ def _plan_volume(
     for frame in volume.frames:
         _read_headers(frame, headers)
         grid = find_density(volume, frame, headers[frame.fields[volume.density].file_path])
-        moves = frame.time_code in in_company or config.layer.copy_velocity
+        density = frame.fields[volume.density]
+        velocity = find_frame_velocity(volume, frame, headers, config)
+        copied = velocity if is_copied(velocity, density, config) else None
         frames.append(
             FramePlan(
                 source=frame,
                 size=_frame_size(frame.fields[volume.density].file_path, grid, frame, starts),
                 grid=grid,
-                velocity=find_frame_velocity(volume, frame, headers, config) if moves else None,
+                velocity=velocity if frame.time_code in in_company else None,
+                copied=copied,
                 file_name=names[frame.time_code],
             )
         )

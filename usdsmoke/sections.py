@@ -183,7 +183,7 @@ class ShapeConfig:
         0.04, "largest displacement, as a share of the smoke's longest side", above=0.0, high=0.5
     )
     interpolation: str = _setting(
-        "maccormack", "scheme of the final transport", choices=("linear", "maccormack", "cubic")
+        "cubic", "scheme of the final transport", choices=("linear", "maccormack", "cubic")
     )
     mass_correction: bool = _setting(True, "scale the moved density back to the source's mass")
     learning_rate: float = _setting(0.04, "Adam's step for the displacement potential", above=0.0)
@@ -247,7 +247,10 @@ class LayerConfig:
         pattern=r"(?!\.)[\w.-]*",
     )
     format: str = _setting("usda", "file format of the look layer", choices=("usda", "usdc"))
-    copy_velocity: bool = _setting(False, "write the velocity into the result's files as well")
+    copy_velocity: bool | None = _setting(
+        None,
+        "write the velocity into the result's files; unset: when the Volume has a field for it",
+    )
     digital_source_type: str = _setting(
         "algorithmicallyEnhanced",
         "IPTC term of the authorship record",

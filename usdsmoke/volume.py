@@ -5,8 +5,9 @@ Matrices are 4x4 float64 in the row-vector convention that USD and OpenVDB share
 ``[i j k]``, as OpenVDB delivers them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -82,8 +83,8 @@ class DenseField:
 
     ``values`` is float32, [i j k] or [i j k 3], C order; an empty grid has shape (0, 0, 0). A voxel
     is taken as active when it differs from ``background``. ``index_to_world`` maps *grid* index
-    coordinates (``ijk_min`` is the index of ``values[0, 0, 0]``) to the grid's world space, which is
-    the field prim's local space.
+    coordinates (``ijk_min`` is the index of ``values[0, 0, 0]``) to the grid's world space, which
+    is the field prim's local space.
     """
 
     name: str
@@ -131,6 +132,8 @@ class WrittenFrame:
     time_code: float
     file_path: str  # absolute
     content_hash: str  # of all its grids, see grids.content_hash
-    extent_min: tuple[float, float, float] | None  # in the field prim's local space; None when empty
+    extent_min: (
+        tuple[float, float, float] | None
+    )  # in the field prim's local space; None when empty
     extent_max: tuple[float, float, float] | None
     report: Mapping[str, Any] = field(default_factory=dict)  # losses, errors, times of this frame

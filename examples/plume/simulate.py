@@ -20,6 +20,7 @@ from types import ModuleType
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol, Vt
 from scipy import ndimage
+
 from solver import HEIGHT, PlumeSettings, SmokeSolver
 
 __all__ = ["main", "simulate"]

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from brush import SAMPLE_STEP, Brush, Canvas, Flow, Tone, paint_layer, palette_colour, smooth_noise
 from PIL import Image
+
+from brush import SAMPLE_STEP, Brush, Canvas, Flow, Tone, paint_layer, palette_colour, smooth_noise
 
 __all__ = ["PAINTINGS", "main", "paint"]
 

@@ -48,7 +48,8 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
     """The style layers and their weights; those of weight 0 are left out.
 
     Raises:
-        ConfigError: an unknown layer, or weights that do not match the layers in number.
+        ConfigError: an unknown layer, weights that do not match the layers in number, or none
+            above 0.
     """
     known = layer_names(config)
     default = EmbeddedFeatures.names if config.network == "embedded" else DEFAULT_STYLE_LAYERS
@@ -65,7 +66,13 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
             f"features.weights holds {len(weights)} numbers for {len(names)} style layers "
             f"({', '.join(names)}); give one for each or none"
         )
-    return {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}
+    used = {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}
+    if not used:
+        raise ConfigError(
+            f"features.weights are all 0 for the style layers {', '.join(names)}; wanted at least "
+            "one above 0, or losses.style=0 to leave the style out"
+        )
+    return used
 
 
 def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:

@@ -14,6 +14,12 @@ __all__ = ["LearnedFeatures"]
 
 N_FILTERS = (64, 96, 128)
 
+# Floors that only styles of (nearly) one colour reach: whatever is painted differs from these by
+# hundreds of their deviations, and products of three such layers do not fit float32.
+LEAST_VARIANCE = 1e-4  # of colour
+LEAST_POWER = 0.1  # variance of patches along their first principal axis; pictures have 30 and more
+LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more
+
 
 def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator) -> Tensor:
     """Up to ``n_patches`` random patches [N C*size*size] of feature maps [1 C H W]."""
@@ -49,7 +55,7 @@ def _principal_axes(points: Tensor, n: int) -> Tensor:
     values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
     n = min(n, len(values))
     values, vectors = values[-n:], vectors[:, -n:]
-    floor = 0.02 * values[-1].clamp_min(1e-12)
+    floor = 0.02 * values[-1].clamp_min(LEAST_POWER)
     return ((values.clamp_min(0) + floor).rsqrt()[:, None] * vectors.T).to(points)
 
 
@@ -65,7 +71,7 @@ class LearnedFeatures:
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         generator = torch.Generator().manual_seed(seed)
-        self._mean, self._matrix = colour_whitening(style, 1e-6, relative=0.1)
+        self._mean, self._matrix = colour_whitening(style, LEAST_VARIANCE, relative=0.1)
         self._layers: list[tuple[Tensor, Tensor]] = []
         maps = self._colour(style)
         for number, n_filters in enumerate(N_FILTERS):
@@ -76,7 +82,8 @@ class LearnedFeatures:
             response = self._respond(maps, weight, None)
             deviation = response.std(dim=(0, 2, 3), correction=0)
             # a floor, or filters that the style hardly excites explode on noise
-            deviation = torch.sqrt(deviation**2 + (0.1 * deviation.max()) ** 2) + 1e-6
+            deviation = torch.sqrt(deviation**2 + (0.1 * deviation.max()) ** 2)
+            deviation = deviation.clamp_min(LEAST_DEVIATION)
             bias = -response.mean(dim=(0, 2, 3)) / deviation
             self._layers.append((weight / deviation[:, None, None, None], bias))
             maps = torch.relu(self._respond(maps, *self._layers[-1]))

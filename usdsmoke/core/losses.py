@@ -22,6 +22,8 @@ from usdsmoke.core.features import Network
 
 __all__ = ["StyleTarget", "gram_matrix", "total_variation"]
 
+LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
+
 
 def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
     """Area-normalised Gram matrix [C C] of feature maps [1 C H W], float32 or wider.
@@ -61,18 +63,19 @@ class StyleTarget:
     Args:
         style: [H W 3], display-encoded.
         network: feature maps by name.
-        layers: weight of each style layer.
+        layers: weight of each style layer; one of weight 0 is not evaluated.
     """
 
     def __init__(self, style: Tensor, network: Network, layers: Mapping[str, float]) -> None:
         self._network = network
-        self._layers = dict(layers)
-        self._wanted = frozenset(layers)
+        self._layers = {name: weight for name, weight in layers.items() if weight != 0}
+        self._wanted = frozenset(self._layers)
         self._scale: dict[str, Tensor] = {}
         self._gram: dict[str, Tensor] = {}
         with torch.no_grad():
             for name, maps in network(style, self._wanted).items():
-                self._scale[name] = 1 / (maps.float().square().mean(dim=(0, 2, 3)).sqrt() + 1e-3)
+                rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
+                self._scale[name] = 1 / (rms.clamp_min(LEAST_RMS) + 1e-3)
                 self._gram[name] = gram_matrix(self._prepare(name, maps))
 
     def _prepare(self, name: str, maps: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ _BINOMIAL = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tuple[Tensor, Tensor]:
     """Mean [3] and ZCA matrix [3 3] of colours [... 3].
 
-    W = U diag((e + floor + relative * e_max)^-1/2) U^T with the covariance's eigenvalues e and
+    W = U diag((e + max(floor, relative * e_max))^-1/2) U^T with the covariance's eigenvalues e and
     eigenvectors U. The floors keep directions that the style hardly has from being blown up:
     without them a two-colour style gets green and yellow tints, and a constant one divides by zero.
     """
@@ -33,7 +33,8 @@ def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tup
     covariance = centred.T @ centred / max(len(flat), 1)
     values, vectors = torch.linalg.eigh(covariance)
     values = values.clamp_min(0)
-    matrix = vectors @ torch.diag((values + floor + relative * values[-1]).rsqrt()) @ vectors.T
+    least = (relative * values[-1]).clamp_min(floor)
+    matrix = vectors @ torch.diag((values + least).rsqrt()) @ vectors.T
     return mean.to(pixels.dtype), matrix.to(pixels.dtype)
 
 

@@ -25,17 +25,11 @@ import torch
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.displacement import (
-    cap_displacement,
-    from_mixed,
-    from_potential,
-    from_stream,
-    smooth_mask,
-)
-from usdsmoke.core.lattice import Lattice, field_from_box, reachable_voxels, surround
+from usdsmoke.core.lattice import field_from_box, reachable_voxels, surround
 from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.optics import opacity
 from usdsmoke.core.optimize import Minimum, minimize
+from usdsmoke.core.potential import Potential, border_mask, displacement_from
 from usdsmoke.core.project import SparseImage, column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import Scene, frame_views
@@ -45,25 +39,10 @@ from usdsmoke.core.transport import Scheme, correct_mass, warp
 from usdsmoke.core.warm import departure_points
 from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["Displaced", "Potential", "border_mask", "displacement_from", "run_shape_step"]
+__all__ = ["Displaced", "run_shape_step"]
 
 N_LEVELS = 5  # of the coefficient pyramid
 THIN = 0.05  # opacity at which the guidance mask is one half
-BORDER = 2.0  # voxels over which the displacement fades towards the border
-
-
-@dataclass(frozen=True)
-class Potential:
-    """What the displacement is made from, on the voxels of a box: stage unit^2."""
-
-    values: Tensor  # [I J K C]: 3 stream, 1 potential, 4 both
-    lattice: Lattice
-
-    def on(self, lattice: Lattice, departures: Tensor | None = None) -> Tensor:
-        """The potential on another box, [I J K C], or at the points its voxels' smoke came from."""
-        positions = lattice.positions() if departures is None else departures
-        found = self.lattice.sample(self.values, positions.to(self.values.device))
-        return found.view(*lattice.shape, -1)
 
 
 @dataclass(frozen=True)
@@ -73,34 +52,6 @@ class Displaced:
     density: DenseField
     potential: Potential
     report: dict[str, Any]
-
-
-def border_mask(density: Tensor) -> Tensor:
-    """1 inside the smoke, falling smoothly to 0 *at* its border, [I J K].
-
-    The blurred mask is one half at the border: the upper half of its range is taken, or smoke would
-    still move at the silhouette and pile up there as a bright rim.
-    """
-    inside = (2 * smooth_mask(density, BORDER) - 1).clamp_min(0)
-    return inside * inside * (3 - 2 * inside)
-
-
-def displacement_from(
-    potential: Tensor, mask: Tensor, kind: str, cap: float, lattice: Lattice
-) -> Tensor:
-    """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
-
-    The potential is faded before it is derived, so that a stream function's displacement stays free
-    of divergence where the mask falls off; the cap alone disturbs it.
-    """
-    faded = potential * mask[..., None]
-    if kind == "stream":
-        moved = from_stream(faded, lattice.spacing)
-    elif kind == "potential":
-        moved = from_potential(faded[..., 0], lattice.spacing)
-    else:
-        moved = from_mixed(faded[..., :3], faded[..., 3], lattice.spacing, 0.5)
-    return cap_displacement(moved, cap) / moved.new_tensor(lattice.spacing)
 
 
 @dataclass(frozen=True)

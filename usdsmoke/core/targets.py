@@ -1,13 +1,14 @@
 """The style's statistics at every octave, in colour and in grey, made once and kept."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.features import build_network, style_layers
+from usdsmoke.core.features import Network, build_network, style_layers
 from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.scene import Scene
 from usdsmoke.core.style import decode_srgb, match_grey, scale_style
@@ -24,7 +25,8 @@ class StyleTargets:
         device: where the features are computed.
 
     Raises:
-        FeatureError, ConfigError: see ``features.build_network`` and ``features.style_layers``.
+        ConfigError: see ``features.style_layers``; ``at`` raises FeatureError, see
+            ``features.build_network``.
     """
 
     def __init__(
@@ -34,9 +36,16 @@ class StyleTargets:
         self._scene = scene
         self._config = config
         self._like = torch.zeros((), device=device)
-        self._layers = style_layers(config.features)
-        self._build = build_network(config.features, config.optimize.seed)
+        self._layers = {
+            name: config.losses.style * weight
+            for name, weight in style_layers(config.features).items()
+        }
         self._made: dict[tuple[int, bool], list[StyleTarget]] = {}
+
+    @cached_property
+    def _network_for(self) -> Callable[[Tensor], Network]:
+        """Made when first asked for: a window of empty frames does not read VGG-19's parameters."""
+        return build_network(self._config.features, self._config.optimize.seed)
 
     @property
     def background(self) -> Tensor:
@@ -57,4 +66,4 @@ class StyleTargets:
         scaled = scale_style(style, self._scene.image_size / factor, self._config.style, self._like)
         if grey:
             scaled = match_grey(scaled, self._scene.grey_mean, self._scene.grey_deviation)
-        return StyleTarget(scaled, self._build(scaled), self._layers)
+        return StyleTarget(scaled, self._network_for(scaled), self._layers)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,6 +74,30 @@ def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
     return found
 
 
+def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, Tensor]]:
+    """Weight and bias of each convolution by layer name; what else the file holds is not needed."""
+    parameters = {}
+    for name, index, n_in, n_out in _convolutions():
+        pair = []
+        for kind, wanted in (("weight", (n_out, n_in, 3, 3)), ("bias", (n_out,))):
+            key = f"features.{index}.{kind}"
+            tensor = tensors.get(key) if isinstance(tensors, dict) else None
+            if not isinstance(tensor, Tensor) or tuple(tensor.shape) != wanted:
+                found = list(tensor.shape) if isinstance(tensor, Tensor) else "missing"
+                raise FeatureError(
+                    f"{key} in {file_path} is {found}; wanted {list(wanted)} as in torchvision's "
+                    "VGG-19 without batch normalisation: give that file"
+                )
+            if not torch.isfinite(tensor).all():
+                raise FeatureError(
+                    f"{key} in {file_path} holds NaN or infinity; wanted finite numbers: the file "
+                    "is damaged, fetch it again"
+                )
+            pair.append(tensor.float())
+        parameters[name] = (pair[0], pair[1])
+    return parameters
+
+
 class Vgg19Features:
     """Rectified maps ``relu1_1`` .. ``relu5_4`` of VGG-19 [Simonyan2015] with max-pooling.
 
@@ -94,7 +119,8 @@ class Vgg19Features:
             FeatureError: no file, not readable, or not VGG-19's tensors.
         """
         file_path = find_vgg19_file(configured)
-        sha256 = hashlib.sha256(file_path.read_bytes()).hexdigest()
+        with file_path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         if file_path.name == FILE_NAME and not sha256.startswith("dcbb9e9d"):
             raise FeatureError(
                 f"{file_path} has SHA-256 {sha256[:8]}..., wanted dcbb9e9d... as in its name; "
@@ -106,18 +132,11 @@ class Vgg19Features:
             else:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file
-            raise FeatureError(f"cannot read VGG-19 weights from {file_path}: {error}") from None
-        parameters = {}
-        for name, index, n_in, n_out in _convolutions():
-            weight, bias = (tensors.get(f"features.{index}.{kind}") for kind in ("weight", "bias"))
-            if weight is None or bias is None or tuple(weight.shape) != (n_out, n_in, 3, 3):
-                found = "nothing" if weight is None else list(weight.shape)
-                raise FeatureError(
-                    f"features.{index}.weight in {file_path} is {found}; wanted "
-                    f"[{n_out}, {n_in}, 3, 3] as in torchvision's VGG-19"
-                )
-            parameters[name] = (weight.float(), bias.float())
-        return cls(parameters, sha256)
+            raise FeatureError(
+                f"cannot read VGG-19 weights from {file_path}: {' '.join(str(error).split())[:150]}; "
+                "wanted torchvision's state dict or a safetensors file"
+            ) from None
+        return cls(_pick_parameters(tensors, file_path), sha256)
 
     def to(self, like: Tensor) -> "Vgg19Features":
         """The same network with the dtype and device of a tensor."""

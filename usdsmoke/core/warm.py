@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from usdsmoke.core.noise import white_noise
-from usdsmoke.core.sample import sample_linear
 from usdsmoke.core.smoke import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.trace import backtrace, choose_substeps
 from usdsmoke.volume import VolumeFrame
 
 __all__ = ["carry_colours", "departure_points"]
@@ -15,27 +15,32 @@ FILL_LEVELS = 4  # halvings over which smoke that was not there before takes its
 
 
 def departure_points(frame: VolumeFrame, positions: Tensor, seconds: float) -> Tensor:
-    """Where the smoke at some points was a while ago, one Euler step back.
+    """Where the smoke at some points was a while ago, [N 3] float64, stage space.
+
+    Mid-point steps back along the frame's own velocity, as many as a CFL number of 1 needs.
 
     Args:
-        frame: its velocity is sampled at the points; without one they stay where they are.
+        frame: without a velocity the points stay where they are.
         positions: [N 3] float64, stage space.
-        seconds: how long ago.
-
-    Returns:
-        [N 3] float64, stage space.
+        seconds: how long ago; negative looks ahead.
     """
     velocity = frame.velocity
     if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
         return positions
-    to_stage = np.asarray(frame.velocity_to_stage, float)
-    stage_to_index = np.linalg.inv(np.asarray(velocity.index_to_world, float) @ to_stage)
-    matrix = torch.as_tensor(stage_to_index, device=positions.device)
+    index_to_stage = velocity.index_to_world @ np.asarray(frame.velocity_to_stage, float)
+    forth, back = (
+        torch.as_tensor(matrix, device=positions.device)
+        for matrix in (index_to_stage, np.linalg.inv(index_to_stage))
+    )
+    # grid world units to voxels, per second
+    to_index = torch.as_tensor(np.linalg.inv(velocity.index_to_world[:3, :3]))
+    rates = torch.from_numpy(velocity.values).double() @ to_index
+    rates = rates.to(positions.device)
     low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=positions.device)
-    place = positions @ matrix[:3, :3] + matrix[3, :3] - low
-    values = torch.from_numpy(velocity.values).to(positions.device)
-    found = sample_linear(values, place.to(values.dtype), boundary="nearest").double()
-    return positions - seconds * found @ torch.as_tensor(to_stage[:3, :3], device=positions.device)
+    place = positions @ back[:3, :3] + back[3, :3] - low
+    n_substeps = choose_substeps(rates, seconds)
+    place = backtrace(rates, place, seconds, order=2, n_substeps=n_substeps)
+    return (place + low) @ forth[:3, :3] + forth[3, :3]
 
 
 def carry_colours(
