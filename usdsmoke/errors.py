@@ -103,7 +103,7 @@ class ImageError(UsdSmokeError):
 
 
 class FeatureError(UsdSmokeError):
-    """The feature network's parameter file is missing, of the wrong shape or not the one asked for."""
+    """The feature network's parameter file is missing, damaged or not the one asked for."""
 
 
 class ShapeError(UsdSmokeError, ValueError):

@@ -81,8 +81,9 @@ def find_frame_velocity(
 def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Config) -> bool:
     """Whether the velocity goes into the result's files as well.
 
-    Unset, ``layer.copy_velocity`` means: when the stage has a field for it beside the density. Clients that
-    take one file per Volume (Blender, Arnold, RenderMan) would otherwise be led back to the source's.
+    Unset, ``layer.copy_velocity`` means: when the stage has a field for it beside the density.
+    Clients that take one file per Volume (Blender, Arnold, RenderMan) would otherwise be led back
+    to the source's.
 
     Args:
         velocity: as found, None when there is none.

@@ -26,7 +26,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class FieldSource:
-    """Where the values of one field come from at one timeCode; nothing is read from disk but USD."""
+    """Where a field's values come from at one timeCode; nothing is read from disk but USD."""
 
     relationship: str  # what the Volume calls it: "density" for field:density
     prim_path: str  # the field prim's path

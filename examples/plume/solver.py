@@ -1,7 +1,8 @@
 """A small smoke solver: stable fluids in a closed box, on a voxel-centred grid.
 
 A step is: sources, forces (buoyancy, vorticity confinement), projection, advection. Sources:
-J. Stam, "Stable Fluids", 1999; R. Fedkiw, J. Stam, H. W. Jensen, "Visual Simulation of Smoke", 2001;
+J. Stam, "Stable Fluids", 1999; R. Fedkiw, J. Stam, H. W. Jensen, "Visual Simulation of Smoke",
+2001;
 for the clamped advection A. Selle et al., "An Unconditionally Stable MacCormack Method", 2008.
 The projection is exact: with slip walls each velocity component is a sine series along its own
 axis and a cosine series along the others, so that removing the divergence is a product in

@@ -14,10 +14,10 @@ __all__ = ["LearnedFeatures"]
 
 N_FILTERS = (64, 96, 128)
 
-# Floors that only styles of (nearly) one colour reach: whatever is painted differs from these by
-# hundreds of their deviations, and products of three such layers do not fit float32.
+# Only styles of (nearly) one colour come below these. Whatever is painted differs from such a style
+# by hundreds of its deviations, and three layers of that do not fit float32.
 LEAST_VARIANCE = 1e-4  # of colour
-LEAST_POWER = 0.1  # variance of patches along their first principal axis; pictures have 30 and more
+LEAST_POWER = 0.1  # variance of all patches; pictures have 50 and more
 LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more
 
 
@@ -55,7 +55,7 @@ def _principal_axes(points: Tensor, n: int) -> Tensor:
     values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
     n = min(n, len(values))
     values, vectors = values[-n:], vectors[:, -n:]
-    floor = 0.02 * values[-1].clamp_min(LEAST_POWER)
+    floor = 0.02 * values[-1].clamp_min(1e-12)
     return ((values.clamp_min(0) + floor).rsqrt()[:, None] * vectors.T).to(points)
 
 
@@ -96,10 +96,14 @@ class LearnedFeatures:
         if number == 0:
             patches = _patches(maps, size, 20000, generator)
             patches = patches - patches.mean(dim=1, keepdim=True)
+        else:
+            patches = _patches(maps, size, 8000, generator)
+        if patches.var(dim=0, correction=0).sum() < LEAST_POWER:
+            filters = patches.new_zeros(n_filters, patches.shape[1])  # there is nothing to learn
+        elif number == 0:
             filters = _cluster_directions(patches, n_filters, 12, generator)
             filters = filters - filters.mean(dim=1, keepdim=True)
         else:
-            patches = _patches(maps, size, 8000, generator)
             axes = _principal_axes(patches, 64)
             whitened = (patches - patches.mean(0)) @ axes.T
             filters = _cluster_directions(whitened, n_filters, 10, generator) @ axes

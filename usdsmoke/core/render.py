@@ -112,7 +112,7 @@ def display_picture(
 
 
 def grey_picture(picture: np.ndarray) -> np.ndarray:
-    """[H W 3] in [0, 1]: the opacity of a picture [H W 4] as grey level, which is what the shape step looks at."""
+    """A picture's opacity as grey level, [H W 3] in [0, 1]: what the shape step looks at."""
     return np.repeat(picture[..., 3:], 3, axis=-1)
 
 

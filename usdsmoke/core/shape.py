@@ -68,8 +68,8 @@ class _GreyView:
     def filled(self, grey: Tensor, behind: float) -> Tensor:
         """What the network sees, [H W 3]: a grey level beyond the silhouette instead of black.
 
-        Against black the silhouette's edge is the strongest structure of the picture, and the optimiser
-        sees little else.
+        Against black the silhouette's edge is the strongest structure of the picture, and the
+        optimiser sees little else.
         """
         return (grey + (1 - self.guide()) * behind)[..., None].expand(-1, -1, 3)
 

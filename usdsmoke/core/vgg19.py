@@ -133,7 +133,8 @@ class Vgg19Features:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file
             raise FeatureError(
-                f"cannot read VGG-19 weights from {file_path}: {' '.join(str(error).split())[:150]}; "
+                f"cannot read VGG-19 weights from {file_path}: "
+                f"{' '.join(str(error).split())[:150]}; "
                 "wanted torchvision's state dict or a safetensors file"
             ) from None
         return cls(_pick_parameters(tensors, file_path), sha256)
