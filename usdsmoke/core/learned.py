@@ -34,8 +34,13 @@ def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator
 def _cluster_directions(
     points: Tensor, n: int, n_iterations: int, generator: torch.Generator
 ) -> Tensor:
-    """[n D] unit vectors: spherical k-means of points [N D]; empty clusters are drawn anew."""
-    points = points / points.norm(dim=1, keepdim=True).clamp_min(1e-8)
+    """[n D] unit vectors: spherical k-means of points [N D]; empty clusters are drawn anew.
+
+    Points of (nearly) no length, such as flat patches, have no direction but round-off's.
+    """
+    lengths = points.norm(dim=1)
+    distinct = lengths > 1e-4 * lengths.max()
+    points = points[distinct] / lengths[distinct, None]
     start = torch.randint(len(points), (n,), generator=generator).to(points.device)
     centres = points[start].clone()
     for _ in range(n_iterations):
@@ -44,7 +49,7 @@ def _cluster_directions(
         empty = sums.norm(dim=1) < 1e-8
         if bool(empty.any()):
             drawn = torch.randint(len(points), (int(empty.sum()),), generator=generator)
-            sums[empty] = points[drawn.to(points.device)] + 1e-6
+            sums[empty] = points[drawn.to(points.device)]
         centres = sums / sums.norm(dim=1, keepdim=True).clamp_min(1e-8)
     return centres
 

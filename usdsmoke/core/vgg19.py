@@ -132,10 +132,10 @@ class Vgg19Features:
             else:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file
+            reason = " ".join(str(error).split())[:200]
             raise FeatureError(
-                f"cannot read VGG-19 weights from {file_path}: "
-                f"{' '.join(str(error).split())[:150]}; "
-                "wanted torchvision's state dict or a safetensors file"
+                f"cannot read VGG-19 weights from {file_path}: {reason}; wanted torchvision's state "
+                "dict or a safetensors file"
             ) from None
         return cls(_pick_parameters(tensors, file_path), sha256)
 
