@@ -42,6 +42,7 @@ from usdsmoke.volume import DenseField, VolumeFrame
 __all__ = ["Displaced", "run_shape_step"]
 
 N_LEVELS = 5  # of the coefficient pyramid
+FAINTEST = 1e-6  # of the largest density
 THIN = 0.05  # opacity at which the guidance mask is one half
 
 
@@ -241,6 +242,8 @@ def _move_finally(
         values, mask, config.shape.displacement, cap, lattice
     )
     moved = warp(box, u, scheme=cast(Scheme, config.shape.interpolation)).clamp_min(0)
+    # round-off of the spline is no smoke: it would fill the box with active voxels
+    moved = torch.where(moved > FAINTEST * box.max(), moved, torch.zeros_like(moved))
     sides = u.new_tensor(lattice.spacing)
     report = {"largest displacement": float((u * sides).norm(dim=-1).max()), "cap": cap}
     if config.shape.interpolation != "linear":

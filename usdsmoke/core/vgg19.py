@@ -134,8 +134,8 @@ class Vgg19Features:
         except Exception as error:  # torch.load raises many kinds on a bad file
             reason = " ".join(str(error).split())[:200]
             raise FeatureError(
-                f"cannot read VGG-19 weights from {file_path}: {reason}; wanted torchvision's state "
-                "dict or a safetensors file"
+                f"cannot read VGG-19 weights from {file_path}: {reason}; wanted torchvision's "
+                "state dict or a safetensors file"
             ) from None
         return cls(_pick_parameters(tensors, file_path), sha256)
 
