@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -123,12 +123,12 @@ def _stylize_frame(
     source = activate(density, frame.density_to_stage, device)
     steps = config.optimize.steps
     report: dict[str, Any] = {"voxels": len(source.ijk)}
-    if len(source.ijk) == 0 or config.optimize.strength == 0:
+    left_out = _why_left_out(source, config)
+    if left_out:
+        report["left out"] = left_out
         empty = _empty_emission(density) if "colour" in steps else None
-        report["left out"] = "empty frame" if len(source.ijk) == 0 else "strength 0"
         kept = before or _Neighbour(frame.time_code, None, None, None)
-        stylized = StylizedFrame(frame.time_code, density, empty, report)
-        return stylized, replace(kept, time_code=frame.time_code)
+        return StylizedFrame(frame.time_code, density, empty, report), kept
     displaced, smoke = None, source
     if "shape" in steps:
         started = time.perf_counter()
@@ -163,6 +163,15 @@ def _stylize_frame(
     )
 
 
+def _why_left_out(source: ActiveSmoke, config: Config) -> str:
+    """Why there is nothing to do for a frame; "" when there is."""
+    if len(source.ijk) == 0:
+        return "empty frame"
+    if config.optimize.strength == 0:
+        return "optimize.strength is 0"
+    return "losses.style is 0" if config.losses.style == 0 else ""
+
+
 def _plan_octaves(per_octave: Sequence[int], config: Config, warm: bool) -> list[int]:
     plan = octave_iterations(per_octave, config.optimize.iterations)
     return warm_iterations(plan, config.windows.warm_iterations) if warm else plan
@@ -174,6 +183,7 @@ def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
         "loss": [end.smoothed for end in ends],
         "iterations": [end.iteration + 1 for end in ends],
         "rollbacks": sum(end.rollbacks for end in ends),
+        "restored": sum(end.restored for end in ends),
         "ended": [end.reason for end in ends],
     }
 
