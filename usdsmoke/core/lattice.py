@@ -4,14 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.sample import sample_linear
 from usdsmoke.core.smoke import ActiveSmoke, densify
+from usdsmoke.errors import PlanError
 from usdsmoke.volume import DenseField
 
 __all__ = ["Lattice", "field_from_box", "reachable_voxels", "surround"]
+
+LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,20 @@ def surround(smoke: ActiveSmoke, reach: float) -> Lattice:
     """The box of the smoke with room for it to move by ``reach`` stage units.
 
     Axes one voxel thick stay so: what is flat moves in its plane.
+
+    Raises:
+        PlanError: the box is too long to be dense; smoke in places far apart.
     """
     low, high = smoke.box
     sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
     room = np.where(high > low, np.ceil(reach / sides).astype(np.int64) + 1, 0)
     shape = tuple(int(n) for n in high - low + 1 + 2 * room)
+    if max(shape) > LONGEST:
+        raise PlanError(
+            f"the shape step needs a dense box of {' x '.join(map(str, shape))} voxels around the "
+            f"smoke; it takes at most {LONGEST} along an axis: split smoke in places far apart into "
+            "Volumes of their own, or leave the shape step out with optimize.steps=[colour]"
+        )
     return Lattice(low - room, shape, smoke.index_to_stage)  # type: ignore[arg-type]
 
 
@@ -67,13 +78,16 @@ def reachable_voxels(density: Tensor, reach: tuple[int, int, int]) -> Tensor:
 
     They are the active ones, dilated by ``reach`` whole voxels along i, j, k.
     """
-    grown = (density > 0).to(density.dtype)[None, None]
+    grown = density > 0
     for axis, steps in enumerate(reach):
-        if steps:
-            kernel, pad = [1, 1, 1], [0, 0, 0]
-            kernel[axis], pad[axis] = 2 * steps + 1, steps
-            grown = F.max_pool3d(grown, kernel, stride=1, padding=pad)
-    return torch.nonzero(grown[0, 0] > 0)
+        if steps:  # as running counts, whose cost does not grow with the reach
+            n = grown.shape[axis]
+            none = torch.zeros_like(grown.narrow(axis, 0, 1), dtype=torch.int32)
+            counts = torch.cat([none, grown.cumsum(axis, dtype=torch.int32)], axis)
+            place = torch.arange(n, device=grown.device)
+            first = counts.index_select(axis, (place - steps).clamp_min(0))
+            grown = counts.index_select(axis, (place + steps + 1).clamp_max(n)) > first
+    return torch.nonzero(grown)
 
 
 def field_from_box(like: DenseField, values: np.ndarray, ijk_min: np.ndarray) -> DenseField:

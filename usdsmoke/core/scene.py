@@ -110,8 +110,9 @@ def _middle_view(smoke: ActiveSmoke, config: Config, up_axis: str, pixel_size: f
 
 def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
     """Column integrals of density where there is smoke, [P], density x stage unit."""
-    columns = column_map(smoke.positions, smoke.voxel_volume, view).apply(smoke.density[:, None])
-    return columns[columns > 1e-3 * columns.max()].double().numpy()
+    image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    columns = image.apply(smoke.density.double()[:, None])
+    return columns[columns > 1e-3 * columns.max()].numpy()
 
 
 def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -> Scene:
