@@ -1,9 +1,11 @@
 """A dense box around the smoke of one octave, on which potentials and displacements live."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.sample import sample_linear
@@ -11,7 +13,7 @@ from usdsmoke.core.smoke import ActiveSmoke, densify
 from usdsmoke.errors import PlanError
 from usdsmoke.volume import DenseField
 
-__all__ = ["Lattice", "field_from_box", "reachable_voxels", "surround"]
+__all__ = ["Lattice", "field_from_box", "grow", "surround"]
 
 LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
 
@@ -52,8 +54,8 @@ class Lattice:
         return sample_linear(values, place.to(values.dtype), boundary="nearest")
 
 
-def surround(smoke: ActiveSmoke, reach: float) -> Lattice:
-    """The box of the smoke with room for it to move by ``reach`` stage units.
+def surround(smoke: ActiveSmoke, room: int) -> Lattice:
+    """The box of the smoke with ``room`` empty voxels around.
 
     Axes one voxel thick stay so: what is flat moves in its plane.
 
@@ -61,33 +63,22 @@ def surround(smoke: ActiveSmoke, reach: float) -> Lattice:
         PlanError: the box is too long to be dense; smoke in places far apart.
     """
     low, high = smoke.box
-    sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
-    room = np.where(high > low, np.ceil(reach / sides).astype(np.int64) + 1, 0)
-    shape = tuple(int(n) for n in high - low + 1 + 2 * room)
+    margin = np.where(high > low, room, 0)
+    shape = tuple(int(n) for n in high - low + 1 + 2 * margin)
     if max(shape) > LONGEST:
         raise PlanError(
             f"the shape step needs a dense box of {' x '.join(map(str, shape))} voxels around the "
-            f"smoke; it takes at most {LONGEST} along an axis: split smoke in places far apart into "
-            "Volumes of their own, or leave the shape step out with optimize.steps=[colour]"
+            f"smoke; it takes at most {LONGEST} along an axis: split smoke in places far apart "
+            "into Volumes of their own, or leave the shape step out with optimize.steps=[colour]"
         )
-    return Lattice(low - room, shape, smoke.index_to_stage)  # type: ignore[arg-type]
+    return Lattice(low - margin, cast(tuple[int, int, int], shape), smoke.index_to_stage)
 
 
-def reachable_voxels(density: Tensor, reach: tuple[int, int, int]) -> Tensor:
-    """Voxels [N 3] of a box [I J K] to which smoke can come.
-
-    They are the active ones, dilated by ``reach`` whole voxels along i, j, k.
-    """
-    grown = density > 0
-    for axis, steps in enumerate(reach):
-        if steps:  # as running counts, whose cost does not grow with the reach
-            n = grown.shape[axis]
-            none = torch.zeros_like(grown.narrow(axis, 0, 1), dtype=torch.int32)
-            counts = torch.cat([none, grown.cumsum(axis, dtype=torch.int32)], axis)
-            place = torch.arange(n, device=grown.device)
-            first = counts.index_select(axis, (place - steps).clamp_min(0))
-            grown = counts.index_select(axis, (place + steps + 1).clamp_max(n)) > first
-    return torch.nonzero(grown)
+def grow(mask: Tensor) -> Tensor:
+    """A mask [I J K] of a box, grown by one voxel along every axis, corners included."""
+    sizes = [3 if n > 1 else 1 for n in mask.shape]
+    grown = F.max_pool3d(mask.float()[None, None], sizes, stride=1, padding=[n // 2 for n in sizes])
+    return grown[0, 0] > 0
 
 
 def field_from_box(like: DenseField, values: np.ndarray, ijk_min: np.ndarray) -> DenseField:

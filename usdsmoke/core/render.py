@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 import torch.nn.functional as F
+from torch import Tensor
 
 from usdsmoke.core.project import colour_map
 from usdsmoke.core.refine import refine_field
@@ -18,6 +19,7 @@ from usdsmoke.volume import DenseField
 __all__ = ["display_picture", "grey_picture", "render_fields", "render_view"]
 
 MOST_REFINEMENT = 2  # subdivisions of a voxel in a picture; beyond that it is shown blurred
+MOST_PIXELS = 8  # times the picture's side, drawn before it is made smaller
 
 
 def render_view(
@@ -42,9 +44,10 @@ def render_view(
     tiny = orbit_view(azimuth, elevation, up_axis, np.zeros(3), 1, 1, 1e-3 * smoke.voxel_size)
     fitted = fit_view(tiny, smoke, margin=0)
     longest = max(fitted.height, fitted.width) * fitted.pixel_size
-    factor = min(MOST_REFINEMENT, max(1, math.ceil(smoke.voxel_size * image_size / longest - 1e-3)))
-    # at one voxel a pixel the splatted lattice does not beat with the pixels; resampled afterwards
-    view = fit_view(replace(tiny, pixel_size=smoke.voxel_size / factor), smoke)
+    factor = min(MOST_REFINEMENT, max(1, int(smoke.voxel_size * image_size / longest + 0.1)))
+    # at whole voxels a pixel the splatted lattice does not beat with the pixels; resampled afterwards
+    voxels = max(1, int(longest / smoke.voxel_size / (MOST_PIXELS * image_size)))
+    view = fit_view(replace(tiny, pixel_size=smoke.voxel_size * voxels / factor), smoke)
     picture = torch.from_numpy(render_fields(density, emission, to_stage, gamma_w, view))
     scale = image_size / max(view.height, view.width)
     size = [max(1, round(view.height * scale)), max(1, round(view.width * scale))]
@@ -89,14 +92,22 @@ def render_fields(
         emission = refine_field(emission, factor) if emission is not None else None
     colours = torch.ones(len(smoke.ijk), 3)
     if emission is not None:
-        index = (smoke.ijk - torch.tensor(emission.ijk_min)).numpy()
         sigma = (gamma_w * smoke.density).clamp_min(1e-30)
         # interpolated C x sigma over sigma: weighted by density, so nothing bleeds in from outside
-        colours = torch.from_numpy(emission.values[tuple(index.T)]) / sigma[:, None]
+        colours = _values_at(emission, smoke.ijk) / sigma[:, None]
     image, alpha = colour_map(
         smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
     )
     return torch.cat([image.apply(colours), alpha[..., None]], dim=-1).numpy()
+
+
+def _values_at(field: DenseField, ijk: Tensor) -> Tensor:
+    """The field's values [N C] at absolute voxels [N 3]; 0 beyond its box, which may be smaller."""
+    index = ijk - torch.tensor(field.ijk_min)
+    inside = ((index >= 0) & (index < torch.tensor(field.values.shape[:3]))).all(dim=1)
+    found = torch.zeros(len(ijk), field.values.shape[3])
+    found[inside] = torch.from_numpy(field.values[tuple(index[inside].numpy().T)])
+    return found
 
 
 def display_picture(

@@ -14,7 +14,6 @@ Deviations from the reference, each against a fault seen there:
 - lengths are in stage units, so octaves and crops agree.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +24,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.lattice import field_from_box, reachable_voxels, surround
+from usdsmoke.core.lattice import field_from_box, grow, surround
 from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.optics import opacity
 from usdsmoke.core.optimize import Minimum, minimize
@@ -42,6 +41,7 @@ from usdsmoke.volume import DenseField, VolumeFrame
 __all__ = ["Displaced", "run_shape_step"]
 
 N_LEVELS = 5  # of the coefficient pyramid
+ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
 FAINTEST = 1e-6  # of the largest density
 THIN = 0.05  # opacity at which the guidance mask is one half
 
@@ -57,7 +57,7 @@ class Displaced:
 
 @dataclass(frozen=True)
 class _GreyView:
-    """A view's column sums over the reachable voxels, and the unmoved smoke's picture [H W]."""
+    """A view's column sums over the voxels that smoke can come to, and the unmoved smoke's picture [H W]."""
 
     image: SparseImage
     grey: Tensor
@@ -84,15 +84,11 @@ class _Octave:
     def __init__(
         self, smoke: ActiveSmoke, cap: float, scene: Scene, config: Config, seed: int, factor: int
     ) -> None:
-        self.lattice = surround(smoke, cap)
+        self.lattice = surround(smoke, ROOM)
         self.density = self.lattice.fill(smoke)
-        sides = self.lattice.spacing
-        reach = [
-            math.ceil(cap / s) if n > 1 else 0
-            for s, n in zip(sides, self.lattice.shape, strict=True)
-        ]
-        self.active = reachable_voxels(self.density, (reach[0], reach[1], reach[2]))
         self.mask = border_mask(self.density)
+        # nothing moves where the mask and its neighbours are 0: no smoke can come to other voxels
+        self.active = torch.nonzero((self.density > 0) | grow(self.mask > 0))
         self._kind, self._cap, self._gamma_w = config.shape.displacement, cap, scene.gamma_w_shape
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
@@ -184,7 +180,7 @@ def run_shape_step(
         potential = Potential(values, octave.lattice)
         ends += [end] if end is not None else []
     if potential is None:
-        lattice = surround(source, cap)
+        lattice = surround(source, ROOM)
         potential = Potential(source.density.new_zeros(*lattice.shape, n_channels), lattice)
     moved, report = _move_finally(density, source, potential, cap, config)
     return Displaced(moved, potential, {"ends": ends, **report})
@@ -234,7 +230,7 @@ def _move_finally(
     density: DenseField, source: ActiveSmoke, potential: Potential, cap: float, config: Config
 ) -> tuple[DenseField, dict[str, Any]]:
     """The full density moved by the accurate scheme, and how far the cheap one is off."""
-    lattice = surround(source, cap)
+    lattice = surround(source, ROOM)
     box = lattice.fill(source)
     values = potential.on(lattice)
     mask = border_mask(box)
