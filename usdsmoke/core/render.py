@@ -45,7 +45,7 @@ def render_view(
     fitted = fit_view(tiny, smoke, margin=0)
     longest = max(fitted.height, fitted.width) * fitted.pixel_size
     factor = min(MOST_REFINEMENT, max(1, int(smoke.voxel_size * image_size / longest + 0.1)))
-    # at whole voxels a pixel the splatted lattice does not beat with the pixels; resampled afterwards
+    # whole voxels a pixel: the splatted lattice does not beat with the pixels; resampled afterwards
     voxels = max(1, int(longest / smoke.voxel_size / (MOST_PIXELS * image_size)))
     view = fit_view(replace(tiny, pixel_size=smoke.voxel_size * voxels / factor), smoke)
     picture = torch.from_numpy(render_fields(density, emission, to_stage, gamma_w, view))

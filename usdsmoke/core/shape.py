@@ -57,7 +57,7 @@ class Displaced:
 
 @dataclass(frozen=True)
 class _GreyView:
-    """A view's column sums over the voxels that smoke can come to, and the unmoved smoke's picture [H W]."""
+    """A view's sums over the voxels that smoke can come to, and the unmoved picture [H W]."""
 
     image: SparseImage
     grey: Tensor
