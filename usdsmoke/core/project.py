@@ -25,7 +25,7 @@ __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 NEGLIGIBLE = 1e-9  # share of a pixel: what is hidden deeper is rounded away in float32 sums anyway
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
-MOST_SLABS = 2048  # smoke in few places far apart must not fill memory with the emptiness between
+MOST_CELLS = 2**27  # slabs times pixels: the emptiness between far places must not fill memory
 
 
 class _Apply(torch.autograd.Function):
@@ -177,11 +177,12 @@ def colour_map(
     if len(positions) == 0:
         empty = _sorted_image(view, foot.pixel, foot.weight.to(density.dtype))
         return empty, density.new_zeros(view.height, view.width)
+    n_pixels = view.height * view.width
     depth = foot.depth - foot.depth.min()
-    slab = depth / max(step, float(depth.max()) / MOST_SLABS)
+    slab = depth / max(step, float(depth.max()) * n_pixels / MOST_CELLS)
     slab0 = torch.floor(slab)
     far = (slab - slab0).to(density.dtype)
-    n_slabs, n_pixels = int(slab0.max()) + 2, view.height * view.width
+    n_slabs = int(slab0.max()) + 2
     mass = (density * (gamma_w * voxel_volume) * foot.per_area).clamp_max(THICKEST)
     share = (foot.weight * mass[:, None]).to(density.dtype)
     cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel.long()

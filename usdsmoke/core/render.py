@@ -19,7 +19,7 @@ from usdsmoke.volume import DenseField
 __all__ = ["display_picture", "grey_picture", "render_fields", "render_view"]
 
 MOST_REFINEMENT = 2  # subdivisions of a voxel in a picture; beyond that it is shown blurred
-MOST_PIXELS = 8  # times the picture's side, drawn before it is made smaller
+MOST_PIXELS = 4  # times the picture's side, drawn before it is made smaller
 
 
 def render_view(
@@ -45,7 +45,7 @@ def render_view(
     fitted = fit_view(tiny, smoke, margin=0)
     longest = max(fitted.height, fitted.width) * fitted.pixel_size
     factor = min(MOST_REFINEMENT, max(1, int(smoke.voxel_size * image_size / longest + 0.1)))
-    # whole voxels a pixel: the splatted lattice does not beat with the pixels; resampled afterwards
+    # whole voxels a pixel: the splatted lattice does not beat with the pixels; resampled after
     voxels = max(1, int(longest / smoke.voxel_size / (MOST_PIXELS * image_size)))
     view = fit_view(replace(tiny, pixel_size=smoke.voxel_size * voxels / factor), smoke)
     picture = torch.from_numpy(render_fields(density, emission, to_stage, gamma_w, view))
