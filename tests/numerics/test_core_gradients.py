@@ -1,0 +1,152 @@
+"""The gradients of whole chains on an 8 x 8 x 8 volume, against differences of their values."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.smoke_fixtures import affine, puff, random_style, smoke_of
+from usdsmoke.core.colour import ColourView
+from usdsmoke.core.features import EmbeddedFeatures
+from usdsmoke.core.lattice import Lattice, surround
+from usdsmoke.core.losses import StyleTarget, total_variation
+from usdsmoke.core.optics import opacity
+from usdsmoke.core.potential import border_mask, displacement_from
+from usdsmoke.core.project import colour_map, column_map
+from usdsmoke.core.resample import Pyramid
+from usdsmoke.core.scene import fit_view
+from usdsmoke.core.smoke import ActiveSmoke
+from usdsmoke.core.style import decode_srgb
+from usdsmoke.core.transport import warp
+from usdsmoke.core.views import View, orbit_view
+
+DOUBLE = torch.float64
+STEP = 1e-6
+
+
+def random(*shape: int, seed: int) -> Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=DOUBLE)
+
+
+@pytest.fixture(scope="module")
+def smoke() -> ActiveSmoke:
+    made = smoke_of(puff(8, cut=0.02), affine(1))
+    return ActiveSmoke(made.ijk, made.density.double(), made.index_to_stage)
+
+
+@pytest.fixture(scope="module")
+def target() -> StyleTarget:
+    style = torch.from_numpy(random_style(24, 24)).double()
+    return StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(EmbeddedFeatures.names, 1.0))
+
+
+def view_of(smoke: ActiveSmoke) -> View:
+    return fit_view(orbit_view(25.0, 15.0, "Y", np.zeros(3), 1, 1, 1.0), smoke)
+
+
+def assert_slopes_agree(
+    function: Callable[[Tensor], Tensor], start: Tensor, error: float = 1e-6, n: int = 6
+) -> None:
+    """Along n random directions; the differences are central."""
+    unknown = start.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(function(unknown), unknown)
+    scale = gradient.norm().item()
+    assert scale > 0
+    for seed in range(n):
+        direction = random(*start.shape, seed=100 + seed) - 0.5
+        direction = direction / direction.norm()
+        ahead, behind = (function(start + s * STEP * direction).item() for s in (1, -1))
+        wanted = (ahead - behind) / (2 * STEP)
+        assert (gradient * direction).sum().item() == pytest.approx(wanted, abs=error * scale)
+
+
+def colour_chain(
+    smoke: ActiveSmoke, compare: Callable[[Tensor, ColourView], Tensor]
+) -> Callable[[Tensor], Tensor]:
+    """Display-encoded voxel colours -> light -> picture -> loss."""
+    image, alpha = colour_map(
+        smoke.positions, smoke.density, smoke.voxel_volume, 0.6, view_of(smoke), smoke.voxel_size
+    )
+    view = ColourView(image, alpha)
+    background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
+    return lambda colours: compare(view.straight_picture(decode_srgb(colours), background), view)
+
+
+def test_colours_to_a_quadratic_loss(smoke):
+    goal = random(1, 1, 3, seed=1)
+    chain = colour_chain(smoke, lambda picture, _: ((picture - goal) ** 2).sum())
+    assert_slopes_agree(chain, 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=2))
+
+
+def test_colours_to_the_style_loss_with_its_guide_and_total_variation(smoke, target):
+    chain = colour_chain(
+        smoke,
+        lambda picture, view: target.loss(picture, view.guide) + 0.3 * total_variation(picture),
+    )
+    assert_slopes_agree(chain, 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=3), error=1e-5)
+
+
+def shape_chain(
+    smoke: ActiveSmoke, kind: str, compare: Callable[[Tensor], Tensor]
+) -> tuple[Callable[[Tensor], Tensor], Lattice]:
+    """Potential -> displacement -> moved density -> columns -> opacity -> loss."""
+    lattice = surround(smoke, 2)
+    box = lattice.fill(smoke)
+    mask = border_mask(box)
+    active = torch.nonzero(box > -1)
+    image = column_map(lattice.positions(active), smoke.voxel_volume, view_of(smoke), DOUBLE)
+
+    def chain(potential: Tensor) -> Tensor:
+        moved = displacement_from(potential, mask, kind, 2.0, lattice)
+        density = warp(box, moved[tuple(active.T)], active_ijk=active, scheme="linear")
+        return compare(opacity(0.3 * image.apply(density[:, None])))
+
+    return chain, lattice
+
+
+@pytest.mark.parametrize(("kind", "n_channels"), [("stream", 3), ("potential", 1), ("mixed", 4)])
+def test_potential_to_a_quadratic_loss(smoke, kind, n_channels):
+    chain, lattice = shape_chain(smoke, kind, lambda grey: ((grey - 0.3) ** 2).sum())
+    assert_slopes_agree(chain, 2 * random(*lattice.shape, n_channels, seed=4), error=1e-5)
+
+
+def test_pyramid_of_a_stream_function_to_the_style_loss(smoke, target):
+    chain, lattice = shape_chain(
+        smoke, "stream", lambda grey: target.loss(grey.expand(-1, -1, 3), None)
+    )
+    pyramid = Pyramid.zeros(lattice.shape, 3, 3, smoke.density)
+    finest = 2 * random(*pyramid.levels[-1].shape, seed=5)
+
+    def from_coarse(level: Tensor) -> Tensor:
+        levels = (level, *pyramid.levels[1:-1], finest)
+        return chain(Pyramid(levels, pyramid.method).expand())
+
+    assert_slopes_agree(from_coarse, random(*pyramid.levels[0].shape, seed=6), error=1e-4)
+
+
+def test_single_precision_slopes_agree_with_double_ones(smoke):
+    """What the optimiser really uses: the same chain in float32."""
+    image, alpha = colour_map(
+        smoke.positions, smoke.density, smoke.voxel_volume, 0.6, view_of(smoke), smoke.voxel_size
+    )
+    single, single_alpha = colour_map(
+        smoke.positions,
+        smoke.density.float(),
+        smoke.voxel_volume,
+        0.6,
+        view_of(smoke),
+        smoke.voxel_size,
+    )
+    colours = 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=2)
+    gradients = []
+    for view, start in (
+        (ColourView(image, alpha), colours),
+        (ColourView(single, single_alpha), colours.float()),
+    ):
+        unknown = start.clone().requires_grad_()
+        picture = view.straight_picture(decode_srgb(unknown), start.new_tensor([0.5, 0.4, 0.3]))
+        (gradient,) = torch.autograd.grad((picture**2).sum(), unknown)
+        gradients.append(gradient.double())
+    assert (gradients[0] - gradients[1]).norm() < 1e-5 * gradients[0].norm()
