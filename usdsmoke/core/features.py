@@ -25,17 +25,25 @@ class Network(Protocol):
 
 
 class EmbeddedFeatures:
-    """The default: oriented filters, and filters learned from the style image; no weights file."""
+    """The default: oriented filters, and filters learned from the style image; no weights file.
+
+    Each half is made when one of its layers is first wanted.
+    """
 
     names = OrientedFeatures.names + LearnedFeatures.names
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
-        self._parts = (OrientedFeatures(style, seed), LearnedFeatures(style, seed))
+        self._style, self._seed = style, seed
+        self._parts: dict[type, Network] = {}
 
     def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
         maps: dict[str, Tensor] = {}
-        for part in self._parts:
-            maps.update(part(picture, wanted & frozenset(part.names)))
+        for part in (OrientedFeatures, LearnedFeatures):
+            names = wanted & frozenset(part.names)
+            if names and part not in self._parts:
+                self._parts[part] = part(self._style, self._seed)
+            if names:
+                maps.update(self._parts[part](picture, names))
         return maps
 
 

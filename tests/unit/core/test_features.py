@@ -59,6 +59,7 @@ def test_maps_have_the_documented_channels_and_sizes():
 )
 def test_layers_deeper_than_the_deepest_wanted_are_not_evaluated(wanted, filters, convolutions):
     network = EmbeddedFeatures(STYLE)
+    network(STYLE, frozenset(wanted))  # learns
     convolutions.clear()
     assert set(network(STYLE, frozenset(wanted))) == wanted
     assert convolutions == filters
@@ -69,6 +70,14 @@ def test_a_layer_is_the_same_whatever_else_is_wanted():
     together = network(STYLE, frozenset(network.names))
     for name in network.names:
         assert torch.equal(network(STYLE, frozenset({name}))[name], together[name])
+
+
+def test_filters_are_not_learned_when_no_learned_layer_is_wanted(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise AssertionError("learned without need")
+
+    monkeypatch.setattr("usdsmoke.core.features.LearnedFeatures.__init__", refuse)
+    assert set(EmbeddedFeatures(STYLE)(STYLE, frozenset({"oriented2"}))) == {"oriented2"}
 
 
 def test_features_follow_the_seed():
