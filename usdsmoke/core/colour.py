@@ -38,21 +38,18 @@ class ColourView:
     image: SparseImage
     alpha: Tensor
 
-    def picture(self, colours: Tensor, background: Tensor) -> Tensor:
-        """Display-encoded picture [H W 3] of linear colours [N 3] over a linear background [3]."""
-        return encode_srgb(self.image.apply(colours) + (1 - self.alpha)[..., None] * background)
-
     @property
     def guide(self) -> Tensor:
         """T of the guidance mask, [H W] in [0, 1): the share of smoke in the straight picture."""
         return self.alpha / (self.alpha + THIN)
 
     def straight_picture(self, colours: Tensor, background: Tensor) -> Tensor:
-        """Display-encoded picture [H W 3] of the smoke's own colour, its opacity divided out.
+        """Display-encoded picture [H W 3] of linear colours [N 3], their opacity divided out.
 
-        Where there is (nearly) no smoke it tends to the background. This is what the network sees:
-        thin smoke is then painted like thick smoke. Seen through its opacity, it would have to take
-        impossible colours to look like the style, and ends in tints that the style does not have.
+        Where there is (nearly) no smoke it tends to the linear background [3]. This is what the
+        network sees: thin smoke is then painted like thick smoke. Seen through its opacity, it
+        would have to take impossible colours to look like the style, and ends in tints that the
+        style does not have.
         """
         alpha = self.alpha[..., None]
         return encode_srgb((self.image.apply(colours) + THIN * background) / (alpha + THIN))

@@ -1,0 +1,205 @@
+"""The colour step on fixed smoke."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import puff, random_style, smoke_of
+from usdsmoke.config import Config, resolve_config
+from usdsmoke.core.colour import (
+    ColourView,
+    initial_colours,
+    optimize_colours,
+    prepare_views,
+    run_colour_step,
+)
+from usdsmoke.core.optimize import Minimum
+from usdsmoke.core.scene import Scene, frame_views
+from usdsmoke.core.smoke import ActiveSmoke, make_octaves, sample_colours
+from usdsmoke.core.style import decode_srgb, encode_srgb
+from usdsmoke.core.targets import StyleTargets
+
+SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
+BACKGROUND = torch.tensor([0.4, 0.3, 0.2])
+
+
+def config_of(**sections: dict) -> Config:
+    base = {
+        "views": {"pool": 3},
+        "features": {"layers": ["oriented1", "oriented2"]},
+        "optimize": {"threads": 1, "tolerance": 0.0},
+    }
+    return resolve_config(base, sections)
+
+
+def targets_of(config: Config, styles: int = 1) -> StyleTargets:
+    images = [random_style(16, 20, seed) for seed in range(styles)]
+    return StyleTargets(images, SCENE, config, torch.device("cpu"))
+
+
+def picture_of(view: ColourView, colours: torch.Tensor, targets: StyleTargets) -> torch.Tensor:
+    """Display-encoded pixels [P 3] where there is more than a little smoke."""
+    picture = view.straight_picture(decode_srgb(colours), targets.background)
+    return picture[view.alpha > 0.3]
+
+
+@pytest.fixture(scope="module")
+def smoke() -> ActiveSmoke:
+    return smoke_of(puff(12))
+
+
+@pytest.fixture(scope="module")
+def views(smoke: ActiveSmoke) -> list[ColourView]:
+    return prepare_views(smoke, frame_views(smoke, config_of(), SCENE, 0), SCENE.gamma_w)
+
+
+def test_noise_belongs_to_the_voxel_and_the_seed(smoke):
+    order = torch.randperm(len(smoke.ijk), generator=torch.Generator().manual_seed(0))
+    shuffled = ActiveSmoke(smoke.ijk[order], smoke.density[order], smoke.index_to_stage)
+    colours = initial_colours(smoke, "noise", 3)
+    assert torch.equal(initial_colours(shuffled, "noise", 3), colours[order])
+    assert not torch.equal(initial_colours(smoke, "noise", 4), colours)
+    assert 0 <= colours.min() and colours.max() < 1 and colours.std() > 0.2
+    assert initial_colours(smoke, "density", 3).eq(1).all()
+
+
+def test_the_straight_picture_has_the_smoke_s_own_colour_however_thin_it_is(smoke, views):
+    colour = torch.tensor([0.7, 0.2, 0.1]).expand(len(smoke.ijk), 3)
+    view = views[0]
+    straight = view.straight_picture(colour, BACKGROUND)
+    seen = view.guide[..., None]
+    mixed = encode_srgb(seen * colour[0] + (1 - seen) * BACKGROUND)
+    assert torch.allclose(straight, mixed, atol=1e-5)
+    empty = view.alpha == 0
+    assert empty.any() and torch.allclose(straight[empty], encode_srgb(BACKGROUND), atol=1e-6)
+    assert view.guide[view.alpha > 0.5].min() > 0.9
+
+
+def test_the_loss_falls_and_colours_stay_in_range(smoke, views):
+    config = config_of()
+    targets = targets_of(config)
+    ends: list[Minimum] = []
+    colours, end = optimize_colours(
+        views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.05, 40,
+        watch=ends.append,
+    )  # fmt: skip
+    assert end is ends[-1] and len(ends) == 40
+    assert end.smoothed < 0.5 * ends[0].loss
+    assert 0 <= colours.min() and colours.max() <= 1
+
+
+def test_a_style_of_one_colour_paints_the_smoke_in_it(smoke, views):
+    config = config_of(features={"layers": ["learned0"]})
+    colour = np.array([0.8, 0.35, 0.1], np.float32)
+    style = np.broadcast_to(colour, (16, 16, 3))
+    targets = StyleTargets([style], SCENE, config, torch.device("cpu"))
+    colours, _ = optimize_colours(
+        views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.1, 60
+    )
+    painted = picture_of(views[0], colours, targets)
+    assert painted.numpy() == pytest.approx(np.broadcast_to(colour, painted.shape), abs=0.05)
+
+
+def test_views_take_turns_and_several_can_be_seen_at_once(smoke, views, monkeypatch):
+    seen: list[int] = []
+    real = ColourView.straight_picture
+
+    def noted(self: ColourView, *args: torch.Tensor) -> torch.Tensor:
+        seen.append([view.alpha is self.alpha for view in views].index(True))
+        return real(self, *args)
+
+    monkeypatch.setattr(ColourView, "straight_picture", noted)
+    targets = targets_of(config_of())
+    start = initial_colours(smoke, "noise", 0)
+    for n_views, wanted in ((1, [0, 1, 2, 0]), (2, [0, 1, 2, 0, 1, 2, 0, 1])):
+        seen.clear()
+        optimize_colours(views, start, targets.at(1), targets.background, 0.05, 4, n_views)
+        assert seen == wanted
+
+
+def test_total_variation_smooths_the_picture(smoke, views):
+    targets = targets_of(config_of())
+    rough = []
+    for weight in (0.0, 1e4):
+        colours, _ = optimize_colours(
+            views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.05, 25,
+            tv_weight=weight,
+        )  # fmt: skip
+        rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
+    assert rough[1] < 0.3 * rough[0]
+
+
+def test_no_smoke_colour_is_changed_by_no_iterations(smoke):
+    config = config_of()
+    colours, ends = run_colour_step(smoke, None, targets_of(config), SCENE, config, [0, 0])
+    assert torch.equal(colours, initial_colours(smoke, "noise", 0)) and ends == []
+    start = torch.rand_like(colours)
+    kept, ends = run_colour_step(smoke, start, targets_of(config), SCENE, config, [0, 0])
+    assert torch.equal(kept, start) and ends == []
+
+
+def test_octaves_without_iterations_cost_no_views_and_no_targets(smoke, monkeypatch):
+    config = config_of()
+    targets, factors = targets_of(config), []
+    real = targets.at
+    monkeypatch.setattr(targets, "at", lambda factor: factors.append(factor) or real(factor))
+    _, ends = run_colour_step(smoke, None, targets, SCENE, config, [0, 2, 0])
+    assert factors == [2] and len(ends) == 1
+
+
+def test_the_coarse_result_is_what_the_finer_octave_starts_from(smoke):
+    """With nothing done on the fine octave it is the interpolated coarse result."""
+    config = config_of()
+    coarse, _ = run_colour_step(
+        make_octaves(smoke, 2)[0], None, targets_of(config), SCENE, config, [0]
+    )
+    wanted, _ = sample_colours(make_octaves(smoke, 2)[0], coarse, smoke.positions)
+    seen: list[torch.Tensor] = []
+
+    def first_start(views: object, colours: torch.Tensor, *_: object) -> tuple[torch.Tensor, None]:
+        seen.append(colours)
+        return colours, None
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("usdsmoke.core.colour.optimize_colours", first_start)
+        run_colour_step(smoke, None, targets_of(config), SCENE, config, [5, 5])
+    assert torch.equal(seen[0], coarse) and torch.equal(seen[1], wanted)
+
+
+def test_the_same_run_gives_the_same_bits_and_another_seed_others(smoke):
+    results = []
+    for seed in (0, 0, 1):
+        config = config_of(optimize={"seed": seed, "threads": 1})
+        results.append(run_colour_step(smoke, None, targets_of(config), SCENE, config, [2, 2])[0])
+    assert torch.equal(results[0], results[1]) and not torch.equal(results[0], results[2])
+
+
+def test_several_styles_are_added(smoke, views):
+    targets = targets_of(config_of(), styles=2)
+    assert len(targets.at(1)) == 2
+    start = initial_colours(smoke, "noise", 0)
+    losses = [
+        optimize_colours(views, start, chosen, targets.background, 0.05, 1)[1].loss
+        for chosen in (targets.at(1), targets.at(1)[:1], targets.at(1)[1:])
+    ]
+    assert losses[0] == pytest.approx(losses[1] + losses[2], rel=1e-5)
+
+
+def test_targets_are_made_once_for_each_scale(smoke):
+    targets = targets_of(config_of())
+    assert targets.at(2) is targets.at(2) and targets.at(1) is not targets.at(2)
+
+
+def test_starting_from_plain_density_washes_out_and_noise_does_not():
+    """White smoke has no structure to grow from: the picture stays flatter than the style."""
+    smoke = smoke_of(puff(16))
+    config = config_of(features={"layers": []})
+    views = prepare_views(smoke, frame_views(smoke, config, SCENE, 0), 0.4)
+    targets = targets_of(config)
+    contrast = {}
+    for init in ("noise", "density"):
+        colours, _ = optimize_colours(
+            views, initial_colours(smoke, init, 0), targets.at(1), targets.background, 0.05, 120
+        )
+        contrast[init] = float(picture_of(views[0], colours, targets).std(dim=0).mean())
+    assert contrast["noise"] > 2 * contrast["density"], contrast
