@@ -9,6 +9,8 @@ import pytest
 from usdsmoke.config import GridsConfig
 from usdsmoke.errors import BindingMissing
 from usdsmoke.grids.binding import find_binding
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_file
+from usdsmoke.grids.header import read_header
 from usdsmoke.volume import DenseField
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -23,6 +25,12 @@ def shared_file(name: str) -> Path:
     if not file_path.is_file():
         pytest.skip(f"needs {name} in ../shared/data")
     return file_path
+
+
+def check_content(file_path: str | Path) -> None:
+    """What a file of ours holds is what its own metadata says."""
+    promised = read_header(file_path).metadata[CONTENT_KEY]
+    assert hash_file(file_path, TIGHT) == promised
 
 
 def openvdb():

@@ -10,6 +10,7 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdVol
 
 import usdsmoke
+from tests.grids_fixtures import check_content
 from tests.pipeline_fixtures import (
     FakeCore,
     Shot,
@@ -22,7 +23,6 @@ from tests.pipeline_fixtures import (
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
 from usdsmoke.config import GridsConfig, resolve_config
 from usdsmoke.frames import read_frame
-from usdsmoke.grids.content_hash import check_content
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.pipeline import stylize
@@ -65,7 +65,7 @@ def test_the_file_tells_where_it_comes_from(shot: Shot) -> None:
         "smoke.0001.vdb density="
     )
     for file_path in result.frames:
-        check_content(file_path, GridsConfig())
+        check_content(file_path)
 
 
 @pytest.mark.usefixtures("core")

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.grids_fixtures import check_content
 from tests.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of, write_nan
 from tests.usd_fixtures import file_hashes, write_text, write_vdb
 from usdsmoke import publish
-from usdsmoke.config import GridsConfig
 from usdsmoke.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
-from usdsmoke.grids.content_hash import check_content
 from usdsmoke.pipeline import stylize
 
 
@@ -103,7 +102,7 @@ def test_a_finished_frame_that_was_damaged_since_is_done_again(shot: Shot, core:
     stop_no_more(core)
     result = run(shot, "windows.size=1")
     assert core.stylized == [1.0, 3.0]
-    check_content(result.frames[0], GridsConfig())
+    check_content(result.frames[0])
 
 
 @pytest.mark.parametrize(
@@ -200,7 +199,7 @@ def test_a_full_disk_at_any_moment_leaves_the_old_result_and_can_be_gone_on_from
         if now == shown:
             np.testing.assert_allclose(values_of(now[1.0], "emission")[..., 0], 0.3125)
         for file_path in now.values():
-            check_content(file_path, GridsConfig())
+            check_content(file_path)
         assert not [path for path in shot.output.rglob(".*") if path.is_file()]
     new = run(shot, "optimize.seed=2", force=True)
     assert {path.parent.name for path in new.frames} == {

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.grids_fixtures import check_content
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run, shown_files
 from tests.usd_fixtures import file_hashes
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.content_hash import check_content
 from usdsmoke.grids.header import read_header
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -34,7 +33,7 @@ def contents(root_stage: Path) -> dict[float, object]:
     """The hash of what every timeCode shows, each checked against what the file really holds."""
     files = shown_files(root_stage)
     for file_path in files.values():
-        check_content(file_path, GridsConfig())
+        check_content(file_path)
     return {
         code: read_header(file_path).metadata["usdsmoke:content_sha256"]
         for code, file_path in files.items()

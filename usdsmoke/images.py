@@ -8,7 +8,6 @@ screen would show them. Embedded colour profiles are not applied: sRGB is taken 
 import hashlib
 import os
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,14 +18,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from usdsmoke.errors import ImageError, WriteFailed
 from usdsmoke.publish import publish_file
 
-__all__ = [
-    "StyleImage",
-    "decode_srgb",
-    "encode_srgb",
-    "read_style_image",
-    "write_exr",
-    "write_png",
-]
+__all__ = ["StyleImage", "encode_srgb", "read_style_image", "write_png"]
 
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
@@ -90,12 +82,6 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * bent ** (1.0 / 2.4) - 0.055)
 
 
-def decode_srgb(encoded: np.ndarray) -> np.ndarray:
-    """Linear light of display-encoded values, by IEC 61966-2-1; the inverse of ``encode_srgb``."""
-    bent = np.maximum(encoded, 0.04045)
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((bent + 0.055) / 1.055) ** 2.4)
-
-
 def write_png(file_path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     """Write display-encoded pixels as an 8-bit PNG, in one step.
 
@@ -112,50 +98,11 @@ def write_png(file_path: str | os.PathLike[str], pixels: np.ndarray) -> None:
 
     def check(temporary: Path) -> None:
         with Image.open(temporary) as image:
-            _check_same(file_path, {"pixels": levels}, {"pixels": np.asarray(image)})
+            _check_same(file_path, levels, np.asarray(image))
 
     publish_file(
         Path(file_path), lambda temporary: Image.fromarray(levels).save(temporary, "PNG"), check
     )
-
-
-def write_exr(file_path: str | os.PathLike[str], channels: Mapping[str, np.ndarray]) -> None:
-    """Write channels as a scanline OpenEXR file with lossless compression, in one step.
-
-    Args:
-        file_path: where the file shall stand; its folder must exist. An old file is replaced.
-        channels: [H W] each, all of one size, under names such as R, G, B, A, Z; float16 stays
-            half, all else becomes float32. Scene-linear, premultiplied, by OpenEXR's rules.
-
-    Raises:
-        ImageError: no channels, other shapes, or numbers that are NaN or infinite.
-        WriteFailed: the operating system refused, or the file came back different.
-    """
-    sizes = {np.shape(values) for values in channels.values()}
-    if len(sizes) != 1 or len(next(iter(sizes))) != 2:
-        raise ImageError(
-            f"cannot write {os.fspath(file_path)}: its channels have the shapes "
-            f"{sorted(map(list, sizes))}; wanted one shape [H W] for all"
-        )
-    stored = {}
-    for name, values in channels.items():
-        _check_finite(f"cannot write {os.fspath(file_path)}: its channel {name}", values)
-        kind = np.float16 if values.dtype == np.float16 else np.float32
-        stored[name] = np.ascontiguousarray(values, kind)
-
-    def write(temporary: Path) -> None:
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        try:
-            with OpenEXR.File(header, dict(stored)) as image:
-                image.write(os.fspath(temporary))
-        except RuntimeError as error:
-            raise OSError(None, str(error)) from None
-
-    def check(temporary: Path) -> None:
-        found = {name: values for name, values in _exr_channels(temporary).items()}
-        _check_same(file_path, stored, found)
-
-    publish_file(Path(file_path), write, check)
 
 
 def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -263,15 +210,10 @@ def _check_pixels(
     _check_finite(f"cannot write {os.fspath(file_path)}: it", pixels)
 
 
-def _check_same(
-    file_path: str | os.PathLike[str],
-    written: Mapping[str, np.ndarray],
-    found: Mapping[str, np.ndarray],
-) -> None:
-    """Compare what came back from disk: neither library reports a short write for certain."""
-    for name, values in written.items():
-        if name not in found or not np.array_equal(values, found[name]):
-            raise WriteFailed(
-                f"{os.fspath(file_path)} did not come back from disk as it was written; look "
-                "whether the disk is full, and write it again"
-            )
+def _check_same(file_path: str | os.PathLike[str], written: np.ndarray, found: np.ndarray) -> None:
+    """Compare what came back from disk: the library does not report a short write for certain."""
+    if not np.array_equal(written, found):
+        raise WriteFailed(
+            f"{os.fspath(file_path)} did not come back from disk as it was written; look "
+            "whether the disk is full, and write it again"
+        )

@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from usdsmoke import images
 from usdsmoke.errors import ImageError
-from usdsmoke.images import decode_srgb, encode_srgb, read_style_image
+from usdsmoke.images import encode_srgb, read_style_image
 
 LEVELS = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
 LINEAR = np.random.default_rng(1).random((4, 5, 3), dtype=np.float32)
@@ -39,13 +37,7 @@ def test_curve_meets_the_standards_landmarks() -> None:
     assert encode_srgb(np.array([0.0, 1.0])).tolist() == pytest.approx([0.0, 1.0], abs=1e-15)
     assert encode_srgb(np.array(0.0031308)) == pytest.approx(0.04045, abs=1e-6)
     assert encode_srgb(np.array(0.001)) == pytest.approx(0.01292)
-    assert decode_srgb(np.array(0.5)) == pytest.approx(0.21404114048223255)
-
-
-@given(st.floats(-1.0, 4.0))
-def test_decoding_undoes_encoding(value: float) -> None:
-    # The two straight parts meet at constants of five digits, so there is a gap of 1e-8 there.
-    assert decode_srgb(encode_srgb(np.array(value))) == pytest.approx(value, abs=1e-7)
+    assert encode_srgb(np.array(0.21404114048223255)) == pytest.approx(0.5)
 
 
 # -- reading

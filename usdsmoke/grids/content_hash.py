@@ -12,13 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from usdsmoke.config import GridsConfig
-from usdsmoke.errors import DamagedFile
 from usdsmoke.grids.active_box import active_mask, crop_to_active
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.volume import DenseField
 
-__all__ = ["CONTENT_KEY", "check_content", "hash_fields", "hash_file"]
+__all__ = ["CONTENT_KEY", "hash_fields", "hash_file"]
 
 CONTENT_KEY = "usdsmoke:content_sha256"  # file metadata that holds the hash
 
@@ -44,27 +43,6 @@ def hash_file(file_path: str | os.PathLike[str], config: GridsConfig) -> str:
     header = read_header(file_path)
     wanted = [GridRequest(grid.name, grid.index) for grid in header.grids]
     return hash_fields(read_grids(file_path, wanted, config))
-
-
-def check_content(file_path: str | os.PathLike[str], config: GridsConfig) -> None:
-    """Compare what a file of ours holds with the hash that was written into it.
-
-    Raises:
-        DamagedFile: the file carries no hash, or holds something else than when it was written.
-        GridError: see ``read_grids``.
-    """
-    promised = read_header(file_path).metadata.get(CONTENT_KEY)
-    if not isinstance(promised, str):
-        raise DamagedFile(
-            f"{os.fspath(file_path)} carries no {CONTENT_KEY}; wanted a file written by usdsmoke: "
-            "check another file"
-        )
-    found = hash_file(file_path, config)
-    if found != promised:
-        raise DamagedFile(
-            f"{os.fspath(file_path)} was changed after it was written: its grids hash to "
-            f"{found[:12]}..., its metadata says {promised[:12]}...; run usdsmoke again"
-        )
 
 
 def _add_field(digest: "hashlib._Hash", field: DenseField) -> None:

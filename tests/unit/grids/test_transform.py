@@ -1,57 +1,12 @@
-"""Index space and grid world, against hand-made numbers and as inverses of each other."""
+"""Index space and grid world, against hand-made numbers."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.grids_fixtures import make_field, make_vectors, rotated, uniform
 from usdsmoke.grids.active_box import active_box, active_mask, crop_to_active
-from usdsmoke.grids.transform import (
-    box_extent,
-    compose,
-    field_extent,
-    index_to_world,
-    invert,
-    is_axis_aligned,
-    voxel_size,
-    voxel_volume,
-    world_to_index,
-)
+from usdsmoke.grids.transform import box_extent, field_extent, index_to_world
 from usdsmoke.volume import DenseField
-
-lengths = st.floats(1e-3, 1e3)
-offsets = st.floats(-1e4, 1e4)
-
-
-@st.composite
-def transforms(draw: st.DrawFn) -> np.ndarray:
-    angle = draw(st.floats(-3.2, 3.2))
-    scale = [draw(lengths) * draw(st.sampled_from([-1, 1])) for _ in range(3)]
-    return rotated(angle, scale, [draw(offsets) for _ in range(3)])
-
-
-@given(transforms(), st.tuples(*[st.floats(-1e3, 1e3)] * 3))
-def test_world_and_back_is_the_same_index(
-    matrix: np.ndarray, point: tuple[float, float, float]
-) -> None:
-    world = index_to_world(point, matrix)
-    scale = np.abs(world).max() + np.abs(matrix[3, :3]).max()
-    assert np.allclose(
-        world_to_index(world, matrix), point, rtol=1e-9, atol=1e-12 * scale / voxel_size(matrix)
-    )
-    there_and_back = compose(matrix, invert(matrix))
-    assert np.allclose(
-        there_and_back, np.eye(4), atol=1e-9 * (1 + scale / voxel_size(matrix).min())
-    )
-
-
-@given(transforms(), transforms())
-def test_composed_transform_acts_one_after_the_other(first: np.ndarray, then: np.ndarray) -> None:
-    point = np.array([1.5, -2.0, 0.25])
-    wanted = index_to_world(index_to_world(point, first), then)
-    scale = np.abs(then).max() * (1 + np.abs(first).max())
-    assert np.allclose(index_to_world(point, compose(first, then)), wanted, atol=1e-12 * scale)
 
 
 def test_point_is_a_row_and_the_translation_stands_in_the_last_row() -> None:
@@ -60,31 +15,6 @@ def test_point_is_a_row_and_the_translation_stands_in_the_last_row() -> None:
     matrix[3, :3] = (10.0, 20.0, 30.0)
     assert index_to_world((1, 0, 0), matrix).tolist() == [11.0, 22.0, 30.0]
     assert index_to_world([[(0, 0, 0)], [(0, 1, 0)]], matrix).shape == (2, 1, 3)
-
-
-def test_voxel_has_the_edges_and_the_volume_of_its_scale() -> None:
-    matrix = rotated(0.7, scale=(-0.1, 0.2, 0.05))
-    assert np.allclose(voxel_size(matrix), [0.1, 0.2, 0.05])
-    assert voxel_volume(matrix) == pytest.approx(0.001)
-
-
-def test_sheared_voxel_keeps_its_volume() -> None:
-    matrix = np.eye(4)
-    matrix[1, 0] = 1.0
-    assert voxel_volume(matrix) == pytest.approx(1.0)
-    assert np.allclose(voxel_size(matrix), [1.0, np.sqrt(2.0), 1.0])
-
-
-def test_only_scales_mirrors_and_quarter_turns_are_axis_aligned() -> None:
-    quarter = np.eye(4)
-    quarter[:3, :3] = [[0, 2, 0], [-1, 0, 0], [0, 0, 1]]
-    assert is_axis_aligned(uniform(0.3, (1, 2, 3)))
-    assert is_axis_aligned(np.diag([-1.0, 2.0, 3.0, 1.0]))
-    assert is_axis_aligned(quarter)
-    assert not is_axis_aligned(rotated(0.01))
-    flat = np.eye(4)
-    flat[1, :3] = (1, 0, 0)  # two axes along x
-    assert not is_axis_aligned(flat)
 
 
 def test_box_reaches_half_a_voxel_beyond_its_outer_indices() -> None:
