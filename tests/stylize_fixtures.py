@@ -1,0 +1,53 @@
+"""Whole runs of the core on a few voxels, in a fraction of a second."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tests.smoke_fixtures import random_style
+from usdsmoke.config import Config, resolve_config
+from usdsmoke.core.progress import Progress
+from usdsmoke.core.scene import Scene, measure_scene
+from usdsmoke.core.stylize import StylizedFrame, stylize_window
+from usdsmoke.volume import VolumeFrame
+
+__all__ = ["by_voxel", "quick_config", "run_core"]
+
+
+def quick_config(**sections: Mapping[str, Any]) -> Config:
+    """Few iterations, views and features, one thread."""
+    base = {
+        "views": {"pool": 2, "image_size": 16},
+        "features": {"layers": ["oriented1", "oriented2"]},
+        "shape": {"iterations": [2, 2]},
+        "colour": {"iterations": [2, 2]},
+        "optimize": {"threads": 1, "tolerance": 0.0},
+    }
+    return resolve_config(base, sections)
+
+
+def run_core(
+    frames: Sequence[VolumeFrame],
+    config: Config | None = None,
+    scene: Scene | None = None,
+    styles: Sequence[np.ndarray] | None = None,
+    watch: list[Progress] | None = None,
+) -> list[StylizedFrame]:
+    """One window through the core; the scene is measured on all its frames unless given."""
+    config = config or quick_config()
+    scene = scene or measure_scene(frames, config, "Y")
+    styles = [random_style()] if styles is None else styles
+    tell = watch.append if watch is not None else None
+    return list(stylize_window(frames, styles, scene, config, tell))
+
+
+def by_voxel(field: Any) -> dict[tuple[int, ...], tuple[float, ...]]:
+    """What differs from 0, by absolute voxel index."""
+    values = field.values if field.values.ndim == 4 else field.values[..., None]
+    filled = np.argwhere(values.any(axis=-1))
+    index = filled + np.asarray(field.ijk_min)
+    return {
+        tuple(i): tuple(v)
+        for i, v in zip(index.tolist(), values[tuple(filled.T)].tolist(), strict=True)
+    }
