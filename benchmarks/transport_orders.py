@@ -26,12 +26,11 @@ from tests.numerics.transport_problems import (
 )
 from usdsmoke.core.displacement import (
     cap_displacement,
-    fade_displacement,
     from_potential,
     from_stream,
     smooth_mask,
 )
-from usdsmoke.core.noise import gaussian_noise, white_noise
+from usdsmoke.core.noise import white_noise
 from usdsmoke.core.resample import smooth
 from usdsmoke.core.sample import sample_bounds, sample_cubic, sample_linear, voxel_positions
 from usdsmoke.core.transport import Scheme, advect, correct_mass, warp
@@ -146,7 +145,7 @@ def print_mass() -> None:
     """What one capped warp does to the mass before it is corrected."""
     side, cap = 64, 5.0
     density, ijk = make_cloud(side)
-    noise = smooth(gaussian_noise(ijk, 4, 1).reshape(side, side, side, 4), 4.0)
+    noise = smooth(white_noise(ijk, 4, 1).reshape(side, side, side, 4) - 0.5, 4.0)
     noise = noise / noise.std() * 60.0
     mask = smooth_mask(density, 3.0)
     spacing = (1.0, 1.0, 1.0)
@@ -161,7 +160,7 @@ def print_mass() -> None:
     for name, raw in displacements.items():
         capped = cap_displacement(raw, cap)
         if "before" not in name:
-            capped = fade_displacement(capped, mask)
+            capped = capped * mask[..., None]
         row = [name, f"{capped.norm(dim=-1)[density > 0].mean():.1f}"]
         for _, scheme in SCHEMES:
             _, error = correct_mass(warp(density, capped, scheme=scheme), density)

@@ -1,4 +1,4 @@
-r"""Displacement fields: made from potentials, capped, faded.
+r"""Displacement fields: made from potentials, and capped.
 
 A displacement u is [I J K 3], in world units along the grid's axes, on the voxels of its box;
 divide by ``spacing`` for index units. Stream function psi and potential phi live on the same
@@ -27,7 +27,6 @@ __all__ = [
     "cap_displacement",
     "curl",
     "divergence",
-    "fade_displacement",
     "from_mixed",
     "from_potential",
     "from_stream",
@@ -147,30 +146,6 @@ def cap_displacement(displacement: Tensor, cap: float) -> Tensor:
     squared = (displacement / cap).square().sum(dim=-1, keepdim=True)
     # hypot, because the fourth power of a large displacement overflows
     return displacement / torch.hypot(torch.ones_like(squared), squared).sqrt()
-
-
-def fade_displacement(displacement: Tensor, mask: Tensor) -> Tensor:
-    """The displacement, faded out where the mask falls to 0: u * mask.
-
-    Without it smoke that stands still meets smoke that is pushed along the silhouette, and a bright
-    rim grows there. A faded curl is no longer free of divergence where the mask changes; fading the
-    stream function instead keeps that, at the price of motion along the border.
-
-    Args:
-        displacement: [I J K 3].
-        mask: [I J K], in [0, 1], see ``smooth_mask``.
-
-    Raises:
-        ShapeError: the shapes do not fit.
-
-    Gradients: through both.
-    """
-    if displacement.shape != (*mask.shape, 3):
-        raise ShapeError(
-            f"the displacement has shape {list(displacement.shape)} and the mask "
-            f"{list(mask.shape)}; wanted [I J K 3] and [I J K]"
-        )
-    return displacement * mask[..., None]
 
 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:

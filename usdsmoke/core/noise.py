@@ -12,18 +12,16 @@ from torch import Tensor
 
 from usdsmoke.errors import ShapeError
 
-__all__ = ["gaussian_noise", "white_noise"]
+__all__ = ["white_noise"]
 
-# Odd, about half of the bits set; i, j, k, channel and stream.
+# Odd, about half of the bits set; i, j, k and channel.
 _STEPS = (
     -0x61C8864680B583EB,
     0x5851F42D4C957F2D,
     -0x2EF35C3C0DEDCE2B,
     0x369DEA0F31A53F85,
-    -0x3B2A3D0B7A6C1D97,
 )
 _CHUNK = 32768  # voxels at a time, so that the words stay in the processor's cache
-_GAUSSIAN_STREAMS = 3  # hashes for one Gaussian number, four 16-bit uniform numbers from each
 
 
 def white_noise(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
@@ -44,48 +42,15 @@ def white_noise(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
     return torch.cat([_draw_uniform(part, n_channels, seed) for part in ijk.split(_CHUNK)])
 
 
-def gaussian_noise(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
-    r"""Independent normal numbers of mean 0 and variance 1, float32, [N C].
-
-    The sum of twelve uniform numbers, straightened by an odd polynomial: x = a1 y + a3 y^3 + ... +
-    a9 y^9 with y = (sum - 6) / 4 [Teichroew1953, as in Knuth1997, 3.4.1]. No logarithm is
-    involved, whose last bit differs between machines. The distribution function is within
-    2e-5 of the normal one; the largest possible number is 8.6.
-
-    Args:
-        ijk, n_channels, seed: as for ``white_noise``, from which it is independent.
-
-    Raises:
-        ShapeError: ijk or n_channels are not as above.
-    """
-    _check_drawing(ijk, n_channels)
-    return torch.cat([_draw_gaussian(part, n_channels, seed) for part in ijk.split(_CHUNK)])
-
-
 def _draw_uniform(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
-    words = _hash(ijk, n_channels, seed, stream=0)
+    words = _hash(ijk, n_channels, seed)
     return _shift_right(words, 40).to(torch.float32) * 2.0**-24
 
 
-def _draw_gaussian(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
-    total = torch.zeros((), dtype=torch.float64, device=ijk.device)
-    for stream in range(1, 1 + _GAUSSIAN_STREAMS):
-        words = _hash(ijk, n_channels, seed, stream)
-        for shift in (0, 16, 32, 48):
-            total = total + (_shift_right(words, shift) & 0xFFFF)
-    # Each 16-bit number stands for the middle of its interval, so the sum is symmetric about 6.
-    y = ((total + 6.0) * 2.0**-16 - 6.0) * 0.25
-    squared = y * y
-    series = torch.full_like(y, 0.029899776)
-    for coefficient in (0.008355968, 0.076542912, 0.252408784, 3.949846138):
-        series = series * squared + coefficient
-    return (series * y).to(torch.float32)
-
-
-def _hash(ijk: Tensor, n_channels: int, seed: int, stream: int) -> Tensor:
+def _hash(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
     """64 scrambled bits for each voxel and channel, int64 [N C]."""
     key = torch.tensor(_signed(seed + 1), dtype=torch.int64, device=ijk.device)
-    key = _scramble(_scramble(key) + _signed(stream * _STEPS[4]))
+    key = _scramble(_scramble(key))
     channels = torch.arange(n_channels, dtype=torch.int64, device=ijk.device) * _STEPS[3]
     voxels = ijk[:, 0] * _STEPS[0] + ijk[:, 1] * _STEPS[1] + ijk[:, 2] * _STEPS[2]
     return _scramble(_scramble(voxels[:, None] + channels + key) ^ key)

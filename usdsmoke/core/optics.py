@@ -2,7 +2,9 @@ r"""Emission and absorption along a ray, exact on every segment.
 
 One rule serves everything: on a segment of optical depth t = gamma * d * h with constant density
 and colour, the light that reaches its front is C * (1 - exp(-t)), and exp(-t) of what comes from
-behind passes [Max1995]. It is second order in h and bounded for every optical depth.
+behind passes [Max1995]. It is second order in h and bounded for every optical depth. With r = (1 -
+exp(-t)) / t a segment's share of the pixel is t * r * exp(-(sum of t before it)): voxels that share
+a segment share it in proportion to their t, and an empty one divides nothing by nothing.
 
 The paper's images are these divided by gamma [Christen2020, eqs. 8-10]: its grey integral of
 d * tau is (1 - exp(-gamma * column)) / gamma, because d tau / dr = -gamma * d * tau. Multiplying by
@@ -15,13 +17,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-__all__ = [
-    "attenuation_ratio",
-    "composite_segments",
-    "opacity",
-    "segment_weights",
-    "transmittance_before",
-]
+__all__ = ["attenuation_ratio", "opacity", "transmittance_before"]
 
 
 def opacity(optical_depth: Tensor) -> Tensor:
@@ -77,33 +73,3 @@ def transmittance_before(optical_depth: Tensor) -> Tensor:
     # an exclusive sum: with t_s taken off the inclusive one an infinite t_s would give NaN
     before = torch.cumsum(optical_depth[:-1], dim=0)
     return torch.exp(-torch.cat([torch.zeros_like(optical_depth[:1]), before]))
-
-
-def segment_weights(optical_depth: Tensor) -> Tensor:
-    r"""Share of each segment's colour in the pixel: w_s = exp(-sum_{r<s} t_r) * (1 - exp(-t_s)).
-
-    Args:
-        optical_depth: t of the segments, [S ...], front to back along the first axis, >= 0.
-
-    Returns:
-        w, the same shape; sum over S is the ray's opacity 1 - exp(-sum t).
-
-    Gradients: through ``optical_depth``.
-    Differs from [Christen2020, eq. 10]: multiplied by gamma, and exact where density is constant.
-    """
-    return transmittance_before(optical_depth) * opacity(optical_depth)
-
-
-def composite_segments(optical_depth: Tensor, colour: Tensor) -> Tensor:
-    """Radiance at the front of rays: sum_s w_s * C_s.
-
-    Args:
-        optical_depth: [S ...], >= 0, front to back.
-        colour: C, [S ... C], linear.
-
-    Returns:
-        [... C], linear, premultiplied.
-
-    Gradients: through both.
-    """
-    return (segment_weights(optical_depth)[..., None] * colour).sum(dim=0)

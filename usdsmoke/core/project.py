@@ -5,7 +5,7 @@ touched, and the adjoint is a plain gather. Two linear maps come out of it:
 
 - ``column_map``: density -> column integral of density per pixel, for the grey picture;
 - ``colour_map``: voxel colour -> composited picture, for fixed density. The density is splatted
-  trilinearly into view-aligned slabs, the slabs are weighted by ``optics.segment_weights``, and
+  trilinearly into view-aligned slabs, the slabs are weighted by the rule of ``core.optics``, and
   each voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
 """
 

@@ -66,12 +66,6 @@ class Pyramid:
             total = upsample(total, level.shape, self.method) + level
         return total
 
-    def refine(self, shape: Sequence[int]) -> "Pyramid":
-        """The same field on a finer lattice, with one more level of zeros for the next octave."""
-        finest = self.levels[-1]
-        level = finest.new_zeros((*tuple(shape)[:3], finest.shape[3]))
-        return Pyramid((*self.levels, level), self.method)
-
 
 def pyramid_shapes(
     shape: Sequence[int], n_levels: int, factor: float = 2.0

@@ -152,13 +152,6 @@ def _find_taps(
     return base, taps
 
 
-def _flat_base(taps: list[_Taps], strides: list[int], positions: Tensor) -> Tensor:
-    base = torch.zeros(len(positions), dtype=torch.int64, device=positions.device)
-    for tap, stride in zip(taps, strides, strict=True):
-        base.add_(tap.first, alpha=stride)
-    return base
-
-
 def _hat_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
     """Hat functions of the two voxels that surround a position, or lie nearest to it."""
     floor = position.floor().clamp_(0, length - 2)

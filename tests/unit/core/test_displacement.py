@@ -10,7 +10,6 @@ from usdsmoke.core.displacement import (
     cap_displacement,
     curl,
     divergence,
-    fade_displacement,
     from_mixed,
     from_potential,
     from_stream,
@@ -149,15 +148,6 @@ def test_gradient_of_the_cap_agrees_with_finite_differences():
     assert gradcheck(lambda u: cap_displacement(u, 0.8), (random(6, 3).requires_grad_(),))
 
 
-def test_faded_displacement_is_zero_where_there_is_no_smoke():
-    displacement, mask = random(*SHAPE, 3), torch.zeros(SHAPE, dtype=torch.float64)
-    mask[2:5], mask[5] = 1.0, 0.5
-    faded = fade_displacement(displacement, mask)
-    assert torch.equal(faded[2:5], displacement[2:5])
-    assert torch.equal(faded[5], displacement[5] / 2)
-    assert faded[:2].abs().max() == 0
-
-
 def plume(scale: float = 1.0) -> Tensor:
     density = torch.zeros(24, 20, 18)
     density[8:16, 6:14, 6:12] = 1.0 + torch.rand(
@@ -205,7 +195,6 @@ def test_mask_of_emptiness_is_empty_and_negative_density_counts_as_none():
             "on the same voxels",
         ),
         (lambda: cap_displacement(random(4, 3), 0.0), "cap is 0.0; wanted a length above 0"),
-        (lambda: fade_displacement(random(4, 4, 4, 3), random(4, 4, 5)), "wanted .I J K 3. and"),
         (lambda: smooth_mask(random(4, 4, 4, 3), 1.0), r"wanted \[I J K\]"),
         (lambda: smooth_mask(random(4, 4, 4), -1.0), "one or three numbers from 0"),
         (lambda: smooth_mask(random(4, 4, 4), 1.0, share=0.0), "share is 0.0"),

@@ -121,14 +121,6 @@ def test_new_pyramid_is_zero_and_reaches_every_level_with_its_gradient():
         assert level.grad.sum().item() == pytest.approx(16 * 12 * 10 * 3, rel=1e-12)
 
 
-@pytest.mark.parametrize("fine", [(24, 18, 14), (21, 16, 12)])
-def test_refined_pyramid_starts_as_the_same_field(fine):
-    pyramid = Pyramid(tuple(random(*level, 2) for level in pyramid_shapes((12, 9, 7), 3)))
-    refined = pyramid.refine(fine)
-    assert torch.equal(refined.expand(), upsample(pyramid.expand(), fine))
-    assert all(a is b for a, b in zip(pyramid.levels, refined.levels, strict=False))
-
-
 def test_blur_agrees_with_scipy_and_does_not_mix_channels():
     field = torch.zeros(14, 12, 10, 2, dtype=torch.float64)
     field[..., 0] = random(14, 12, 10)
