@@ -1,0 +1,232 @@
+"""The stiff and extreme set: a sound result or one named error; never NaN, never silence."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import frame_of, puff, random_style
+from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from usdsmoke.core.scene import measure_scene
+from usdsmoke.core.stylize import StylizedFrame
+from usdsmoke.errors import NonFiniteError, PlanError
+from usdsmoke.volume import DenseField, VolumeFrame
+
+DENSITY = puff(10)
+COLOUR_ONLY = {"optimize": {"steps": ["colour"], "threads": 1}}
+
+
+def assert_sound(result: StylizedFrame, source: np.ndarray, gamma_w: float | None = None) -> None:
+    """Finite, not empty, of the source's mass, no brighter than its extinction."""
+    density, emission = result.density.values.astype(float), result.emission.values.astype(float)
+    assert np.isfinite(density).all() and np.isfinite(emission).all()
+    assert density.min() >= 0 and emission.min() >= 0
+    assert density.sum() == pytest.approx(np.clip(source.astype(float), 0, None).sum(), rel=1e-4)
+    assert emission.any() or gamma_w == 0
+    if gamma_w is not None:
+        assert (emission <= gamma_w * density[..., None] * (1 + 1e-5)).all()
+    for step in ("shape", "colour"):
+        assert np.isfinite(result.report.get(step, {"loss": []})["loss"]).all()
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1), (6, 1, 1), (1, 2, 1), (2, 2, 2), (1, 9, 8), (40, 2, 1)]
+)
+def test_few_voxels_in_any_arrangement(shape):
+    density = np.random.default_rng(0).uniform(0.2, 1.0, shape)
+    assert_sound(run_core([frame_of(density)])[0], density)
+
+
+@pytest.mark.parametrize("amount", [1e-30, 1e-6, 1e6, 1e30])
+def test_density_of_any_amount_looks_the_same(amount):
+    """The extinction follows it, so the colours are those of ordinary smoke."""
+    plain, scaled = (
+        run_core([frame_of(DENSITY * np.float32(a))], quick_config(**COLOUR_ONLY))[0]
+        for a in (1.0, amount)
+    )
+    assert_sound(scaled, DENSITY * np.float32(amount))
+    assert scaled.emission.values == pytest.approx(plain.emission.values, abs=1e-2)
+
+
+@pytest.mark.parametrize("amount", [1e-30, 1e30])
+def test_density_of_any_amount_is_moved_like_ordinary_smoke(amount):
+    result = run_core([frame_of(DENSITY * np.float32(amount))])[0]
+    assert_sound(result, DENSITY * np.float32(amount))
+    assert result.report["shape"]["largest displacement"] > 0
+
+
+def test_density_over_sixty_orders_of_magnitude():
+    density = DENSITY * np.float32(10.0) ** np.random.default_rng(0).uniform(-30, 30, DENSITY.shape)
+    assert_sound(run_core([frame_of(density)])[0], density)
+
+
+def test_denormal_density_counts_as_none():
+    result = run_core([frame_of(np.full((3, 3, 3), 1e-40))])[0]
+    assert result.report["left out"] == "empty frame"
+
+
+def test_negative_density_counts_as_none_where_smoke_is_moved():
+    density = DENSITY - 0.2 * (DENSITY == 0)
+    assert_sound(run_core([frame_of(density)])[0], density)
+
+
+@pytest.mark.parametrize("gamma", [1e-12, 1e-3, 1.0, 1e6, 1e12])
+def test_any_extinction(gamma):
+    config = quick_config(optics={"gamma": gamma, "gamma_shape": gamma})
+    frame = frame_of(DENSITY)
+    scene = measure_scene([frame], config, "Y")
+    assert scene.gamma_w == pytest.approx(gamma)
+    assert_sound(run_core([frame], config, scene)[0], DENSITY, gamma)
+
+
+def test_no_extinction_gives_no_light_and_no_motion_but_a_finite_result():
+    """The settings refuse it; a scene of one's own making can hold it."""
+    frame = frame_of(DENSITY)
+    scene = dataclasses.replace(
+        measure_scene([frame], quick_config(), "Y"), gamma_w=0.0, gamma_w_shape=0.0
+    )
+    result = run_core([frame], scene=scene)[0]
+    assert_sound(result, DENSITY, gamma_w=0)
+    assert not result.emission.values.any()
+
+
+@pytest.mark.parametrize("voxel", [1e-6, 1e6])
+def test_stages_in_microns_and_in_megametres(voxel):
+    matrix = np.diag([voxel, voxel, voxel, 1.0])
+    plain = run_core([frame_of(DENSITY)])[0]
+    scaled = run_core([frame_of(DENSITY, index_to_world=matrix)])[0]
+    assert scaled.density.values == pytest.approx(plain.density.values, abs=1e-3)
+    assert scaled.emission.values * voxel == pytest.approx(plain.emission.values, abs=1e-2)
+
+
+def test_smoke_a_million_units_from_the_origin():
+    matrix = np.eye(4)
+    matrix[3, :3] = [1e6, -1e6, 3e6]
+    near, far = (run_core([frame_of(DENSITY, index_to_world=m)])[0] for m in (np.eye(4), matrix))
+    assert far.density.values == pytest.approx(near.density.values, abs=1e-4)
+    assert far.emission.values == pytest.approx(near.emission.values, abs=1e-3)
+
+
+def test_voxels_a_thousand_times_longer_than_wide():
+    matrix = np.diag([1.0, 1.0, 1000.0, 1.0])
+    assert_sound(run_core([frame_of(DENSITY, index_to_world=matrix)])[0], DENSITY)
+
+
+def far_apart(n: int) -> VolumeFrame:
+    density = np.zeros((n, 1, 1))
+    density[0] = density[-1] = 1.0
+    return frame_of(density)
+
+
+def test_two_voxels_a_million_apart_are_painted():
+    result = run_core([far_apart(1_000_000)], quick_config(**COLOUR_ONLY))[0]
+    assert set(by_voxel(result.emission)) == {(0, 0, 0), (999_999, 0, 0)}
+
+
+def test_two_voxels_a_million_apart_are_not_moved_but_refused_by_name():
+    with pytest.raises(PlanError, match=r"optimize\.steps=\[colour\]"):
+        run_core([far_apart(1_000_000)])
+
+
+@pytest.mark.parametrize("cfl", [0.0, 0.3, 50.0])
+def test_velocities_up_to_fifty_voxels_a_frame(cfl):
+    velocity = 24.0 * cfl * np.array([1.0, -1.0, 0.5])
+    for result in run_core([frame_of(DENSITY, k, velocity) for k in (1.0, 2.0)]):
+        assert_sound(result, DENSITY)
+
+
+def test_velocity_on_some_frames_only():
+    moving = frame_of(DENSITY, 2.0, np.array([24.0, 0.0, 0.0]))
+    for result in run_core([frame_of(DENSITY, 1.0), moving, frame_of(DENSITY, 3.0)]):
+        assert_sound(result, DENSITY)
+
+
+def test_velocity_in_a_box_that_does_not_meet_the_smoke():
+    away = DenseField("velocity", np.ones((2, 2, 2, 3), np.float32), (500, 0, 0), np.eye(4))
+    frames = [
+        dataclasses.replace(frame_of(DENSITY, k), velocity=away, velocity_to_stage=np.eye(4))
+        for k in (1.0, 2.0)
+    ]
+    assert_sound(run_core(frames)[1], DENSITY)
+
+
+@pytest.mark.parametrize("time_codes", [(-3.0, -2.5, 0.0), (0.0, 100.0), (1.0,)])
+def test_any_time_codes(time_codes):
+    velocity = np.array([6.0, 0.0, 0.0])
+    results = run_core([frame_of(DENSITY, t, velocity) for t in time_codes])
+    assert tuple(result.time_code for result in results) == time_codes
+    for result in results:
+        assert_sound(result, DENSITY)
+
+
+def test_a_grid_that_changes_place_and_voxel_size_from_frame_to_frame():
+    """Smoke that stands still in space keeps its colours though its voxels are others."""
+    config = quick_config(colour={"iterations": [0]}, **COLOUR_ONLY)
+    finer = np.diag([0.5, 0.5, 0.5, 1.0])
+    finer[3, :3] = -0.25
+    first = frame_of(np.ones((6, 6, 6)), 1.0)
+    second = frame_of(np.ones((12, 12, 12)), 2.0, index_to_world=finer)
+    scene = measure_scene([first], config, "Y")
+    coarse, fine = (r.emission.values for r in run_core([first, second], config, scene))
+    inside = fine[2:-2, 2:-2, 2:-2].reshape(4, 2, 4, 2, 4, 2, 3).mean(axis=(1, 3, 5))
+    correlation = np.corrcoef(inside.ravel(), coarse[1:-1, 1:-1, 1:-1].ravel())[0, 1]
+    assert correlation > 0.8
+
+
+STYLES = {
+    "one pixel": np.full((1, 1, 3), 0.6, np.float32),
+    "one colour": np.full((16, 16, 3), 0.3, np.float32),
+    "black": np.zeros((8, 8, 3), np.float32),
+    "white": np.ones((8, 8, 3), np.float32),
+    "grey": np.repeat(random_style()[..., :1], 3, axis=-1),
+    "narrow": random_style(1, 200),
+}
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_any_style_image(name):
+    config = quick_config(features={"layers": []})
+    assert_sound_or_black(run_core([frame_of(DENSITY)], config, styles=[STYLES[name]])[0])
+
+
+def assert_sound_or_black(result: StylizedFrame) -> None:
+    assert np.isfinite(result.density.values).all() and np.isfinite(result.emission.values).all()
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"losses": {"style": 1e12}},
+        {"losses": {"style": 1e-12}},
+        {"losses": {"keep": 1e12}},
+        {"losses": {"keep": 0.0, "total_variation": 1e12}},
+        {"features": {"layers": ["oriented1", "learned1"], "weights": [0.0, 1e12]}},
+    ],
+)
+def test_loss_weights_of_any_size(sections):
+    assert_sound(run_core([frame_of(DENSITY)], quick_config(**sections))[0], DENSITY)
+
+
+@pytest.mark.parametrize("step", ["shape", "colour"])
+def test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began(step):
+    rate = {"shape": 6.0, "colour": 5.0}[step]
+    config = quick_config(
+        optimize={"steps": [step], "threads": 1, "tolerance": 0.0},
+        **{step: {"learning_rate": rate, "iterations": [25]}},
+    )
+    told: list[Any] = []
+    result = run_core([frame_of(DENSITY)], config, watch=told)[0]
+    assert np.isfinite(result.density.values).all()
+    assert result.report[step]["loss"][0] <= 1.05 * told[0].loss
+
+
+def test_features_that_overflow_are_a_named_error(monkeypatch):
+    def infinite(picture: torch.Tensor, wanted: frozenset[str]) -> dict[str, torch.Tensor]:
+        maps = picture.permute(2, 0, 1)[None]
+        return {name: maps * (1 + 1e38) * 1e38 for name in wanted}
+
+    monkeypatch.setattr("usdsmoke.core.targets.build_network", lambda *_: lambda style: infinite)
+    with pytest.raises(NonFiniteError, match="look for extreme values"):
+        run_core([frame_of(DENSITY)], quick_config(**COLOUR_ONLY))
