@@ -47,9 +47,7 @@ def fit_view(view: View, smoke: ActiveSmoke, margin: int = MARGIN) -> View:
     """The same orthographic view, moved and sized so that its image just holds the smoke."""
     corners = _corners(smoke)
     across, up = (corners @ axis for axis in (view.right, view.up))
-    middle = corners.mean(0)
-    middle = middle + view.right * ((across.min() + across.max()) / 2 - middle @ view.right)
-    middle = middle + view.up * ((up.min() + up.max()) / 2 - middle @ view.up)
+    middle = corners.mean(0)  # seen from anywhere, a box lies evenly around it
     width, height = (
         max(1, math.ceil(float(np.ptp(side)) / view.pixel_size - 1e-6)) + 2 * margin
         for side in (across, up)

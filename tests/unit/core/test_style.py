@@ -12,8 +12,8 @@ LIKE = torch.zeros(())
 
 
 def test_srgb_has_the_values_of_the_standard():
-    linear = torch.tensor([0.0, 0.0031308, 0.18, 0.5, 1.0], dtype=torch.float64)
-    wanted = [0.0, 0.04045, 0.4613561, 0.7353570, 1.0]
+    linear = torch.tensor([0.0, 0.0031308, 0.005, 0.18, 0.5, 1.0], dtype=torch.float64)
+    wanted = [0.0, 0.04045, 0.0610065, 0.4613561, 0.7353570, 1.0]
     assert encode_srgb(linear).tolist() == pytest.approx(wanted, abs=1e-5)
 
 
