@@ -4,14 +4,16 @@ All formulae stand here, with their constants in one place. With N active voxels
 box (both after refinement), P pixels of a picture, V pictures an iteration, L views in the pool,
 S style images, s an octave's linear resolution as a share of the full one:
 
-    memory  = BASE + BOX_BYTES B + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
-    seconds = START + sum over frames of (FRAME + sum over steps and octaves of
-                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3)) + L VIEW_TIME N s^3)
+    memory  = BASE + B BOX_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
+    work    = sum over steps and octaves of L VIEW_TIME N s^3 +
+                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + BOX_TIME B s^3)
+    seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
-Memory is the largest frame's; frames are held one at a time. Times are for one CPU thread, divided
-by the gain of several. They are estimates: a factor of two either way is normal, and the memory is
-meant to be an upper bound.
+BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, whose potentials live
+on the whole box. Memory is the largest frame's; frames are held one at a time. The constants of
+time fit two threads of a server's processor, for plumes of 75 thousand and a million voxels: a
+factor of two either way is normal. The memory is meant to be an upper bound.
 """
 
 import math
@@ -37,17 +39,21 @@ __all__ = [
 GIB = 2**30
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
-BOX_BYTES = 48  # density before and after, displacement, RGB, and one array in the making
-VOXEL_BYTES = 240  # positions, colours, their gradients and Adam's moments, octaves
-VIEW_BYTES = 96  # four pixels and weights, in two orders
+BOX_BYTES = 48  # density before and after, RGB, and one array in the making
+BOX_BYTES_SHAPE = 250  # potentials on all levels, their gradients, Adam's moments, displacement
+BOX_BYTES_WARM = 150  # velocity, and where every voxel's smoke was before
+VOXEL_BYTES = 500  # positions, colours, their gradients and moments, a view in the making
+VIEW_BYTES = 80  # four pixels and weights, in two orders
 PIXEL_BYTES = 12_000  # feature maps and what is kept of them for the gradient
 
-START = 4.0  # loading torch, learning the filters
-FRAME = 1.5  # reading, checking, writing and re-opening the files
+START = 3.0  # loading torch, learning the filters
+FRAME = 1.0  # starting the processes that read, write and re-open the files
+FILE_TIME = 2.0e-6
 ITERATION = 0.006
 PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
-VIEW_TIME = 6.0e-7
+BOX_TIME = 3.0e-7
+VIEW_TIME = 7.0e-7
 GAIN = 0.8  # n threads are n ** GAIN times as quick
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
@@ -61,6 +67,7 @@ class FrameSize:
     active_voxels: int
     box: tuple[int, int, int]  # voxels along i, j, k; (0, 0, 0) when empty
     window_start: bool = True  # False: it starts from its neighbour's result
+    n_copied: int = 0  # values a voxel that are written beside the result: the velocity's 3, or 0
 
 
 @dataclass(frozen=True)
@@ -83,11 +90,10 @@ def estimate_run(
         n_styles: style images.
         threads: None takes the configured number, or all of the machine.
     """
-    threads = threads or config.optimize.threads or usable_cpus()
-    seconds = START + sum(_frame_seconds(frame, config, n_styles) for frame in frames)
+    speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return Estimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
-        seconds=seconds / threads**GAIN,
+        seconds=START + sum(_frame_seconds(frame, config, n_styles, speed) for frame in frames),
         bytes_written=sum(_frame_bytes(frame, config) for frame in frames),
     )
 
@@ -135,48 +141,66 @@ def _lines(file_path: str) -> list[str]:
 
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
-    """Active voxels and voxels of the box after subdivision."""
-    finer: int = config.grids.refine**3
+    """Active voxels and voxels of the box after subdivision, which leaves thin axes alone."""
+    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
     return frame.active_voxels * finer, math.prod(frame.box) * finer
 
 
 def _picture_pixels(frame: FrameSize, config: Config) -> float:
+    """Pixels of a full-size picture: each is a whole number of voxels wide."""
     *_, middle, longest = sorted(frame.box)
-    return config.views.image_size**2 * min(1.0, middle / max(longest, 1))
+    n_voxels = longest * config.grids.refine
+    side = n_voxels / max(1, round(n_voxels / config.views.image_size))
+    return side**2 * middle / max(longest, 1)
+
+
+def _is_optimized(frame: FrameSize, config: Config) -> bool:
+    return frame.active_voxels > 0 and config.optimize.strength > 0 and config.losses.style > 0
 
 
 def _frame_memory(frame: FrameSize, config: Config) -> float:
     active, box = _refined(frame, config)
+    per_box_voxel = BOX_BYTES
+    if "shape" in config.optimize.steps:
+        per_box_voxel += BOX_BYTES_SHAPE
+    if not frame.window_start:
+        per_box_voxel += BOX_BYTES_WARM
     per_voxel = VOXEL_BYTES + n_different_views(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
-    return BASE + BOX_BYTES * box + active * per_voxel + pictures
+    return BASE + per_box_voxel * box + active * per_voxel + pictures
 
 
-def _frame_seconds(frame: FrameSize, config: Config, n_styles: int) -> float:
+def _frame_seconds(frame: FrameSize, config: Config, n_styles: int, speed: float) -> float:
     active, _ = _refined(frame, config)
-    if active == 0 or config.optimize.strength == 0:
-        return FRAME
+    seconds = FRAME + FILE_TIME * active
+    if not _is_optimized(frame, config):
+        return seconds
+    work = sum(_step_work(step, frame, config, n_styles) for step in config.optimize.steps)
+    return seconds + work / speed
+
+
+def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int) -> float:
+    """Seconds of one thread."""
+    active, box = _refined(frame, config)
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config)
     n_views = n_different_views(config.views)
-    total = FRAME
-    for step in config.optimize.steps:
-        per_octave = getattr(config, step).iterations
-        octaves = octave_iterations(per_octave, config.optimize.iterations)
-        if not frame.window_start:
-            octaves = warm_iterations(octaves, config.windows.warm_iterations)
-        for number, n_iterations in enumerate(octaves):
-            if n_iterations == 0:
-                continue
-            scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
-            picture = pixels * scale**2 + VOXEL_TIME * active * scale**3
-            total += n_iterations * (ITERATION + config.views.count * picture)
-            total += n_views * VIEW_TIME * active * scale**3
-    return total
+    octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+    if not frame.window_start:
+        octaves = warm_iterations(octaves, config.windows.warm_iterations)
+    work = 0.0
+    for number, n_iterations in enumerate(octaves):
+        if n_iterations == 0:
+            continue
+        scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
+        iteration = ITERATION + (BOX_TIME * box * scale**3 if step == "shape" else 0.0)
+        iteration += config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
+        work += n_iterations * iteration + n_views * VIEW_TIME * active * scale**3
+    return work
 
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:
     active, _ = _refined(frame, config)
-    values = (
-        1 + 3 * ("colour" in config.optimize.steps) + 3 * (config.layer.copy_velocity is not False)
-    )
-    return round(FILE_BYTES + active * (2 if config.grids.half else 4) * values * TREE)
+    values = 1 + 3 * ("colour" in config.optimize.steps)
+    per_value = TREE * (2 if config.grids.half else 4)
+    copied = frame.n_copied * frame.active_voxels  # never refined
+    return round(FILE_BYTES + (active * values + copied) * per_value)

@@ -191,7 +191,7 @@ def _plan_volume(
         frames.append(
             FramePlan(
                 source=frame,
-                size=_frame_size(frame.fields[volume.density].file_path, grid, frame, starts),
+                size=_frame_size(density.file_path, grid, frame.time_code in starts, copied),
                 grid=grid,
                 velocity=velocity if frame.time_code in in_company else None,
                 copied=copied,
@@ -208,7 +208,7 @@ def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
 
 
 def _frame_size(
-    file_path: str, grid: GridHeader, frame: FrameSource, starts: set[float]
+    file_path: str, grid: GridHeader, window_start: bool, copied: VelocitySource | None
 ) -> FrameSize:
     """From the header; a file that does not tell is taken to hold nothing but this grid."""
     active, box = grid.active_voxels, grid.box_shape
@@ -217,7 +217,7 @@ def _frame_size(
     if box is None and active:
         side = round(active ** (1 / 3)) + 1
         box = (side, side, side)
-    return FrameSize(active, box or (0, 0, 0), frame.time_code in starts)
+    return FrameSize(active, box or (0, 0, 0), window_start, 0 if copied is None else 3)
 
 
 def _volume_dict(volume: VolumePlan) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Estimates: they rise with what makes a run dear, and fall with what makes it cheap."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 
 from usdsmoke.config import Config, resolve_config
 from usdsmoke.estimate import (
+    START,
     Estimate,
     FrameSize,
     available_memory_gib,
@@ -33,11 +35,12 @@ def test_time_and_bytes_add_up_over_frames_but_memory_does_not() -> None:
     ("dear", "cheap"),
     [
         (["views.count=4"], []),
-        (["views.image_size=384"], []),
+        ([], ["views.image_size=32"]),
         (["optimize.iterations=3000"], []),
         (["grids.refine=2"], []),
         ([], ["optimize.steps=[colour]"]),
         ([], ["optimize.strength=0"]),
+        ([], ["losses.style=0"]),
     ],
 )
 def test_more_work_takes_more_time(dear: list[str], cheap: list[str]) -> None:
@@ -45,15 +48,27 @@ def test_more_work_takes_more_time(dear: list[str], cheap: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "dear", [["views.pool=100"], ["views.image_size=512"], ["views.count=9"], ["grids.refine=2"]]
+    ("dear", "cheap"),
+    [
+        (["views.pool=100"], []),
+        ([], ["views.image_size=32"]),
+        (["views.count=9"], []),
+        (["grids.refine=2"], []),
+        ([], ["optimize.steps=[colour]"]),
+    ],
 )
-def test_more_data_takes_more_memory(dear: list[str]) -> None:
-    assert estimate(*dear).memory_gib > estimate().memory_gib
+def test_more_data_takes_more_memory(dear: list[str], cheap: list[str]) -> None:
+    assert estimate(*dear).memory_gib > estimate(*cheap).memory_gib
+
+
+def test_pictures_finer_than_the_voxels_are_not_drawn() -> None:
+    assert estimate("views.image_size=96") == estimate("views.image_size=384")
 
 
 def test_a_frame_that_starts_from_its_neighbour_is_cheaper() -> None:
     warm = FrameSize(FRAME.active_voxels, FRAME.box, window_start=False)
-    assert estimate_run([warm], Config(), 1, 2).seconds < estimate().seconds / 2
+    carried, cold = estimate_run([warm], Config(), 1, 2).seconds, estimate().seconds
+    assert carried - START < (cold - START) / 2
 
 
 def test_half_floats_and_no_colour_take_less_disk() -> None:
@@ -61,6 +76,45 @@ def test_half_floats_and_no_colour_take_less_disk() -> None:
     assert estimate("grids.half=true").bytes_written - 60_000 == pytest.approx(full / 2, abs=1)
     assert estimate("optimize.steps=[shape]").bytes_written - 60_000 == pytest.approx(full / 4)
     assert full > 90_000 * 4 * 4  # never below the values themselves
+
+
+def test_a_copied_velocity_is_three_more_values_a_voxel() -> None:
+    sizes = [FRAME, dataclasses.replace(FRAME, n_copied=3)]
+    alone, beside = (estimate_run([size], Config()).bytes_written - 60_000 for size in sizes)
+    assert beside == pytest.approx(alone * 7 / 4)
+
+
+@pytest.mark.parametrize(
+    ("size", "settings", "measured"),
+    [
+        (
+            FrameSize(75_000, (70, 107, 70)),
+            ["views.pool=12", "shape.iterations=[50,40,20]", "colour.iterations=[100,80,60]"],
+            11.0,
+        ),
+        (FrameSize(1_050_000, (111, 222, 112)), [], 91.0),
+        (FrameSize(1_050_000, (111, 222, 112)), ["optimize.steps=[shape]"], 47.0),
+    ],
+    ids=["example plume", "real plume", "real plume's shape"],
+)
+def test_times_that_were_measured_are_met_within_a_factor_of_two(
+    size: FrameSize, settings: list[str], measured: float
+) -> None:
+    """Wall-clock seconds of one cold frame on two threads of a server."""
+    found = estimate_run([size], resolve_config(assignments=settings), threads=2)
+    assert measured / 2 < found.seconds < measured * 2
+
+
+def test_memory_is_above_what_was_measured_but_not_twice() -> None:
+    found = estimate_run([FrameSize(1_050_000, (111, 222, 112))], Config(), threads=2)
+    assert 2.9 < found.memory_gib < 5.8
+
+
+def test_a_slab_is_refined_in_its_plane_only() -> None:
+    slab = FrameSize(10_000, (100, 100, 1))
+    fine = resolve_config(assignments=["grids.refine=4"])
+    once, refined = (estimate_run([slab], c).bytes_written - 60_000 for c in (Config(), fine))
+    assert refined == pytest.approx(16 * once)
 
 
 def test_a_run_without_frames_or_with_empty_ones_costs_next_to_nothing() -> None:
