@@ -72,7 +72,7 @@ def test_the_straight_picture_has_the_smoke_s_own_colour_however_thin_it_is(smok
     assert torch.allclose(straight, mixed, atol=1e-5)
     empty = view.alpha == 0
     assert empty.any() and torch.allclose(straight[empty], encode_srgb(BACKGROUND), atol=1e-6)
-    assert view.guide[view.alpha > 0.5].min() > 0.9
+    assert view.guide[view.alpha > 0.5].min() > 0.6
 
 
 def test_the_loss_falls_and_colours_stay_in_range(smoke, views):
