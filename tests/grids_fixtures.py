@@ -9,7 +9,7 @@ import pytest
 from usdsmoke.config import GridsConfig
 from usdsmoke.errors import BindingMissing
 from usdsmoke.grids.binding import find_binding
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_file
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.grids.header import read_header
 from usdsmoke.volume import DenseField
 
@@ -30,7 +30,7 @@ def shared_file(name: str) -> Path:
 def check_content(file_path: str | Path) -> None:
     """What a file of ours holds is what its own metadata says."""
     promised = read_header(file_path).metadata[CONTENT_KEY]
-    assert hash_file(file_path, TIGHT) == promised
+    assert hash_vdb_file(file_path, TIGHT) == promised
 
 
 def openvdb():

@@ -13,6 +13,7 @@
         GridTooLarge
         BindingMissing
       ImageError          a style image cannot be read
+      FileUnreadable      any other file that a run reads, or has written, cannot be read
       FeatureError        the feature network's parameter file is missing or wrong
       ShapeError          also ValueError: two arrays do not fit together
       NonFiniteError      also ArithmeticError: NaN or infinity, named where it is born
@@ -32,6 +33,7 @@ __all__ = [
     "DamagedFile",
     "FeatureError",
     "FieldNotFound",
+    "FileUnreadable",
     "GridError",
     "GridNotFound",
     "GridTooLarge",
@@ -100,6 +102,10 @@ class BindingMissing(GridError):
 
 class ImageError(UsdSmokeError):
     """An image file cannot be read or written, or holds nothing usable."""
+
+
+class FileUnreadable(UsdSmokeError):
+    """A file whose bytes are part of a run's record cannot be read."""
 
 
 class FeatureError(UsdSmokeError):

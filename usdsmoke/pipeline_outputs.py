@@ -118,7 +118,6 @@ def collect_volume(
                 content_hash=record["content_hash"],
                 extent_min=_triple(record["extent_min"]),
                 extent_max=_triple(record["extent_max"]),
-                report=record["report"],
             )
         )
     grids = {volume.source.density: volume.source.density}

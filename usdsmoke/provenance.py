@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from usdsmoke.errors import ImageError
+from usdsmoke.errors import FileUnreadable
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -76,11 +76,11 @@ def utc_now() -> str:
 def hash_file(file_path: str | Path) -> str:
     """SHA-256 of a file's bytes as 64 hexadecimal digits.
 
-    For style images and parameter files. A VDB file holds a random identifier: two files of the
-    same grids differ, so those are hashed by content elsewhere.
+    It tells whether a file is still the one that was read or written. Two VDB files of the same
+    grids differ, because each holds a random identifier; ``grids.content_hash`` compares those.
 
     Raises:
-        ImageError: the file cannot be read.
+        FileUnreadable: the file cannot be read.
     """
     digest = hashlib.sha256()
     try:
@@ -88,7 +88,7 @@ def hash_file(file_path: str | Path) -> str:
             while block := stream.read(1 << 20):
                 digest.update(block)
     except OSError as error:
-        raise ImageError(
+        raise FileUnreadable(
             f"cannot read {file_path} to take its hash: {error.strerror or error}; "
             "check the path and its permissions"
         ) from None

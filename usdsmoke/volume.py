@@ -132,8 +132,6 @@ class WrittenFrame:
     time_code: float
     file_path: str  # absolute
     content_hash: str  # of all its grids, see grids.content_hash
-    extent_min: (
-        tuple[float, float, float] | None
-    )  # in the field prim's local space; None when empty
+    # Corners in the field prim's local space; None when empty.
+    extent_min: tuple[float, float, float] | None
     extent_max: tuple[float, float, float] | None
-    report: Mapping[str, Any] = field(default_factory=dict)  # losses, errors, times of this frame

@@ -7,7 +7,7 @@ import uuid
 
 import pytest
 
-from usdsmoke.errors import ImageError
+from usdsmoke.errors import FileUnreadable
 from usdsmoke.provenance import (
     SCHEMA_VERSION,
     RunFacts,
@@ -90,5 +90,5 @@ def test_hash_file_is_sha256_of_the_bytes(tmp_path):
 
 
 def test_a_file_that_cannot_be_hashed_is_named(tmp_path):
-    with pytest.raises(ImageError, match=r"cannot read .*none\.png to take its hash: No such file"):
+    with pytest.raises(FileUnreadable, match=r"read .*none\.png to take its hash: No such file"):
         hash_file(tmp_path / "none.png")

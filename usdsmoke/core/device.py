@@ -22,7 +22,14 @@ def choose_device(config: OptimizeConfig) -> torch.device:
         raise ConfigError(
             f"optimize.device is {config.device!r}; this machine has: auto, {', '.join(available)}"
         )
-    torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
+    torch.set_num_threads(config.threads or _usable_cpus())
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return torch.device(wanted)
+
+
+def _usable_cpus() -> int:
+    """Processors that this process may use, where the system tells."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

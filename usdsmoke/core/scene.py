@@ -14,6 +14,7 @@ from usdsmoke.config import Config
 from usdsmoke.core.project import column_map
 from usdsmoke.core.smoke import ActiveSmoke, activate
 from usdsmoke.core.views import View, orbit_view, sample_angles
+from usdsmoke.errors import ShapeError
 from usdsmoke.volume import VolumeFrame
 
 __all__ = ["Scene", "face_view", "fit_view", "frame_views", "measure_scene"]
@@ -62,7 +63,10 @@ def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
     """The view straight onto a one-voxel-thick slab: pixels lie along its own axes."""
     axis = smoke.thin_axis
     if axis is None:
-        raise ValueError("the smoke is not one voxel thick")
+        raise ShapeError(
+            f"the smoke ({len(smoke.ijk)} voxels) is not one voxel thick along exactly one axis; "
+            "wanted a slab: look at it with orbit_view"
+        )
     sides = [smoke.index_to_stage[n, :3] for n in range(3) if n != axis]
     world_up = np.array([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0])
     sides.sort(key=lambda side: abs(side @ world_up) / np.linalg.norm(side))

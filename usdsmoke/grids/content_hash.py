@@ -17,7 +17,7 @@ from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.volume import DenseField
 
-__all__ = ["CONTENT_KEY", "hash_fields", "hash_file"]
+__all__ = ["CONTENT_KEY", "hash_fields", "hash_vdb_file"]
 
 CONTENT_KEY = "usdsmoke:content_sha256"  # file metadata that holds the hash
 
@@ -34,7 +34,7 @@ def hash_fields(fields: Sequence[DenseField]) -> str:
     return digest.hexdigest()
 
 
-def hash_file(file_path: str | os.PathLike[str], config: GridsConfig) -> str:
+def hash_vdb_file(file_path: str | os.PathLike[str], config: GridsConfig) -> str:
     """``hash_fields`` of every grid of a VDB file.
 
     Raises:

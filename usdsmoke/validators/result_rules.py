@@ -8,7 +8,7 @@ from pxr import Sdf, Usd, UsdValidation
 
 from usdsmoke.config import GridsConfig
 from usdsmoke.errors import BindingMissing, GridError, StageError
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_file
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.validators.facts import collect_fields, header_of
 from usdsmoke.validators.findings import Problem, Severity, grouped
 
@@ -100,4 +100,4 @@ def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
 
 @lru_cache(maxsize=4096)
 def _hash_once(file_path: str, _modified: int, _size: int) -> str:
-    return hash_file(file_path, GridsConfig())
+    return hash_vdb_file(file_path, GridsConfig())

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.grids_fixtures import TIGHT, check_content, make_field, make_vectors, rotated
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields, hash_file
+from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.write import write_frame
 
@@ -89,11 +89,11 @@ def test_file_hashes_like_its_fields_and_a_changed_one_is_found(tmp_path: Path) 
     file_path = tmp_path / "a.vdb"
     fields = [make_field(), make_vectors()]
     content = write_frame(file_path, fields, {}, half=False)
-    assert content == hash_fields(fields) == hash_file(file_path, TIGHT)
+    assert content == hash_fields(fields) == hash_vdb_file(file_path, TIGHT)
     assert read_header(file_path).metadata[CONTENT_KEY] == content
     check_content(file_path)
     packed = file_path.read_bytes()
     map_name = b"UniformScaleTranslateMap"
     place = packed.index(map_name) + len(map_name)  # the translation of density
     file_path.write_bytes(packed[:place] + struct.pack("<d", 1.0) + packed[place + 8 :])
-    assert hash_file(file_path, TIGHT) != content
+    assert hash_vdb_file(file_path, TIGHT) != content
