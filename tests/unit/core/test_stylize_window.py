@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
