@@ -185,6 +185,16 @@ def test_several_styles_are_added(smoke, views):
     assert losses[0] == pytest.approx(losses[1] + losses[2], rel=1e-5)
 
 
+def test_the_style_s_weight_multiplies_its_loss(smoke, views):
+    start = initial_colours(smoke, "noise", 0)
+    losses = []
+    for weight in (1.0, 3.0):
+        targets = targets_of(config_of(losses={"style": weight}))
+        _, end = optimize_colours(views, start, targets.at(1), targets.background, 0.05, 1)
+        losses.append(end.loss)
+    assert losses[1] == pytest.approx(3 * losses[0], rel=1e-5)
+
+
 def test_targets_are_made_once_for_each_scale(smoke):
     targets = targets_of(config_of())
     assert targets.at(2) is targets.at(2) and targets.at(1) is not targets.at(2)

@@ -163,6 +163,14 @@ def test_strange_styles_give_finite_losses_gradients_and_no_loss_for_themselves(
     assert target.loss(style, None).item() < 1e-3
 
 
+def test_flat_patches_teach_no_filters():
+    """Their directions are round-off's: filters that no style excites, but any picture does."""
+    style = match_grey(scale_style(halves(), 32, StyleConfig(), torch.zeros(())), 0.5, 0.2)
+    target = StyleTarget(style, EmbeddedFeatures(style), {"learned1": 1.0})
+    noise = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0))
+    assert target.loss(noise, None).item() < 10
+
+
 def test_style_layers_default_to_all_of_the_embedded_network_and_two_of_vgg19():
     assert style_layers(FeaturesConfig()) == dict.fromkeys(EmbeddedFeatures.names, 1.0)
     assert style_layers(FeaturesConfig(network="vgg19")) == {"relu2_1": 1.0, "relu3_1": 1.0}

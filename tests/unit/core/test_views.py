@@ -129,6 +129,12 @@ def smallest_gap(angles: np.ndarray, turn: bool = False) -> float:
     return float(distances[~np.eye(len(angles), dtype=bool)].min())
 
 
+def test_all_round_the_ends_of_the_range_are_neighbours():
+    """The second of two angles stands opposite the first, wherever that is."""
+    config = ViewsConfig(sampling="poisson", azimuth=180.0, elevation=0.0)
+    assert min(smallest_gap(sample_angles(config, 2, seed), turn=True) for seed in range(12)) > 120
+
+
 @pytest.mark.parametrize(("azimuth", "elevation"), [(12.0, 6.0), (180.0, 0.0)])
 def test_poisson_angles_lie_farther_apart_than_random_ones(azimuth, elevation):
     config = ViewsConfig(sampling="poisson", azimuth=azimuth, elevation=elevation)
