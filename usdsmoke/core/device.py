@@ -17,15 +17,23 @@ def choose_device(config: OptimizeConfig) -> torch.device:
         ConfigError: the device is unknown here; the message lists those there are.
     """
     available = ["cpu"] + (["cuda"] if torch.cuda.is_available() else [])
-    wanted = available[-1] if config.device == "auto" else config.device
-    if wanted.split(":")[0] not in available:
+    device = _parse_device(available[-1] if config.device == "auto" else config.device)
+    n_gpus = torch.cuda.device_count() if len(available) > 1 else 0
+    if device is None or device.type not in available or (device.index or 0) >= max(n_gpus, 1):
         raise ConfigError(
             f"optimize.device is {config.device!r}; this machine has: auto, {', '.join(available)}"
         )
     torch.set_num_threads(config.threads or _usable_cpus())
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
-    return torch.device(wanted)
+    return device
+
+
+def _parse_device(name: str) -> torch.device | None:
+    try:
+        return torch.device(name)
+    except RuntimeError:  # not a name that torch knows
+        return None
 
 
 def _usable_cpus() -> int:
