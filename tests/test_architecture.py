@@ -36,15 +36,20 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("windows", {"errors", "config"}, set()),
     ("schema", {"errors"}, {"pxr"}),
     ("diagnostics", {"errors"}, {"pxr"}),
-    ("stage*", GROUND | {"stage*", "schema", "diagnostics", "provenance"}, {"pxr", "numpy"}),
+    ("relationships", set(), {"pxr"}),
+    (
+        "stage*",
+        GROUND | {"stage*", "schema", "diagnostics", "relationships", "provenance"},
+        {"pxr", "numpy"},
+    ),
     (
         "layer*",
-        GROUND | {"layer*", "schema", "diagnostics", "provenance", "publish"},
+        GROUND | {"layer*", "schema", "diagnostics", "relationships", "provenance", "publish"},
         {"pxr", "numpy"},
     ),
     (
         "validat*",
-        GROUND | {"validat*", "schema", "diagnostics", "provenance", "grids.*"},
+        GROUND | {"validat*", "schema", "diagnostics", "relationships", "provenance", "grids.*"},
         {"pxr", "numpy"},
     ),
     ("grids.binding", GROUND | {"grids*"}, {"numpy"} | OPENVDB),

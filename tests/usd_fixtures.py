@@ -40,7 +40,7 @@ def write_vdb(
     openvdb = find_binding()
     grids = []
     for name in names:
-        is_vector = name in ("emission", "vel", "Cd")
+        is_vector = name in ("emission", "vel", "velocity", "Cd")
         grid = openvdb.Vec3SGrid() if is_vector else openvdb.FloatGrid()
         grid.copyFromArray(np.full((4, 3, 2, 3) if is_vector else (4, 3, 2), value, np.float32))
         grid.transform = openvdb.createLinearTransform(voxelSize=voxel_size)

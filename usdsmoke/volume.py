@@ -14,6 +14,7 @@ import numpy as np
 from usdsmoke.errors import ShapeError
 
 __all__ = [
+    "VELOCITY_NAMES",
     "DenseField",
     "FieldSource",
     "FrameSource",
@@ -22,6 +23,9 @@ __all__ = [
     "VolumeSource",
     "WrittenFrame",
 ]
+
+# What relationships and grids of velocity are called: by Houdini, Arnold and MoonRay, Blender.
+VELOCITY_NAMES = ("vel", "v", "velocity")
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,10 @@ from usdsmoke.config import GridsConfig
 from usdsmoke.errors import UnsupportedGrid
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, find_grid, read_grids
-from usdsmoke.volume import DenseField
+from usdsmoke.volume import VELOCITY_NAMES, DenseField
 
 __all__ = ["centre_staggered", "find_velocity", "join_components", "read_velocity"]
 
-_NAMES = ("vel", "v", "velocity")  # Houdini, Arnold and MoonRay, Blender
 _SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
 
 
@@ -26,7 +25,7 @@ def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
         name: a grid of vectors, or the part of three names before ``.x`` or ``_x``; empty means
             vel, v or velocity, vectors first, and of the value types that can be read.
     """
-    names = (name,) if name else _NAMES
+    names = (name,) if name else VELOCITY_NAMES
     for candidate in names:
         for grid in header.grids:
             if grid.name == candidate and (name or grid.value_type == "vec3s"):

@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.errors import LayerError
 from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.relationships import FIELD_PREFIX, field_targets
 
 __all__ = ["FieldTarget", "choose_field_prims", "count_field_uses"]
 
-_PREFIX = "field:"
 _CLOSE = 1e-9  # of matrix elements: the same ops evaluated twice
 
 
@@ -33,10 +34,8 @@ def count_field_uses(stage: Usd.Stage) -> dict[Sdf.Path, int]:
     for prim in Usd.PrimRange.Stage(stage, predicate):
         if not prim.IsA(UsdVol.Volume):
             continue
-        for relationship in prim.GetRelationships():
-            if relationship.GetName().startswith(_PREFIX):
-                for path in relationship.GetForwardedTargets():
-                    uses[path] = uses.get(path, 0) + 1
+        for path in chain.from_iterable(field_targets(prim).values()):
+            uses[path] = uses.get(path, 0) + 1
     return uses
 
 
@@ -86,7 +85,7 @@ def choose_field_prims(
 
 
 def _field_prim(volume: Usd.Prim, name: str) -> Usd.Prim | None:
-    relationship = volume.GetRelationship(_PREFIX + name)
+    relationship = volume.GetRelationship(FIELD_PREFIX + name)
     targets = relationship.GetForwardedTargets() if relationship else []
     if len(targets) != 1:
         return None

@@ -17,6 +17,7 @@ from pxr import Sdf, Usd, UsdGeom
 from usdsmoke.layer.anchoring import asset_value, relative_asset_path
 from usdsmoke.layer.field_prims import FieldTarget
 from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.relationships import FIELD_PREFIX
 
 __all__ = ["HeldFiles", "author_field", "held_files", "retarget"]
 
@@ -82,7 +83,9 @@ def author_field(layer: Sdf.Layer, target: FieldTarget, held: HeldFiles, folder:
 
 def retarget(volume_spec: Sdf.PrimSpec, target: FieldTarget) -> None:
     """Point the Volume's relationship to a field prim that the look defines."""
-    relationship = Sdf.RelationshipSpec(volume_spec, f"field:{target.relationship}", custom=True)
+    relationship = Sdf.RelationshipSpec(
+        volume_spec, FIELD_PREFIX + target.relationship, custom=True
+    )
     relationship.targetPathList.explicitItems = [target.prim_path]
 
 

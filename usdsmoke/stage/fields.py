@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.errors import FieldNotFound, StageError
+from usdsmoke.relationships import FIELD_PREFIX, field_targets
+from usdsmoke.volume import VELOCITY_NAMES
 
 __all__ = [
     "VolumeFields",
     "describe_instance",
-    "field_relationships",
     "find_fields",
     "velocity_relationships",
 ]
 
-_PREFIX = "field:"
-_VELOCITY_NAMES = ("vel", "v", "velocity")
 _AXES = "xyz"
 
 
@@ -30,19 +29,6 @@ class VolumeFields:
     others: tuple[str, ...]  # relationships that are left alone
 
 
-def field_relationships(volume: Usd.Prim) -> dict[str, list[Sdf.Path]]:
-    """Forwarded targets of every ``field:`` relationship by its name without that prefix.
-
-    Differs from ``UsdVol.Volume.GetFieldPaths``: names with further colons stay whole, and
-    relationships without or with several targets are kept, so that they can be reported.
-    """
-    return {
-        relationship.GetName()[len(_PREFIX) :]: list(relationship.GetForwardedTargets())
-        for relationship in volume.GetRelationships()
-        if relationship.GetName().startswith(_PREFIX)
-    }
-
-
 def velocity_relationships(names: Sequence[str], wanted: str = "") -> tuple[str, ...]:
     """The relationships that hold the velocity: one vector, three scalars x, y, z, or none.
 
@@ -51,7 +37,7 @@ def velocity_relationships(names: Sequence[str], wanted: str = "") -> tuple[str,
         wanted: the name from the settings; empty tries vel, v and velocity in this order. Scalars
             are called like the vector plus _x, :x or x.
     """
-    for base in (wanted,) if wanted else _VELOCITY_NAMES:
+    for base in (wanted,) if wanted else VELOCITY_NAMES:
         if base in names:
             return (base,)
         for separator in ("_", ":", ""):
@@ -76,10 +62,10 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str) -> VolumeFields:
         FieldNotFound: no relationship of the density's name, or one that leads to no OpenVDBAsset.
         StageError: the density's field prim is an instance proxy.
     """
-    relationships = field_relationships(volume)
+    relationships = field_targets(volume)
     if density not in relationships:
         raise FieldNotFound(
-            f'Volume <{volume.GetPath()}> has no relationship "{_PREFIX}{density}"; '
+            f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}"; '
             f"it has: {_listed(relationships)}; name the density's with stage.density"
         )
     prims = {density: _density_prim(volume, density, relationships[density])}
@@ -108,7 +94,7 @@ def describe_instance(prim: Usd.Prim) -> str:
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
     prim = _field_prim(volume, targets)
-    where = f'relationship "{_PREFIX}{density}" of Volume <{volume.GetPath()}>'
+    where = f'relationship "{FIELD_PREFIX}{density}" of Volume <{volume.GetPath()}>'
     if isinstance(prim, str):
         raise FieldNotFound(f"the {where} {prim}; wanted one OpenVDBAsset prim: correct its target")
     if prim.IsInstanceProxy():
@@ -134,4 +120,4 @@ def _field_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
 
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:
-    return ", ".join(f"{_PREFIX}{name}" for name in sorted(names)) or "none"
+    return ", ".join(f"{FIELD_PREFIX}{name}" for name in sorted(names)) or "none"

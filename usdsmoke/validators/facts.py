@@ -7,17 +7,17 @@ from functools import lru_cache
 from threading import Lock
 
 import numpy as np
-from pxr import Ar, Sdf, Usd, UsdGeom, UsdValidation, UsdVol
+from pxr import Ar, Usd, UsdGeom, UsdValidation, UsdVol
 
 from usdsmoke.errors import GridError, StageError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, find_grid
+from usdsmoke.relationships import field_targets
 
 __all__ = [
     "FieldFacts",
     "Shown",
     "collect_fields",
-    "field_targets",
     "field_to_stage",
     "file_trouble",
     "header_of",
@@ -25,7 +25,6 @@ __all__ = [
     "shown_grid",
 ]
 
-_PREFIX = "field:"
 _READING = Lock()  # UsdValidation runs validators at the same time, and all want the same headers
 
 
@@ -53,15 +52,6 @@ class FieldFacts:
     def prim_path(self) -> str:
         """The field prim's path."""
         return str(self.prim.GetPath())
-
-
-def field_targets(volume: Usd.Prim) -> dict[str, list[Sdf.Path]]:
-    """Forwarded targets of every field relationship, by name without ``field:``."""
-    return {
-        relationship.GetName()[len(_PREFIX) :]: list(relationship.GetForwardedTargets())
-        for relationship in volume.GetRelationships()
-        if relationship.GetName().startswith(_PREFIX)
-    }
 
 
 def collect_fields(

@@ -10,11 +10,11 @@ from pxr import Usd, UsdValidation, UsdVol
 from usdsmoke.errors import GridError, StageError
 from usdsmoke.grids.header import GridHeader
 from usdsmoke.grids.read import GridRequest, find_grid
+from usdsmoke.relationships import field_targets
 from usdsmoke.time_codes import format_time_code
 from usdsmoke.validators.facts import (
     FieldFacts,
     collect_fields,
-    field_targets,
     file_trouble,
     header_of,
     shown_grid,

@@ -1,6 +1,7 @@
 """Rules on a Volume's fields together: bounds, one file, one name, one place in space."""
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -15,10 +16,11 @@ from usdsmoke.validators.facts import (
     shown_grid,
 )
 from usdsmoke.validators.findings import Problem, Severity, grouped
+from usdsmoke.volume import VELOCITY_NAMES
 
 __all__ = ["check_extent", "check_one_file", "check_one_name", "check_one_place"]
 
-_VELOCITY = ("vel", "v", "velocity")  # often coarser than what it moves, and read on its own
+_VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
@@ -91,9 +93,10 @@ def check_one_place(
         first: tuple[str, np.ndarray] | None = None
         for field, shown in fields:
             grid = shown_grid(shown)
-            is_velocity = field.relationship.rstrip("xyz").rstrip("_:.") in _VELOCITY
-            if grid is None or grid.index_to_world is None or is_velocity or _is_empty(shown):
+            if grid is None or grid.index_to_world is None or _is_empty(shown):
                 continue
+            if _VELOCITY.fullmatch(field.relationship):
+                continue  # often coarser than what it moves, and read on its own
             place = grid.index_to_world @ field_to_stage(field.prim, code)
             if first is None:
                 first = (field.relationship, place)
