@@ -1,6 +1,7 @@
 """From stage to look layer: what is written, what is left out, what is told."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from tests.pipeline_fixtures import (
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
 from usdsmoke.config import GridsConfig, resolve_config
+from usdsmoke.errors import ImageError
 from usdsmoke.frames import read_frame
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
@@ -223,3 +225,24 @@ def test_small_frames_are_read_once_and_large_ones_as_often_as_they_are_wanted(
     monkeypatch.setattr("usdsmoke.pipeline_frames.KEPT_BYTES", kept)
     run(shot)
     assert len(read) == n_readings
+
+
+@pytest.mark.usefixtures("core")
+def test_a_contact_sheet_that_fails_is_a_warning(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise ImageError("the picture cannot be drawn")
+
+    monkeypatch.setattr("usdsmoke.pipeline.write_contact_sheet", fail)
+    result = run(shot)
+    assert result.contact_sheets == ()
+    assert any("the picture cannot be drawn" in warning for warning in result.warnings)
+    assert result.root_stage.is_file() and result.look_layer.is_file()
+
+
+@pytest.mark.usefixtures("core")
+def test_the_layer_tells_the_extinction_of_both_steps(shot: Shot) -> None:
+    record = Sdf.Layer.FindOrOpen(str(run(shot).look_layer)).customLayerData["usdsmoke"]
+    (text,) = record["extinction"]
+    assert re.fullmatch(r"/\S+=colour [\d.e+-]+, shape [\d.e+-]+", text)

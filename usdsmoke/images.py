@@ -36,7 +36,6 @@ class StyleImage:
     name: str  # the file's name
     pixels: np.ndarray  # [H W 3] float32, display-encoded sRGB in [0, 1], row 0 at the top
     sha256: str  # of the file's bytes, 64 hexadecimal digits
-    alpha: np.ndarray | None = None  # [H W] float32 in [0, 1]; None when all pixels are opaque
 
 
 def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
@@ -44,7 +43,8 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
 
     Grey, palette, CMYK and alpha are converted, and the camera's orientation is applied; 16-bit
     grey keeps its precision, 16-bit RGB is taken in 8 bits. Of several pages or frames the first
-    is read; of an OpenEXR file the first part, R, G and B or else Y. Colour is not premultiplied.
+    is read; of an OpenEXR file the first part, R, G and B or else Y. Transparent pixels take the
+    mean colour of the visible ones, so that what nobody sees is no part of the style.
 
     Raises:
         ImageError: the file is missing, of no format that can be read, damaged, larger than 100
@@ -62,14 +62,16 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
             "its permissions"
         ) from None
     pixels, alpha = _read_exr(where) if is_exr else _read_pillow(where)
-    if alpha is not None and alpha.min() >= 1.0:
-        alpha = None
-    if alpha is not None and alpha.max() <= 0.0:
-        raise ImageError(
-            f"the style image {where} is fully transparent; wanted visible pixels: "
-            "save it without its alpha channel"
-        )
-    return StyleImage(where.name, np.ascontiguousarray(pixels, np.float32), sha256, alpha)
+    if alpha is not None:
+        if alpha.max() <= 0.0:
+            raise ImageError(
+                f"the style image {where} is fully transparent; wanted visible pixels: "
+                "save it without its alpha channel"
+            )
+        share = alpha[..., None].astype(np.float64)
+        mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
+        pixels = pixels * share + mean * (1.0 - share)
+    return StyleImage(where.name, np.ascontiguousarray(pixels, np.float32), sha256)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
 from usdsmoke.contact_sheet import sheet_files
-from usdsmoke.errors import Interrupted
+from usdsmoke.errors import Interrupted, UsdSmokeError
 from usdsmoke.layer import author_look
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_run, prepare_job, published_runs
@@ -153,21 +153,25 @@ def _publish(
         collect_volume(run, volume, scene.gamma_w, plan.config)
         for volume, scene in zip(plan.volumes, scenes, strict=True)
     ]
-    provenance = make_provenance(run, plan, styles, features_hash, {"stylize": seconds})
+    provenance = make_provenance(run, plan, styles, features_hash, scenes, {"stylize": seconds})
     files = author_look(job.stage, plan.source, volumes, job.output, plan.config.layer, provenance)
     sheets = sheet_files([volume.stem for volume in plan.volumes], job.output)
+    warnings = _warnings(plan, run)
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         pixels = [style.pixels for style in styles]
-        write_contact_sheet(sheet, plan, volume, reader, run.folder, scenes[number], pixels)
+        try:
+            write_contact_sheet(sheet, plan, volume, reader, run.folder, scenes[number], pixels)
+        except UsdSmokeError as error:  # the result is whole without it
+            warnings += (f"no contact sheet: {error}",)
     run.finish([files.look_layer, files.root_stage, *sheets])
     return StylizeResult(
         root_stage=files.root_stage,
         look_layer=files.look_layer,
         frames=tuple(Path(frame.file_path) for volume in volumes for frame in volume.frames),
-        contact_sheets=sheets,
+        contact_sheets=tuple(sheet for sheet in sheets if sheet.is_file()),
         plan=plan,
-        warnings=_warnings(plan, run),
+        warnings=warnings,
     )
 
 

@@ -22,6 +22,7 @@ from usdsmoke.run_folder import RunFolder
 from usdsmoke.volume import DenseField, WrittenFrame
 
 if TYPE_CHECKING:
+    from usdsmoke.core.scene import Scene
     from usdsmoke.core.stylize import StylizedFrame
 
 __all__ = ["collect_volume", "make_provenance", "result_fields", "write_result"]
@@ -138,9 +139,10 @@ def make_provenance(
     plan: Plan,
     styles: Sequence[StyleImage],
     features_hash: str,
+    scenes: Sequence["Scene"],
     timings: Mapping[str, float],
 ) -> Provenance:
-    """The record of the run that goes into the layer."""
+    """The record of the run that goes into the layer; ``scenes`` has one for each Volume."""
     config = plan.config
     inputs = {}
     for volume in plan.volumes:
@@ -157,6 +159,10 @@ def make_provenance(
         features_hash=features_hash,
         packages={**_package_versions(), "openvdb": read_binding_version(config.grids)},
         timings=timings,
+        extinction={
+            volume.source.prim_path: (scene.gamma_w, scene.gamma_w_shape)
+            for volume, scene in zip(plan.volumes, scenes, strict=True)
+        },
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         run_id=run.run_id,
         created=run.created,

@@ -49,6 +49,7 @@ class RunFacts:
     features_hash: str = ""
     packages: Mapping[str, str] = field(default_factory=dict)  # usd, torch, ...: version
     timings: Mapping[str, float] = field(default_factory=dict)  # step: seconds
+    extinction: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # Volume: see below
     omissions: Sequence[str] = ()  # what was left out and why, a sentence each
     run_id: str = ""  # a UUID; empty makes a new one
     created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
@@ -98,6 +99,7 @@ def hash_file(file_path: str | Path) -> str:
 def build_provenance(facts: RunFacts) -> Provenance:
     """The flat record of a run; equal facts with a run id and a time give equal records.
 
+    Extinction is that of the two steps, per density, in 1/stage unit, as it was fitted or set.
     Pairs such as a file and its hash are texts ``name=value``, sorted by name where their order
     means nothing.
     """
@@ -115,6 +117,10 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "featuresHash": facts.features_hash,
         "packages": [f"{name}={facts.packages[name]}" for name in sorted(facts.packages)],
         "timings": [f"{step}={seconds:.3f}" for step, seconds in facts.timings.items()],
+        "extinction": [
+            f"{path}=colour {colour:.9g}, shape {shape:.9g}"
+            for path, (colour, shape) in facts.extinction.items()
+        ],
         "omitted": list(facts.omissions),
     }
 

@@ -52,7 +52,6 @@ def test_eight_bit_pixels_keep_their_levels(tmp_path: Path, suffix: str) -> None
     assert style.pixels.dtype == np.float32
     assert style.pixels.flags.c_contiguous
     assert np.array_equal(np.rint(style.pixels * 255), LEVELS)
-    assert style.alpha is None
     assert style.sha256 == hashlib.sha256(file_path.read_bytes()).hexdigest()
 
 
@@ -70,7 +69,6 @@ def test_every_colour_mode_becomes_rgb(tmp_path: Path, mode: str) -> None:
     style = read_style_image(tmp_path / "a.tif")
     assert style.pixels.shape == (2, 3, 3)
     assert np.allclose(style.pixels, 1.0, atol=0.01)
-    assert style.alpha is None
 
 
 def test_palette_gives_its_colours(tmp_path: Path) -> None:
@@ -109,26 +107,26 @@ def test_sixteen_bit_colour_is_scaled_not_cut_off(tmp_path: Path) -> None:
     assert np.allclose(pixels, [[[1, 128 / 255, 0], [1, 64 / 255, 32 / 255]]], atol=1e-6)
 
 
-def test_alpha_is_given_beside_straight_colour(tmp_path: Path) -> None:
-    rgba = np.dstack([LEVELS, np.full((4, 5), 128, np.uint8)])
+def test_transparent_pixels_take_the_mean_of_the_visible_ones(tmp_path: Path) -> None:
+    rgba = np.dstack([LEVELS, np.full((4, 5), 255, np.uint8)])
     rgba[0, 0, 3] = 0
+    rgba[1, 1, 3] = 51
     Image.fromarray(rgba).save(tmp_path / "a.png")
-    style = read_style_image(tmp_path / "a.png")
-    assert np.array_equal(np.rint(style.pixels * 255), LEVELS)
-    assert style.alpha is not None
-    assert style.alpha.shape == (4, 5)
-    assert style.alpha[0, 0] == 0.0
-    assert style.alpha[1, 1] == pytest.approx(128 / 255)
+    pixels = read_style_image(tmp_path / "a.png").pixels
+    share = rgba[..., 3:] / 255
+    mean = (LEVELS / 255 * share).sum(axis=(0, 1)) / share.sum()
+    assert np.allclose(pixels[0, 0], mean, atol=1e-6)
+    assert np.allclose(pixels[1, 1], 0.2 * LEVELS[1, 1] / 255 + 0.8 * mean, atol=1e-6)
+    assert np.array_equal(np.rint(pixels[2:] * 255), LEVELS[2:])
 
 
-def test_transparent_palette_entry_is_alpha(tmp_path: Path) -> None:
+def test_transparent_palette_entry_does_not_count(tmp_path: Path) -> None:
     image = Image.new("P", (2, 1))
     image.putpalette([10, 20, 30, 200, 100, 50])
     image.putdata([0, 1])
     image.save(tmp_path / "a.gif", transparency=1)
-    alpha = read_style_image(tmp_path / "a.gif").alpha
-    assert alpha is not None
-    assert alpha.tolist() == [[1.0, 0.0]]
+    pixels = read_style_image(tmp_path / "a.gif").pixels
+    assert np.rint(pixels * 255).tolist() == [[[10, 20, 30], [10, 20, 30]]]
 
 
 def test_camera_orientation_is_applied(tmp_path: Path) -> None:
@@ -172,15 +170,15 @@ def test_exr_of_luminance_is_grey_and_alpha_is_taken_out(tmp_path: Path) -> None
         encode_srgb(grey)[..., None].repeat(3, -1),
         atol=1e-6,
     )
-    alpha = np.full((4, 5), 0.5, np.float32)
+    alpha = np.ones((4, 5), np.float32)
     alpha[0, 0] = 0.0
     premultiplied = LINEAR * alpha[..., None]
     style = read_style_image(
         save_exr(tmp_path / "a.exr", {**rgb_channels(premultiplied), "A": alpha})
     )
-    assert np.array_equal(style.alpha, alpha)
-    assert np.allclose(style.pixels[1:], encode_srgb(LINEAR)[1:], atol=1e-6)
-    assert np.isfinite(style.pixels).all()
+    encoded = encode_srgb(LINEAR)
+    assert np.allclose(style.pixels[1:], encoded[1:], atol=1e-6)
+    assert np.allclose(style.pixels[0, 0], encoded.reshape(-1, 3)[1:].mean(axis=0), atol=1e-6)
 
 
 # -- refusing

@@ -29,6 +29,7 @@ FACTS = RunFacts(
     features_hash="dd",
     packages={"usd": "26.11", "numpy": "1.26"},
     timings={"shape": 1.23456, "colour": 2.0},
+    extinction={"/shot/smoke": (1.5, 0.25)},
     omissions=["velocity: one frame"],
     run_id="3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34",
     created="2026-01-31T12:00:00Z",
@@ -51,6 +52,7 @@ def test_the_record_holds_every_fact_as_numbers_texts_and_lists_of_texts():
         "featuresHash": "dd",
         "packages": ["numpy=1.26", "usd=26.11"],
         "timings": ["shape=1.235", "colour=2.000"],
+        "extinction": ["/shot/smoke=colour 1.5, shape 0.25"],
         "omitted": ["velocity: one frame"],
     }
     assert json.loads(record["config"]) == FACTS.config

@@ -60,7 +60,7 @@ def stylize_window(
 
     The first frame starts from noise; each later one starts from its neighbour's result, carried
     along by the velocity, with ``windows.warm_iterations`` of the iterations. Equal inputs and
-    settings give equal bits on the same machine.
+    settings give equal bits on the same machine; on a GPU sums may differ in their last digits.
 
     Args:
         frames: ascending time_code; pulled one at a time.
