@@ -1,8 +1,8 @@
 """Finding OpenVDB's Python bindings, and never letting a build for NumPy 1 meet NumPy 2.
 
 OpenVDB 11 and later call the module ``openvdb``, 10 and earlier ``pyopenvdb``. The Boost.Python
-builds that Debian and Ubuntu ship end the whole interpreter when the NumPy beside them is of
-another major version, so under NumPy 2 the import is tried in a process of its own first.
+builds that Debian and Ubuntu ship import under another major version of NumPy, and end the whole
+interpreter at the first array: so under NumPy 2 one array is tried in a process of its own first.
 """
 
 import functools
@@ -24,6 +24,7 @@ _INSTALL = (
     "install Debian's or Ubuntu's python3-openvdb and link its pyopenvdb*.so into this "
     "environment, or conda-forge's openvdb, or run inside Houdini or Blender"
 )
+_TRIAL = "import numpy, {0}; {0}.FloatGrid().copyFromArray(numpy.ones((2, 2, 2), numpy.float32))"
 _TRIAL_LIMIT_S = 60.0
 
 
@@ -44,7 +45,7 @@ def find_binding() -> ModuleType:
             f"{' nor '.join(_MODULES)}; {_INSTALL}"
         )
     if int(np.__version__.partition(".")[0]) >= 2:
-        _check_import(name)
+        _check_array(name)
     try:
         return importlib.import_module(name)
     except Exception as error:  # whatever a broken extension raises while it loads
@@ -63,12 +64,12 @@ def binding_version() -> str:
     return f"{binding.__name__} {'.'.join(str(number) for number in binding.LIBRARY_VERSION)}"
 
 
-def _check_import(name: str) -> None:
-    """Import the module in another process, because a misfit ends the process without a word."""
+def _check_array(name: str) -> None:
+    """Copy an array in another process, because a misfit ends the process without a word."""
     search = os.pathsep.join(entry for entry in sys.path if entry)
     try:
         trial = subprocess.run(
-            [sys.executable, "-P", "-c", f"import {name}"],
+            [sys.executable, "-P", "-c", _TRIAL.format(name)],
             env={**os.environ, "PYTHONPATH": search},
             stdin=subprocess.DEVNULL,
             capture_output=True,

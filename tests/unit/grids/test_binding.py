@@ -12,7 +12,16 @@ from usdsmoke.errors import BindingMissing
 from usdsmoke.grids import binding
 from usdsmoke.grids.binding import binding_version, find_binding
 
-MODULE = "LIBRARY_VERSION = (12, 0, 1)\n"
+MODULE = """
+LIBRARY_VERSION = (12, 0, 1)
+
+
+class FloatGrid:
+    def copyFromArray(self, values):
+        {}
+"""
+FITTING = MODULE.format("pass")
+MISFIT = MODULE.format("import os; os.abort()")
 
 
 @pytest.fixture
@@ -41,12 +50,12 @@ def only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_new_name_is_taken_before_the_old_one(only) -> None:
-    only(openvdb=MODULE, pyopenvdb="raise RuntimeError('the old one')")
+    only(openvdb=FITTING, pyopenvdb="raise RuntimeError('the old one')")
     assert binding_version() == "openvdb 12.0.1"
 
 
 def test_old_name_is_taken_where_there_is_no_new_one(only) -> None:
-    only(pyopenvdb=MODULE)
+    only(pyopenvdb=FITTING)
     assert binding_version() == "pyopenvdb 12.0.1"
 
 
@@ -64,8 +73,8 @@ def test_bindings_that_do_not_load_say_why(only) -> None:
 
 
 def test_build_for_numpy_1_is_kept_away_from_numpy_2(only, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Such a build ends the process that imports it, as this stand-in does."""
-    only(pyopenvdb="import os; os.abort()")
+    """Such a build imports well and ends the process at the first array, as this stand-in does."""
+    only(pyopenvdb=MISFIT)
     monkeypatch.setattr(np, "__version__", "2.3.1")
     with pytest.raises(BindingMissing, match=r'NumPy 2\.3\.1; .*pip install "numpy<2"'):
         find_binding()
@@ -73,13 +82,13 @@ def test_build_for_numpy_1_is_kept_away_from_numpy_2(only, monkeypatch: pytest.M
 
 
 def test_build_for_numpy_2_is_welcome_under_numpy_2(only, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(openvdb=MODULE)
+    only(openvdb=FITTING)
     monkeypatch.setattr(np, "__version__", "2.3.1")
     assert binding_version() == "openvdb 12.0.1"
 
 
 def test_trial_import_that_hangs_counts_as_a_misfit(only, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(openvdb=MODULE)
+    only(openvdb=FITTING)
     monkeypatch.setattr(np, "__version__", "2.0.0")
 
     def hang(*arguments, **settings):
