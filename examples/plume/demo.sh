@@ -8,7 +8,7 @@ out=${1:?"usage: demo.sh OUT_FOLDER [STYLE]"}
 style=${2:-strokes}
 bin=.venv/bin
 
-"$bin/python" "$here/simulate.py" "$out/source" --resolution 64
+"$bin/python" "$here/simulate.py" "$out/source"
 "$bin/python" "$here/../styles/paint.py" "$out/styles"
 "$bin/usdsmoke" stylize "$out/source/plume.usda" --style "$out/styles/$style.png" \
     --config "$here/config.yaml" -o "$out/look" --force
