@@ -144,25 +144,20 @@ def run_colour_step(
     Returns:
         Display-encoded colours [N 3] in [0, 1], and how each octave ended.
     """
-    seed = config.optimize.seed
     octaves = make_octaves(smoke, len(iterations))
-    background = targets.background
     colours, before, ends = start, smoke, []
     for number, (octave, n_iterations) in enumerate(zip(octaves, iterations, strict=True)):
         if n_iterations == 0:
             continue
         factor = 2 ** (len(octaves) - 1 - number)
-        if colours is None:
-            colours = initial_colours(octave, config.colour.init, seed)
-        elif before is not octave:
-            colours, _ = sample_colours(before, colours, octave.positions)
+        colours = _colours_on(octave, before, colours, config)
         rate = config.colour.learning_rate * (1.0 if number == 0 else LATER_RATE)
-        views = frame_views(octave, config, scene, seed + number, factor)
+        views = frame_views(octave, config, scene, config.optimize.seed + number, factor)
         colours, end = optimize_colours(
             prepare_views(octave, views, scene.gamma_w),
             colours,
             targets.at(factor),
-            background,
+            targets.background,
             rate,
             n_iterations,
             config.views.count,
@@ -172,8 +167,13 @@ def run_colour_step(
         )
         before = octave
         ends += [end] if end is not None else []
+    return _colours_on(smoke, before, colours, config), ends
+
+
+def _colours_on(
+    octave: ActiveSmoke, before: ActiveSmoke, colours: Tensor | None, config: Config
+) -> Tensor:
+    """Colours of the octave before at the voxels of this one; None is where a step starts from."""
     if colours is None:
-        colours = initial_colours(smoke, config.colour.init, seed)
-    elif before is not smoke:
-        colours, _ = sample_colours(before, colours, smoke.positions)
-    return colours, ends
+        return initial_colours(octave, config.colour.init, config.optimize.seed)
+    return colours if before is octave else sample_colours(before, colours, octave.positions)[0]

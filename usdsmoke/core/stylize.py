@@ -48,6 +48,19 @@ class _Neighbour:
     colours: Tensor | None
 
 
+@dataclass(frozen=True)
+class _Job:
+    """What all frames of a window share."""
+
+    targets: StyleTargets
+    scene: Scene
+    config: Config
+    device: torch.device
+
+
+_Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
+
+
 def stylize_window(
     frames: Iterable[VolumeFrame],
     styles: Sequence[np.ndarray],
@@ -74,22 +87,20 @@ def stylize_window(
         FeatureError, ConfigError: see ``StyleTargets``.
     """
     device = choose_device(config.optimize)
-    targets = StyleTargets(styles, scene, config, device)
+    job = _Job(StyleTargets(styles, scene, config, device), scene, config, device)
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     before: _Neighbour | None = None
     for number, frame in enumerate(frames):
         watch = _watcher(progress, frame.time_code, number, n_frames)
         since = frame.time_code - before.time_code if before is not None else 0.0
         seconds = since / time_codes_per_second
-        stylized, before = _stylize_frame(
-            frame, before, seconds, targets, scene, config, device, watch
-        )
+        stylized, before = _stylize_frame(frame, before, seconds, job, watch)
         yield stylized
 
 
 def _watcher(
     progress: ProgressCallback | None, time_code: float, frame: int, n_frames: int
-) -> Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]:
+) -> _Watch:
     """Turns the optimiser's states of a step into progress records."""
 
     def of_step(step: str, iterations: Sequence[int]) -> Callable[[int, Minimum], None]:
@@ -109,58 +120,74 @@ def _watcher(
 
 
 def _stylize_frame(
-    frame: VolumeFrame,
-    before: _Neighbour | None,
-    seconds: float,
-    targets: StyleTargets,
-    scene: Scene,
-    config: Config,
-    device: torch.device,
-    watch: Callable[[str, Sequence[int]], Callable[[int, Minimum], None]],
+    frame: VolumeFrame, before: _Neighbour | None, seconds: float, job: _Job, watch: _Watch
 ) -> tuple[StylizedFrame, _Neighbour]:
     _check_finite(frame)
-    density = refine_field(frame.density, config.grids.refine)
-    source = activate(density, frame.density_to_stage, device)
-    steps = config.optimize.steps
+    steps = job.config.optimize.steps
+    density = refine_field(frame.density, job.config.grids.refine)
+    source = smoke = activate(density, frame.density_to_stage, job.device)
     report: dict[str, Any] = {"voxels": len(source.ijk)}
-    left_out = _why_left_out(source, config)
+    left_out = _why_left_out(source, job.config)
     if left_out:
         report["left out"] = left_out
         empty = _empty_emission(density) if "colour" in steps else None
         kept = before or _Neighbour(frame.time_code, None, None, None)
         return StylizedFrame(frame.time_code, density, empty, report), kept
-    displaced, smoke = None, source
+    displaced = colours = emission = None
     if "shape" in steps:
-        started = time.perf_counter()
-        plan = _plan_octaves(config.shape.iterations, config, bool(before and before.displaced))
-        displaced = run_shape_step(
-            density, source, frame, before.displaced if before else None, seconds,
-            targets, scene, config, plan, watch("shape", plan),
-        )  # fmt: skip
+        displaced, report["shape"] = _move(density, source, frame, before, seconds, job, watch)
         density = displaced.density
-        smoke = activate(density, frame.density_to_stage, device)
-        ends = displaced.report.pop("ends")
-        report["shape"] = {
-            **_summarize(ends), **displaced.report, "seconds": time.perf_counter() - started
-        }  # fmt: skip
-    colours = emission = None
+        smoke = activate(density, frame.density_to_stage, job.device)
     if "colour" in steps:
-        started = time.perf_counter()
-        start = None
-        if before is not None and before.smoke is not None and before.colours is not None:
-            start = carry_colours(
-                before.smoke, before.colours, frame, smoke, seconds, config.optimize.seed
-            )
-        plan = _plan_octaves(config.colour.iterations, config, start is not None)
-        colours, ends = run_colour_step(
-            smoke, start, targets, scene, config, plan, watch("colour", plan)
-        )
-        emission = _emission_field(density, smoke, colours, scene, config.optimize.strength)
-        report["colour"] = {**_summarize(ends), "seconds": time.perf_counter() - started}
+        colours, report["colour"] = _paint(smoke, frame, before, seconds, job, watch)
+        emission = _emission_field(density, smoke, colours, job.scene, job.config.optimize.strength)
     return (
         StylizedFrame(frame.time_code, density, emission, report),
         _Neighbour(frame.time_code, displaced, smoke, colours),
     )
+
+
+def _move(
+    density: DenseField,
+    source: ActiveSmoke,
+    frame: VolumeFrame,
+    before: _Neighbour | None,
+    seconds: float,
+    job: _Job,
+    watch: _Watch,
+) -> tuple[Displaced, dict[str, Any]]:
+    """The shape step of one frame, and its report."""
+    started = time.perf_counter()
+    start = before.displaced if before is not None else None
+    plan = _plan_octaves(job.config.shape.iterations, job.config, start is not None)
+    displaced = run_shape_step(
+        density, source, frame, start, seconds,
+        job.targets, job.scene, job.config, plan, watch("shape", plan),
+    )  # fmt: skip
+    report = {**displaced.report, "seconds": time.perf_counter() - started}
+    return displaced, {**_summarize(report.pop("ends")), **report}
+
+
+def _paint(
+    smoke: ActiveSmoke,
+    frame: VolumeFrame,
+    before: _Neighbour | None,
+    seconds: float,
+    job: _Job,
+    watch: _Watch,
+) -> tuple[Tensor, dict[str, Any]]:
+    """The colour step of one frame: display-encoded colours [N 3], and its report."""
+    started = time.perf_counter()
+    config, start = job.config, None
+    if before is not None and before.smoke is not None and before.colours is not None:
+        start = carry_colours(
+            before.smoke, before.colours, frame, smoke, seconds, config.optimize.seed
+        )
+    plan = _plan_octaves(config.colour.iterations, config, start is not None)
+    colours, ends = run_colour_step(
+        smoke, start, job.targets, job.scene, config, plan, watch("colour", plan)
+    )
+    return colours, {**_summarize(ends), "seconds": time.perf_counter() - started}
 
 
 def _why_left_out(source: ActiveSmoke, config: Config) -> str:
