@@ -171,6 +171,13 @@ def test_an_objective_without_the_parameters_leaves_them_alone():
     assert end.loss == 0 and not x.any()
 
 
+def test_a_zero_gradient_at_the_start_moves_nothing_and_is_no_error():
+    """A flat place that is no minimum: Adam divides 0 by the root of 0 plus its epsilon."""
+    x = start()
+    end = list(minimize(lambda _: (1 - x**2).sum(), [x], 0.1, 20))[-1]
+    assert end.loss == 3 and end.rollbacks == 0 and not x.any()
+
+
 def test_a_zero_loss_that_rises_later_is_no_divergence():
     x = start()
     ends = list(minimize(lambda t: bowl(x) * (t > 2), [x], 0.1, 30))

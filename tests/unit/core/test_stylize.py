@@ -239,8 +239,9 @@ def test_density_that_is_not_finite_is_refused_by_time_code_and_name(bad):
         run_core([frame_of(spoiled, 7.0)], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
 
 
-def test_velocity_that_is_not_finite_is_refused_by_time_code_and_name():
-    frame = frame_of(DENSITY, 2.5, np.array([0.0, np.nan, 0.0]))
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_velocity_that_is_not_finite_is_refused_by_time_code_and_name(bad):
+    frame = frame_of(DENSITY, 2.5, np.array([0.0, bad, 0.0]))
     with pytest.raises(NonFiniteError, match=r'grid "velocity" at timeCode 2\.5'):
         run_core([frame], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, puff, random_style
+from tests.smoke_fixtures import affine, frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core.scene import measure_scene
 from usdsmoke.core.stylize import StylizedFrame
@@ -72,6 +72,16 @@ def test_negative_density_counts_as_none_where_smoke_is_moved():
     assert_sound(run_core([frame_of(density)])[0], density)
 
 
+@pytest.mark.parametrize("background", [0.5, -1.0])
+def test_a_background_other_than_zero_fills_the_box_only(background):
+    """Beyond the box nothing counts: smoke without end could not be drawn."""
+    frame = frame_of(np.where(DENSITY > 0, DENSITY, np.float32(background)))
+    field = dataclasses.replace(frame.density, background=background)
+    result = run_core([dataclasses.replace(frame, density=field)])[0]
+    assert_sound(result, frame.density.values)
+    assert result.density.background == background
+
+
 @pytest.mark.parametrize("gamma", [1e-12, 1e-3, 1.0, 1e6, 1e12])
 def test_any_extinction(gamma):
     config = quick_config(optics={"gamma": gamma, "gamma_shape": gamma})
@@ -112,6 +122,24 @@ def test_smoke_a_million_units_from_the_origin():
 def test_voxels_a_thousand_times_longer_than_wide():
     matrix = np.diag([1.0, 1.0, 1000.0, 1.0])
     assert_sound(run_core([frame_of(DENSITY, index_to_world=matrix)])[0], DENSITY)
+
+
+def test_the_field_prim_s_place_counts_like_the_grid_s_own():
+    matrix = affine(1, mirrored=True)
+    inside = run_core([frame_of(DENSITY, index_to_world=matrix)])[0]
+    placed = dataclasses.replace(frame_of(DENSITY), density_to_stage=matrix)
+    outside = run_core([placed])[0]
+    assert outside.density.values == pytest.approx(inside.density.values, abs=1e-6)
+    assert outside.emission.values == pytest.approx(inside.emission.values, abs=1e-5)
+    assert np.array_equal(outside.density.index_to_world, np.eye(4))
+
+
+@pytest.mark.parametrize("up_axis", ["Y", "Z"])
+def test_smoke_is_stylized_with_either_axis_up(up_axis):
+    frame = frame_of(DENSITY)
+    scene = measure_scene([frame], quick_config(), up_axis)
+    assert scene.up_axis == up_axis
+    assert_sound(run_core([frame], scene=scene)[0], DENSITY)
 
 
 def far_apart(n: int) -> VolumeFrame:

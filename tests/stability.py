@@ -1,0 +1,264 @@
+"""What becomes of stiff and extreme input, and the tests that check it.
+
+``python -m tests.stability`` writes docs/stability.md from this list;
+``tests/test_stability_table.py`` holds the two together.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["DOCUMENT", "ENTRIES", "NOT_YET_CHECKED", "Entry", "render_document"]
+
+DOCUMENT = Path(__file__).parent.parent / "docs" / "stability.md"
+
+EXTREMES = "tests/unit/core/test_stylize_extremes.py::"
+STYLIZE = "tests/unit/core/test_stylize.py::"
+OPTIMIZE = "tests/unit/core/test_optimize.py::"
+OPTICS = "tests/unit/core/test_optics.py::"
+FEATURES = "tests/unit/core/test_features.py::"
+IMAGES = "tests/unit/test_images.py::"
+READ = "tests/unit/grids/test_read.py::"
+VELOCITY = "tests/unit/grids/test_velocity.py::"
+REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
+STAGES = "tests/test_extreme_stages.py::"
+WARM = "tests/unit/core/test_warm.py::"
+WINDOWS = "tests/unit/test_windows.py::"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One kind of input.
+
+    Attributes:
+        group: heading of the document.
+        what: the input.
+        happens: "finite: ..." or "named error X: ...", or both, joined by a semicolon.
+        tests: path::function, with [case] where the case's name stands in that file.
+    """
+
+    group: str
+    what: str
+    happens: str
+    tests: tuple[str, ...]
+
+
+def _group(name: str, *rows: tuple[str, str, tuple[str, ...]]) -> tuple[Entry, ...]:
+    return tuple(Entry(name, what, happens, tests) for what, happens, tests in rows)
+
+
+VOLUME = _group(
+    "Volume",
+    ("empty frame", "finite: an empty frame is written; neither renderer nor network is asked",
+     ("tests/test_bad_input.py::test_an_empty_frame_becomes_an_empty_frame",
+      STYLIZE + "test_an_empty_frame_is_passed_through_without_renderer_or_network")),
+    ("empty frame in the middle of a shot", "finite: the frames around it stay a chain",
+     ("tests/unit/core/test_stylize_window.py::"
+      "test_an_empty_frame_in_between_does_not_break_the_chain",)),
+    ("one voxel, a row of them", "finite: the mass is kept",
+     (EXTREMES + "test_few_voxels_in_any_arrangement",)),
+    ("two voxels 10⁶ apart", "finite: both are painted; named error PlanError: smoke that far "
+     "apart is not moved, and the message names the setting that paints only",
+     (EXTREMES + "test_two_voxels_a_million_apart_are_painted",
+      EXTREMES + "test_two_voxels_a_million_apart_are_not_moved_but_refused_by_name")),
+    ("a box that does not fit in memory", "named error GridTooLarge: with its size and the limit",
+     (READ + "test_box_that_does_not_fit_is_refused_with_the_number",
+      REFUSED + "[too little for a grid]")),
+    ("slab one voxel thick", "finite: stays one voxel thick and is seen from one side",
+     (STYLIZE + "test_a_slab_stays_one_voxel_thick_and_is_seen_from_one_side",)),
+    ("negative density", "finite: counts as none where smoke is moved",
+     (EXTREMES + "test_negative_density_counts_as_none_where_smoke_is_moved",)),
+    ("NaN, infinite density", "named error NonFiniteError: counted and placed, by file, field and "
+     "timeCode; with `--repair nan=...` finite: that number takes their place",
+     (READ + "test_nan_and_infinite_voxels_are_counted_and_placed", REFUSED + "[NaN]",
+      STYLIZE + "test_density_that_is_not_finite_is_refused_by_time_code_and_name",
+      "tests/test_bad_input.py::test_repair_accepts_nan_and_puts_the_number_there")),
+    ("denormal density", "finite: counts as none",
+     (EXTREMES + "test_denormal_density_counts_as_none",)),
+    ("density of 1e-30 and 1e30", "finite: looks and is moved like ordinary smoke",
+     (EXTREMES + "test_density_of_any_amount_looks_the_same",
+      EXTREMES + "test_density_of_any_amount_is_moved_like_ordinary_smoke")),
+    ("density over sixty orders of magnitude in one frame", "finite: the mass is kept",
+     (EXTREMES + "test_density_over_sixty_orders_of_magnitude",)),
+    ("background other than 0", "finite: fills the box of the active voxels and nothing beyond",
+     (EXTREMES + "test_a_background_other_than_zero_fills_the_box_only",
+      READ + "test_active_tile_is_filled_and_background_shows_between")),
+    ("background NaN or infinite", "named error NonFiniteError: says that it is the background",
+     (READ + "test_background_that_is_not_finite_is_refused",)),
+    ("active tiles", "finite: filled with their value",
+     (READ + "test_active_tile_is_filled_and_background_shows_between",)),
+    ("level set instead of fog", "named error UnsupportedGrid: field, timeCode, the class found",
+     (REFUSED + "[level set]", READ + "test_grid_that_is_no_smoke_is_refused_from_its_header")),
+    ("points instead of fog", "named error UnsupportedGrid: known from the file's header",
+     (READ + "test_grid_that_is_no_smoke_is_refused_from_its_header",
+      "tests/unit/grids/test_header.py::test_type_is_taken_apart")),
+    ("types the bindings lack beside density", "finite: density is read and the others are left "
+     "alone; named error UnsupportedGrid: where one of them is asked for",
+     (READ + "test_grids_of_other_types_in_the_file_are_left_alone", REFUSED + "[whole numbers]")),
+    ("several grids of one name", "finite: told apart by their index; named error GridNotFound: an "
+     "index beyond them, with those there are",
+     (READ + "test_grid_is_found_by_name_then_index",
+      READ + "test_grid_not_found_lists_what_the_file_has")),
+)  # fmt: skip
+
+OPTICAL = _group(
+    "Optics",
+    ("optical depth 1e-12 … 1e6 across one voxel and across the volume",
+     "finite: picture, values and gradients; the light stays below that of its extinction",
+     (OPTICS + "test_any_optical_depth_gives_finite_values_and_gradients",
+      EXTREMES + "test_any_extinction")),
+    ("gamma 0", "named error ConfigError: as a setting; finite: in a scene of one's own making, "
+     "without light and without motion",
+     (STAGES + "test_no_extinction_is_refused_as_a_setting",
+      EXTREMES + "test_no_extinction_gives_no_light_and_no_motion_but_a_finite_result")),
+    ("emission in voxels of zero density", "finite: gives no light and no gradient",
+     (OPTICS + "test_emission_without_density_gives_no_light_and_no_gradient_trouble",
+      "tests/unit/core/test_render.py::test_emission_where_there_is_no_density_is_not_seen")),
+)  # fmt: skip
+
+TRANSPORT = _group(
+    "Transport",
+    ("CFL number 0 … 50", "finite: in range, mass kept",
+     (EXTREMES + "test_velocities_up_to_fifty_voxels_a_frame",
+      WARM + "test_any_speed_gives_finite_colours_in_range")),
+    ("absurd velocity", "named error PlanError: asks for the velocity's unit",
+     (WARM + "test_an_absurd_velocity_is_a_named_error",)),
+    ("NaN, infinite velocity", "named error NonFiniteError: grid and timeCode",
+     (STYLIZE + "test_velocity_that_is_not_finite_is_refused_by_time_code_and_name",)),
+    ("velocity missing on some frames", "finite: colours stay in place there",
+     (EXTREMES + "test_velocity_on_some_frames_only",
+      WARM + "test_without_velocity_colours_stay_in_place")),
+    ("staggered velocity", "finite: averaged to the voxel centres",
+     (VELOCITY + "test_staggered_components_are_averaged_to_the_centres",)),
+    ("velocity of another transform", "finite: read in its own grid and world",
+     (WARM + "test_velocity_is_read_in_its_own_grid_and_world",)),
+    ("velocity in another box", "finite: the mass is kept",
+     (EXTREMES + "test_velocity_in_a_box_that_does_not_meet_the_smoke",)),
+    ("velocity components on different voxels", "named error UnsupportedGrid: their "
+     "transforms differ",
+     (VELOCITY + "test_components_on_different_voxels_are_refused",)),
+)  # fmt: skip
+
+TRANSFORMS = _group(
+    "Transforms",
+    ("anisotropic voxels, up to 1 : 1000", "finite: the mass is kept",
+     (EXTREMES + "test_voxels_a_thousand_times_longer_than_wide",)),
+    ("rotated, sheared and mirrored maps", "finite: transform and mass are kept",
+     (STYLIZE + "test_turned_sheared_and_mirrored_grids_keep_their_transform",)),
+    ("voxels of 1e-6 and 1e6 units", "finite: the same smoke",
+     (EXTREMES + "test_stages_in_microns_and_in_megametres",)),
+    ("smoke 10⁶ units from the origin", "finite: the same smoke",
+     (EXTREMES + "test_smoke_a_million_units_from_the_origin",)),
+    ("a transform that changes from frame to frame",
+     "finite: smoke that stands still in space keeps its colours",
+     (EXTREMES + "test_a_grid_that_changes_place_and_voxel_size_from_frame_to_frame",)),
+    ("transforms on the prims of field and Volume",
+     "finite: the same smoke as with the grid's own transform; may change with time",
+     (EXTREMES + "test_the_field_prim_s_place_counts_like_the_grid_s_own",
+      "tests/unit/test_stage.py::test_field_to_stage_is_the_field_prims_own_place_at_each_time")),
+    ("metersPerUnit 0.01 and 1000", "finite: kept on the result and without influence on the smoke",
+     (STAGES + "test_the_stage_s_unit_is_kept_and_changes_no_bit_of_the_smoke",)),
+    ("Y-up and Z-up", "finite: views turn around the stage's axis",
+     (EXTREMES + "test_smoke_is_stylized_with_either_axis_up",
+      "tests/unit/core/test_views.py::test_conventions_of_both_up_axes_at_zero")),
+)  # fmt: skip
+
+TIME = _group(
+    "Time",
+    ("window longer than the shot", "finite: one window of all frames",
+     (STAGES + "test_a_window_longer_than_the_shot_holds_all_of_it",)),
+    ("gaps between frames", "finite: no window reaches over one; inside a window they are crossed",
+     (WINDOWS + "test_no_window_reaches_over_a_cut", EXTREMES + "test_any_time_codes")),
+    ("sub-frames, frame 0, negative frames", "finite: every timeCode shows a file of its own",
+     (STAGES + "test_negative_fractional_and_distant_timecodes_show_files_of_their_own",
+      EXTREMES + "test_any_time_codes")),
+    ("one frame", "finite: stylized on its own", (EXTREMES + "test_any_time_codes",)),
+    ("timeCodes that do not rise", "named error ShapeError: wanted them ascending",
+     (WINDOWS + "test_time_codes_that_do_not_rise_are_refused",)),
+)  # fmt: skip
+
+STYLE_IMAGE = _group(
+    "Style image",
+    ("1 x 1", "finite: an image like any other",
+     (IMAGES + "test_single_pixels_and_plain_colours_are_images_too",
+      EXTREMES + "test_any_style_image[one pixel]")),
+    ("smaller than the network's minimum", "finite: loss and gradients with the embedded "
+     "network; VGG-19's poolings take a single pixel",
+     (FEATURES + "test_strange_styles_give_finite_losses_gradients_and_no_loss_for_themselves",
+      "tests/unit/core/test_vgg19.py::test_pictures_of_one_pixel_pass_all_poolings")),
+    ("grey, palette, CMYK", "finite: becomes RGB",
+     (*(IMAGES + f"test_every_colour_mode_becomes_rgb[{mode}]" for mode in ("L", "P", "CMYK")),
+      IMAGES + "test_palette_gives_its_colours", EXTREMES + "test_any_style_image[grey]")),
+    ("alpha", "finite: what is transparent takes the mean of what is visible; named error "
+     "ImageError: fully transparent",
+     (IMAGES + "test_transparent_pixels_take_the_mean_of_the_visible_ones",
+      IMAGES + "test_fully_transparent_image_is_refused")),
+    ("16-bit", "finite: scaled, not cut off",
+     (IMAGES + "test_sixteen_bit_grey_keeps_its_precision",
+      IMAGES + "test_sixteen_bit_colour_is_scaled_not_cut_off")),
+    ("EXR with HDR values", "finite: clipped to [0, 1] and encoded",
+     (IMAGES + "test_exr_is_linear_light_that_gets_clipped_and_encoded",)),
+    ("EXR with NaN pixels", "named error ImageError: counted",
+     (IMAGES + "test_nan_pixels_are_counted",)),
+    ("one colour, no variance", "finite: loss and gradients",
+     (EXTREMES + "test_any_style_image[one colour]",
+      FEATURES + "test_strange_styles_give_finite_losses_gradients_and_no_loss_for_themselves")),
+)  # fmt: skip
+
+OPTIMISER = _group(
+    "Optimiser",
+    ("zero gradient at the start", "finite: nothing moves, nothing is rolled back",
+     (OPTIMIZE + "test_a_zero_gradient_at_the_start_moves_nothing_and_is_no_error",)),
+    ("loss weight 0", "finite: the source comes back, and the report says why",
+     (STYLIZE + "test_no_strength_or_no_style_gives_the_source_back_and_asks_for_no_features",)),
+    ("loss weight 1e12", "finite: the mass is kept",
+     (EXTREMES + "test_loss_weights_of_any_size",)),
+    ("learning rate 100 times too large", "finite: found, rolled back, halved and reported; the "
+     "end is no worse than the start",
+     (OPTIMIZE + "test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported",
+      EXTREMES + "test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began")),
+    ("divergence beyond rescue", "named error NonFiniteError: counts the halvings",
+     (OPTIMIZE + "test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings",
+      EXTREMES + "test_features_that_overflow_are_a_named_error")),
+    ("Gram sums beyond 65504 in half precision", "finite: summed in single precision",
+     ("tests/unit/core/test_losses.py::test_half_precision_sums_beyond_65504_stay_finite",)),
+)  # fmt: skip
+
+REPEATABILITY = _group(
+    "Repeatability",
+    ("the same seed twice on one machine", "finite: the same bits",
+     (STYLIZE + "test_the_same_run_gives_the_same_bits",)),
+    ("1 and 2 threads", "finite: densities agree to 1e-3, emissions to 1e-2, on a puff of smoke "
+     "of density and extinction of order 1",
+     (STYLIZE + "test_two_threads_agree_with_one_but_for_round_off",)),
+)  # fmt: skip
+
+ENTRIES = (
+    *VOLUME, *OPTICAL, *TRANSPORT, *TRANSFORMS, *TIME, *STYLE_IMAGE, *OPTIMISER, *REPEATABILITY,
+)  # fmt: skip
+
+NOT_YET_CHECKED: tuple[str, ...] = ()
+
+INTRODUCTION = """# Stability
+
+Every entry ends in a finite, sensible result or in one named error that says what was found and
+what to do. This file is written by `python -m tests.stability` from the list of the tests that
+check it; `tests/test_stability_table.py` fails where the two differ.
+"""
+
+
+def render_document() -> str:
+    """The whole of docs/stability.md."""
+    lines = [INTRODUCTION]
+    for group in dict.fromkeys(entry.group for entry in ENTRIES):
+        lines += [f"## {group}\n", "| input | what happens | checked by |", "| --- | --- | --- |"]
+        for entry in (entry for entry in ENTRIES if entry.group == group):
+            tests = "<br>".join(f"`{test}`" for test in entry.tests)
+            lines.append(f"| {entry.what} | {entry.happens} | {tests} |")
+        lines.append("")
+    if NOT_YET_CHECKED:
+        lines += ["## Not yet checked\n", *(f"- {what}" for what in NOT_YET_CHECKED), ""]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    DOCUMENT.write_text(render_document(), encoding="utf-8")
