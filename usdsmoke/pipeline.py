@@ -1,5 +1,6 @@
 """The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -86,6 +87,8 @@ def stylize(
         UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished frames.
         Interrupted: by Ctrl-C.
     """
+    # Threads that spin while they wait slow each other down many times where processors are shared.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, below
     job = prepare_job(stage, _paths(style), Path(output), _resolve(config, settings))
     if planned is not None:
         planned(job.plan)
