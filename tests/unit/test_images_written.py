@@ -17,11 +17,14 @@ def test_png_comes_back_as_it_was_written(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", LEVELS / 255.0)
     with Image.open(tmp_path / "a.png") as image:
         assert np.array_equal(np.asarray(image), LEVELS)
-    rgba = np.dstack([LEVELS / 255.0, np.linspace(-0.5, 1.5, 20).reshape(4, 5)])
-    write_png(tmp_path / "a.png", rgba)
+    assert np.array_equal(np.rint(read_style_image(tmp_path / "a.png").pixels * 255), LEVELS)
+    alpha = np.linspace(-0.5, 1.5, 20).reshape(4, 5)
+    write_png(tmp_path / "a.png", np.dstack([LEVELS / 255.0, alpha]))
     with Image.open(tmp_path / "a.png") as image:
         assert image.mode == "RGBA"
-    assert np.array_equal(np.rint(read_style_image(tmp_path / "a.png").pixels * 255), LEVELS)
+        levels = np.asarray(image)
+    assert np.array_equal(levels[..., :3], LEVELS)
+    assert np.array_equal(levels[..., 3], np.rint(alpha.clip(0, 1) * 255))
     assert os.listdir(tmp_path) == ["a.png"]
 
 
