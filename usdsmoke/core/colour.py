@@ -20,7 +20,7 @@ from usdsmoke.core.noise import white_noise
 from usdsmoke.core.optimize import Minimum, minimize
 from usdsmoke.core.project import SparseImage, colour_map
 from usdsmoke.core.scene import Scene, frame_views
-from usdsmoke.core.smoke import ActiveSmoke, make_octaves, sample_colours
+from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.style import decode_srgb, encode_srgb
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.views import View
@@ -144,12 +144,8 @@ def run_colour_step(
     Returns:
         Display-encoded colours [N 3] in [0, 1], and how each octave ended.
     """
-    octaves = make_octaves(smoke, len(iterations))
     colours, before, ends = start, smoke, []
-    for number, (octave, n_iterations) in enumerate(zip(octaves, iterations, strict=True)):
-        if n_iterations == 0:
-            continue
-        factor = 2 ** (len(octaves) - 1 - number)
+    for number, factor, octave, n_iterations in octaves_to_do(smoke, iterations):
         colours = _colours_on(octave, before, colours, config)
         rate = config.colour.learning_rate * (1.0 if number == 0 else LATER_RATE)
         views = frame_views(octave, config, scene, config.optimize.seed + number, factor)

@@ -32,7 +32,7 @@ from usdsmoke.core.potential import Potential, border_mask, displacement_from
 from usdsmoke.core.project import SparseImage, column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import Scene, frame_views
-from usdsmoke.core.smoke import ActiveSmoke, make_octaves
+from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.transport import Scheme, correct_mass, warp
 from usdsmoke.core.warm import departure_points
@@ -154,12 +154,8 @@ def run_shape_step(
     sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)
     cap = config.shape.reach * float(max((high - low + 1) * sides))
     n_channels = {"stream": 3, "potential": 1, "mixed": 4}[config.shape.displacement]
-    octaves = make_octaves(source, len(iterations))
     potential, ends = None, []
-    for number, (smoke, n_iterations) in enumerate(zip(octaves, iterations, strict=True)):
-        if n_iterations == 0:
-            continue
-        factor = 2 ** (len(octaves) - 1 - number)
+    for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         octave = _Octave(smoke, cap, scene, config, config.optimize.seed + number, factor)
         if potential is not None:
             base = potential.on(octave.lattice)

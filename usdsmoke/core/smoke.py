@@ -7,9 +7,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usdsmoke.core.schedule import OCTAVE_SCALE
 from usdsmoke.volume import DenseField
 
-__all__ = ["ActiveSmoke", "activate", "coarsen", "densify", "make_octaves", "sample_colours"]
+__all__ = [
+    "ActiveSmoke",
+    "activate",
+    "coarsen",
+    "densify",
+    "make_octaves",
+    "octaves_to_do",
+    "sample_colours",
+]
 
 FAINTEST = 1e-35  # an extinction per density that makes less visible does not fit float32
 
@@ -153,3 +162,30 @@ def make_octaves(smoke: ActiveSmoke, n: int) -> list[ActiveSmoke]:
     for _ in range(n - 1):
         octaves.insert(0, coarsen(octaves[0]))
     return octaves
+
+
+def octaves_to_do(
+    smoke: ActiveSmoke, iterations: Sequence[int]
+) -> list[tuple[int, int, ActiveSmoke, int]]:
+    """The octaves that a step works on, coarse to fine; those coarser than the first are not made.
+
+    Args:
+        smoke: at full resolution.
+        iterations: per octave, coarse to fine; an octave with 0 is passed over.
+
+    Returns:
+        Number of the octave, how many voxels it makes one of, its smoke, and its iterations.
+    """
+    wanted = [number for number, n in enumerate(iterations) if n]
+    if not wanted:
+        return []
+    octaves = make_octaves(smoke, len(iterations) - wanted[0])
+    return [
+        (
+            number,
+            OCTAVE_SCALE ** (len(iterations) - 1 - number),
+            octaves[number - wanted[0]],
+            iterations[number],
+        )
+        for number in wanted
+    ]

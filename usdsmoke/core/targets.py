@@ -47,7 +47,7 @@ class StyleTargets:
         """Made when first asked for: a window of empty frames does not read VGG-19's parameters."""
         return build_network(self._config.features, self._config.optimize.seed)
 
-    @property
+    @cached_property
     def background(self) -> Tensor:
         """Mean colour of the styles, linear [3]: what stands behind the smoke it is painted on."""
         means = [

@@ -107,9 +107,8 @@ class Vgg19Features:
 
     names = tuple(name for name, *_ in _convolutions())
 
-    def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]], sha256: str) -> None:
+    def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]]) -> None:
         self._parameters = parameters
-        self.sha256 = sha256
 
     @classmethod
     def from_file(cls, configured: str = "") -> "Vgg19Features":
@@ -119,13 +118,14 @@ class Vgg19Features:
             FeatureError: no file, not readable, or not VGG-19's tensors.
         """
         file_path = find_vgg19_file(configured)
-        with file_path.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-        if file_path.name == FILE_NAME and not sha256.startswith("dcbb9e9d"):
-            raise FeatureError(
-                f"{file_path} has SHA-256 {sha256[:8]}..., wanted dcbb9e9d... as in its name; "
-                "the file is damaged, fetch it again"
-            )
+        if file_path.name == FILE_NAME:
+            with file_path.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            if not sha256.startswith("dcbb9e9d"):
+                raise FeatureError(
+                    f"{file_path} has SHA-256 {sha256[:8]}..., wanted dcbb9e9d... as in its name; "
+                    "the file is damaged, fetch it again"
+                )
         try:
             if file_path.suffix == ".safetensors":
                 tensors = _read_safetensors(file_path)
@@ -137,12 +137,12 @@ class Vgg19Features:
                 f"cannot read VGG-19 weights from {file_path}: {reason}; wanted torchvision's "
                 "state dict or a safetensors file"
             ) from None
-        return cls(_pick_parameters(tensors, file_path), sha256)
+        return cls(_pick_parameters(tensors, file_path))
 
     def to(self, like: Tensor) -> "Vgg19Features":
         """The same network with the dtype and device of a tensor."""
         moved = {name: (w.to(like), b.to(like)) for name, (w, b) in self._parameters.items()}
-        return Vgg19Features(moved, self.sha256)
+        return Vgg19Features(moved)
 
     def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
         """[1 C h w] maps of a picture [H W 3]; stops after the deepest layer wanted.
