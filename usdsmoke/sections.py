@@ -54,6 +54,11 @@ class StageConfig:
     velocity_unit: str = _setting(
         "second", "grid-world units per second or per frame", choices=("second", "frame")
     )
+    mask: str = _setting(
+        "",
+        "relationship or grid name of a scalar field in [0, 1] that scales the effect in space; "
+        "empty means none",
+    )
 
 
 @dataclass(frozen=True)

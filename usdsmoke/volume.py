@@ -62,6 +62,7 @@ class VolumeSource:
     time_codes: tuple[float, ...] = ()  # all that the density has, selected or not, gaps included
     density: str = "density"  # relationship name of the density field
     velocity: tuple[str, ...] = ()  # relationship names of the velocity: one vector or x, y, z
+    mask: str = ""  # relationship name of the mask; "" when it has none, or none is asked for
     other_fields: tuple[str, ...] = ()  # relationship names that are left alone
 
 
@@ -127,6 +128,9 @@ class VolumeFrame:
     density_to_stage: np.ndarray  # [4 4] density's *grid world* to stage space
     velocity: DenseField | None = None  # [i j k 3], stage-independent: grid-world units per second
     velocity_to_stage: np.ndarray | None = None
+    # [i j k] as it is in the file: nothing is clamped, and beyond the box its background holds.
+    mask: DenseField | None = None
+    mask_to_stage: np.ndarray | None = None  # [4 4] mask's grid world to stage space
 
 
 @dataclass(frozen=True)
