@@ -12,10 +12,17 @@ from torch import Tensor
 from usdsmoke.config import FeaturesConfig
 from usdsmoke.core.learned import LearnedFeatures
 from usdsmoke.core.oriented import OrientedFeatures
-from usdsmoke.core.vgg19 import DEFAULT_STYLE_LAYERS, Vgg19Features
+from usdsmoke.core.vgg19 import Vgg19Features
 from usdsmoke.errors import ConfigError
 
-__all__ = ["EmbeddedFeatures", "Network", "build_network", "layer_names", "style_layers"]
+__all__ = [
+    "EmbeddedFeatures",
+    "Network",
+    "build_network",
+    "content_layers",
+    "layer_names",
+    "style_layers",
+]
 
 
 class Network(Protocol):
@@ -27,10 +34,12 @@ class Network(Protocol):
 class EmbeddedFeatures:
     """The default: oriented filters, and filters learned from the style image; no weights file.
 
-    Each half is made when one of its layers is first wanted.
+    Each half is made when one of its layers is first wanted. The fourth depth of either is there to
+    be named in ``features.layers``: larger structures, at the cost of learning 160 more filters.
     """
 
     names = OrientedFeatures.names + LearnedFeatures.names
+    default_style_layers = OrientedFeatures.names[:3] + LearnedFeatures.names[:4]
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._style, self._seed = style, seed
@@ -48,7 +57,7 @@ class EmbeddedFeatures:
 
 
 def layer_names(config: FeaturesConfig) -> tuple[str, ...]:
-    """Every layer that the configured network has, shallow to deep."""
+    """Every layer that the configured network has, each kind shallow to deep."""
     return EmbeddedFeatures.names if config.network == "embedded" else Vgg19Features.names
 
 
@@ -60,8 +69,8 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
             above 0.
     """
     known = layer_names(config)
-    default = EmbeddedFeatures.names if config.network == "embedded" else DEFAULT_STYLE_LAYERS
-    names = config.layers or list(default)
+    network = EmbeddedFeatures if config.network == "embedded" else Vgg19Features
+    names = config.layers or list(network.default_style_layers)
     for name in names:
         if name not in known:
             raise ConfigError(
@@ -81,6 +90,24 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
             "one above 0, or losses.style=0 to leave the style out"
         )
     return used
+
+
+def content_layers(config: FeaturesConfig) -> tuple[str, ...]:
+    """The layers that content is compared by; the deepest style layer when none is named.
+
+    Raises:
+        ConfigError: an unknown layer; see ``style_layers`` too.
+    """
+    known = layer_names(config)
+    for name in config.content_layers:
+        if name not in known:
+            raise ConfigError(
+                f"features.content_layers names {name!r}, which the {config.network} network has "
+                f"not; it has: {', '.join(known)}"
+            )
+    if config.content_layers:
+        return tuple(config.content_layers)
+    return (max(style_layers(config), key=known.index),)
 
 
 def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:

@@ -1,7 +1,13 @@
-"""Filters learned from the style image itself by clustering its patches, in well under a second.
+"""Filters learned from the style image itself by clustering its patches; default depth < 1 s.
 
-Each of three layers is a spherical k-means dictionary [Coates2012] of whitened patches of the layer
-below, followed by relu; max-pooling stands between layers.
+Each of four layers is a spherical k-means dictionary [Coates2012] of whitened patches of the layer
+below, followed by relu; max-pooling stands between layers. A layer is learned when it, or a deeper
+one, is first wanted; the fourth is not among the default style layers.
+
+Receptive fields, pixels across, beside those of VGG-19:
+
+| ``learned1`` 5 | ``learned2`` 10 | ``learned3`` 20 | ``learned4`` 40 |
+| relu1_1 3      | relu2_1 10      | relu3_1 24      | relu4_1 68      |
 """
 
 import torch
@@ -12,10 +18,10 @@ from usdsmoke.core.oriented import colour_whitening
 
 __all__ = ["LearnedFeatures"]
 
-N_FILTERS = (64, 96, 128)
+N_FILTERS = (64, 96, 128, 160)
 
 # Only styles of (nearly) one colour come below these. Whatever is painted differs from such a style
-# by hundreds of its deviations, and three layers of that do not fit float32.
+# by hundreds of its deviations, and three and more layers of that do not fit float32.
 LEAST_VARIANCE = 1e-4  # of colour
 LEAST_POWER = 0.1  # variance of all patches; pictures have 50 and more
 LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more
@@ -65,25 +71,31 @@ def _principal_axes(points: Tensor, n: int) -> Tensor:
 
 
 class LearnedFeatures:
-    """Feature maps ``learned0`` (whitened colour) to ``learned3`` of pictures.
+    """Feature maps ``learned0`` (whitened colour) to ``learned4`` of pictures.
 
     Args:
         style: [H W 3], display-encoded; the filters are learned from it.
-        seed: of the patches drawn and the clusters started from.
+        seed: of the patches drawn and the clusters started from. Draws go from shallow to deep, so
+            a layer's filters are the same whether or not deeper ones are learned after it.
     """
 
-    names = ("learned0", "learned1", "learned2", "learned3")
+    names = ("learned0", "learned1", "learned2", "learned3", "learned4")
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
-        generator = torch.Generator().manual_seed(seed)
+        self._generator = torch.Generator().manual_seed(seed)
         self._mean, self._matrix = colour_whitening(style, LEAST_VARIANCE, relative=0.1)
         self._layers: list[tuple[Tensor, Tensor]] = []
-        maps = self._colour(style)
-        for number, n_filters in enumerate(N_FILTERS):
+        self._style_maps = self._colour(style)  # of the deepest layer learned so far
+
+    @torch.no_grad()
+    def _learn_to(self, deepest: int) -> None:
+        """Learn what is missing of the layers 1 to ``deepest``."""
+        for number in range(len(self._layers), deepest):
+            maps = self._style_maps
             size = 5 if number == 0 else 3
             if number:
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
-            weight = self._learn(maps, size, n_filters, number, generator)
+            weight = self._learn(maps, size, N_FILTERS[number], number, self._generator)
             response = self._respond(maps, weight, None)
             deviation = response.std(dim=(0, 2, 3), correction=0)
             # a floor, or filters that the style hardly excites explode on noise
@@ -91,7 +103,7 @@ class LearnedFeatures:
             deviation = deviation.clamp_min(LEAST_DEVIATION)
             bias = -response.mean(dim=(0, 2, 3)) / deviation
             self._layers.append((weight / deviation[:, None, None, None], bias))
-            maps = torch.relu(self._respond(maps, *self._layers[-1]))
+            self._style_maps = torch.relu(self._respond(maps, *self._layers[-1]))
 
     @staticmethod
     def _learn(
@@ -125,13 +137,14 @@ class LearnedFeatures:
     def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
         """[1 C H W] maps of a picture [H W 3], halved after each layer.
 
-        Layers deeper than the deepest wanted are not evaluated.
+        Layers deeper than the deepest wanted are neither learned nor evaluated.
 
         Gradients: through ``picture``.
         """
         deepest = max((int(name[-1]) for name in wanted), default=-1)
         if deepest < 0:
             return {}
+        self._learn_to(deepest)
         maps = self._colour(picture)
         found = {"learned0": maps} if "learned0" in wanted else {}
         for number in range(1, deepest + 1):

@@ -1,8 +1,15 @@
 r"""A fixed bank of oriented filters on the style's own colour axes: no trained network is needed.
 
-Three pyramid levels; at each one 24 quadrature Gabor pairs (8 orientations x 3 frequencies) give a
+Four pyramid levels; at each one 24 quadrature Gabor pairs (8 orientations x 3 frequencies) give a
 local energy m = sqrt(even^2 + odd^2 + 1e-3). A level's feature map holds what m has beyond its own
-neighbourhood, the whitened colour and the even responses: 51 channels.
+neighbourhood, the whitened colour and the even responses: 51 channels. The fourth level is not
+among the default style layers.
+
+Receptive fields, pixels across, of the even responses and of m beyond its neighbourhood, beside
+those of VGG-19:
+
+| ``oriented1`` 7, 11 | ``oriented2`` 17, 25 | ``oriented3`` 37, 53 | ``oriented4`` 77, 109 |
+| relu1_1 3           | relu2_1 10           | relu3_1 24           | relu4_1 68            |
 """
 
 import math
@@ -13,7 +20,7 @@ from torch import Tensor
 
 __all__ = ["OrientedFeatures", "colour_whitening"]
 
-N_LEVELS = 3
+N_LEVELS = 4
 N_ORIENTATIONS = 8
 FREQUENCIES = (0.35, 0.2, 0.1)  # cycles per pixel
 SIZE = 7
@@ -74,7 +81,7 @@ def _blur(image: Tensor, stride: int = 1) -> Tensor:
 
 
 class OrientedFeatures:
-    """Feature maps ``oriented1`` .. ``oriented3`` of pictures, finest first.
+    """Feature maps ``oriented1`` .. ``oriented4`` of pictures, finest first.
 
     Args:
         style: [H W 3], display-encoded; fixes the colour axes.

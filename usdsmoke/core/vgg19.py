@@ -18,9 +18,8 @@ from torch import Tensor
 
 from usdsmoke.errors import FeatureError
 
-__all__ = ["DEFAULT_STYLE_LAYERS", "Vgg19Features", "find_vgg19_file"]
+__all__ = ["Vgg19Features", "find_vgg19_file"]
 
-DEFAULT_STYLE_LAYERS = ("relu2_1", "relu3_1")  # [Christen2020, section 4]
 FILE_NAME = "vgg19-dcbb9e9d.pth"
 _BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
 _MEAN = (0.485, 0.456, 0.406)
@@ -106,6 +105,7 @@ class Vgg19Features:
     """
 
     names = tuple(name for name, *_ in _convolutions())
+    default_style_layers = ("relu2_1", "relu3_1")  # [Christen2020, section 4]
 
     def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]]) -> None:
         self._parameters = parameters

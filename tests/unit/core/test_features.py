@@ -1,5 +1,7 @@
 """The embedded features, and which layers are evaluated at all."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -39,10 +41,12 @@ def test_maps_have_the_documented_channels_and_sizes():
         "oriented1": (51, 40, 48),
         "oriented2": (51, 20, 24),
         "oriented3": (51, 10, 12),
+        "oriented4": (51, 5, 6),
         "learned0": (3, 40, 48),
         "learned1": (64, 40, 48),
         "learned2": (96, 20, 24),
         "learned3": (128, 10, 12),
+        "learned4": (160, 5, 6),
     }
 
 
@@ -53,6 +57,7 @@ def test_maps_have_the_documented_channels_and_sizes():
         ({"oriented3"}, [48]),  # the levels above it are blurred, not filtered
         ({"learned0"}, []),
         ({"learned2"}, [64, 96]),
+        ({"learned4"}, [64, 96, 128, 160]),
         ({"oriented2", "learned1"}, [48, 64]),
         (set(), []),
     ],
@@ -78,6 +83,63 @@ def test_filters_are_not_learned_when_no_learned_layer_is_wanted(monkeypatch):
 
     monkeypatch.setattr("usdsmoke.core.features.LearnedFeatures.__init__", refuse)
     assert set(EmbeddedFeatures(STYLE)(STYLE, frozenset({"oriented2"}))) == {"oriented2"}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "learned"),
+    [("learned0", 0), ("learned2", 2), ("learned3", 3), ("learned4", 4)],
+)
+def test_filters_are_learned_no_deeper_than_wanted_and_once(wanted, learned, monkeypatch):
+    numbers: list[int] = []
+    real = LearnedFeatures._learn
+
+    def counted(*arguments: Any) -> Tensor:
+        numbers.append(arguments[3])
+        return real(*arguments)
+
+    monkeypatch.setattr(LearnedFeatures, "_learn", staticmethod(counted))
+    network = EmbeddedFeatures(STYLE)
+    for _ in range(2):
+        network(STYLE, frozenset({wanted}))
+    assert numbers == list(range(learned))
+
+
+@pytest.mark.parametrize("first", ["learned1", "learned3", "learned4"])
+def test_the_order_in_which_layers_are_asked_for_changes_no_filter(first):
+    """All draws are made from shallow to deep, whenever that is."""
+    wanted = frozenset(EmbeddedFeatures.default_style_layers)
+    plain = EmbeddedFeatures(STYLE, seed=5)(STYLE, wanted)
+    network = EmbeddedFeatures(STYLE, seed=5)
+    network(STYLE, frozenset({first, "oriented4"}))
+    later = network(STYLE, wanted)
+    assert all(torch.equal(later[name], plain[name]) for name in wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "across"),
+    [
+        ("learned1", (5, 5)),
+        ("learned2", (10, 10)),
+        ("learned3", (20, 20)),
+        ("learned4", (36, 40)),  # pools pass on one of their four: some border pixels reach nothing
+        ("oriented1", (11, 11)),
+        ("oriented2", (25, 25)),
+        ("oriented3", (53, 53)),
+        ("oriented4", (109, 109)),
+    ],
+)
+def test_receptive_fields_are_the_documented_ones(name, across):
+    """By the gradient of one value in the middle, in float64."""
+    style = torch.from_numpy(random_style(64, 64)).double()
+    picture = torch.rand(
+        144, 144, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64
+    ).requires_grad_()
+    maps = EmbeddedFeatures(style)(picture, frozenset({name}))[name]
+    middle = maps.shape[-1] // 2
+    (gradient,) = torch.autograd.grad(maps[0, :, middle, middle].square().sum(), picture)
+    found = torch.nonzero(gradient.abs().sum(dim=2))
+    sides = (found.max(dim=0).values - found.min(dim=0).values + 1).tolist()
+    assert all(across[0] <= side <= across[1] for side in sides)
 
 
 def test_features_follow_the_seed():
@@ -112,7 +174,7 @@ def test_oriented_filters_do_not_see_the_mean_colour():
 
 def test_learned_maps_of_the_style_itself_are_standardised():
     network = LearnedFeatures(STYLE)
-    for number in (1, 2, 3):
+    for number in (1, 2, 3, 4):
         maps = network(STYLE, frozenset({f"learned{number}"}))[f"learned{number}"]
         assert 0.2 < maps.square().mean().sqrt().item() < 2
 
@@ -171,9 +233,25 @@ def test_flat_patches_teach_no_filters():
     assert target.loss(noise, None).item() < 10
 
 
-def test_style_layers_default_to_all_of_the_embedded_network_and_two_of_vgg19():
-    assert style_layers(FeaturesConfig()) == dict.fromkeys(EmbeddedFeatures.names, 1.0)
+def test_style_layers_default_to_three_depths_of_the_embedded_network_and_two_of_vgg19():
+    oriented = [f"oriented{depth}" for depth in (1, 2, 3)]
+    learned = [f"learned{depth}" for depth in (0, 1, 2, 3)]
+    assert style_layers(FeaturesConfig()) == dict.fromkeys(oriented + learned, 1.0)
     assert style_layers(FeaturesConfig(network="vgg19")) == {"relu2_1": 1.0, "relu3_1": 1.0}
+
+
+def test_deeper_layers_than_the_default_can_be_named():
+    named = ["oriented4", "learned4"]
+    assert style_layers(FeaturesConfig(layers=named)) == dict.fromkeys(named, 1.0)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 40), (7, 9), (17, 16)])
+def test_small_pictures_pass_every_layer(size):
+    picture = torch.rand(*size, 3, generator=torch.Generator().manual_seed(2)).requires_grad_()
+    maps = EmbeddedFeatures(STYLE)(picture, frozenset(EmbeddedFeatures.names))
+    assert all(found.isfinite().all() and found.numel() for found in maps.values())
+    (gradient,) = torch.autograd.grad(sum(found.sum() for found in maps.values()), picture)
+    assert torch.isfinite(gradient).all()
 
 
 def test_style_layers_leave_out_those_of_weight_zero():

@@ -115,7 +115,8 @@ def test_style_loss_of_the_style_itself_is_zero_and_of_others_is_not():
 
 def test_style_loss_is_smaller_for_the_same_texture_elsewhere_than_for_another():
     style = torch.from_numpy(random_style(32, 40))
-    target = StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(EmbeddedFeatures.names, 1.0))
+    layers = dict.fromkeys(EmbeddedFeatures.default_style_layers, 1.0)
+    target = StyleTarget(style, EmbeddedFeatures(style), layers)
     same = torch.roll(style, 7, dims=1)
     other = torch.from_numpy(random_style(32, 40).transpose(1, 0, 2).copy())  # turned stripes
     assert target.loss(same, None).item() < 0.2 * target.loss(other, None).item()
