@@ -7,7 +7,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["DOCUMENT", "ENTRIES", "NOT_YET_CHECKED", "Entry", "render_document"]
+from tests.reference_faults import FAULTS
+
+__all__ = ["DOCUMENT", "ENTRIES", "NOT_YET_CHECKED", "REFERENCE", "Entry", "render_document"]
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "stability.md"
 
@@ -232,8 +234,11 @@ REPEATABILITY = _group(
      (STYLIZE + "test_two_threads_agree_with_one_but_for_round_off",)),
 )  # fmt: skip
 
+REFERENCE = _group("Faults of the reference code", *FAULTS)
+
 ENTRIES = (
     *VOLUME, *OPTICAL, *TRANSPORT, *TRANSFORMS, *TIME, *STYLE_IMAGE, *OPTIMISER, *REPEATABILITY,
+    *REFERENCE,
 )  # fmt: skip
 
 NOT_YET_CHECKED: tuple[str, ...] = ()
@@ -245,12 +250,20 @@ what to do. This file is written by `python -m tests.stability` from the list of
 check it; `tests/test_stability_table.py` fails where the two differ.
 """
 
+FAULTS_FOUND = """W1 to W22 were seen in the public code of [Kim2019] and [Kim2020]
+(byungsook/neural-flow-style), most of them by running it. Beside each stands what happens here in
+the same case, or in the one that comes closest to it.
+"""
+
 
 def render_document() -> str:
     """The whole of docs/stability.md."""
     lines = [INTRODUCTION]
     for group in dict.fromkeys(entry.group for entry in ENTRIES):
-        lines += [f"## {group}\n", "| input | what happens | checked by |", "| --- | --- | --- |"]
+        found = group == REFERENCE[0].group
+        lines += [f"## {group}\n", *([FAULTS_FOUND] if found else [])]
+        header = "fault there | what happens here" if found else "input | what happens"
+        lines += [f"| {header} | checked by |", "| --- | --- | --- |"]
         for entry in (entry for entry in ENTRIES if entry.group == group):
             tests = "<br>".join(f"`{test}`" for test in entry.tests)
             lines.append(f"| {entry.what} | {entry.happens} | {tests} |")

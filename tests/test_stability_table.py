@@ -8,11 +8,18 @@ import pytest
 
 import usdsmoke.errors
 from tests.import_graph import PROJECT
-from tests.stability import DOCUMENT, ENTRIES, NOT_YET_CHECKED, Entry, render_document
+from tests.stability import (
+    DOCUMENT,
+    ENTRIES,
+    NOT_YET_CHECKED,
+    REFERENCE,
+    Entry,
+    render_document,
+)
 
 GROUPS = [
     "Volume", "Optics", "Transport", "Transforms", "Time", "Style image", "Optimiser",
-    "Repeatability",
+    "Repeatability", "Faults of the reference code",
 ]  # fmt: skip
 TESTS = sorted({test for entry in ENTRIES for test in entry.tests})
 
@@ -59,6 +66,11 @@ def test_every_group_has_entries_and_no_entry_stands_twice() -> None:
     claims = [entry.what for entry in ENTRIES]
     assert len(set(claims)) == len(claims)
     assert not set(claims) & set(NOT_YET_CHECKED)
+
+
+def test_every_fault_of_the_reference_code_is_answered_once_and_in_order() -> None:
+    numbers = [entry.what.partition(":")[0] for entry in REFERENCE]
+    assert numbers == [f"W{n}" for n in range(1, 23)]
 
 
 def test_the_document_is_the_one_the_list_gives() -> None:
