@@ -87,6 +87,7 @@ class FakeCore:
     def __init__(self) -> None:
         self.stylized: list[float] = []  # timeCodes, in the order in which they were done
         self.velocities: list[bool] = []
+        self.masks: list[bool] = []
         self.before_frame: Callable[[float], None] = lambda time_code: None
 
     def measure_scene(self, frames: Sequence[VolumeFrame], config: Any, up_axis: str) -> FakeScene:
@@ -105,6 +106,7 @@ class FakeCore:
             self.before_frame(frame.time_code)
             self.stylized.append(frame.time_code)
             self.velocities.append(frame.velocity is not None)
+            self.masks.append(frame.mask is not None)
             for step in config.optimize.steps:
                 if progress is not None:
                     progress(Progress(step, frame.time_code, number, 0, 2, 3, 0, 1, 0.5))

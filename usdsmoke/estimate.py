@@ -1,10 +1,11 @@
 """What a run will cost in memory, time and disk, from voxel counts and settings alone.
 
 All formulae stand here, with their constants in one place. With N active voxels and B voxels of the
-box (both after refinement), P pixels of a picture, V pictures an iteration, L views in the pool,
-S style images, s an octave's linear resolution as a share of the full one:
+box (both after refinement), M voxels of the mask's box (which is not refined), P pixels of a
+picture, V pictures an iteration, L views in the pool, S style images, s an octave's linear
+resolution as a share of the full one:
 
-    memory  = BASE + B BOX_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
+    memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of L VIEW_TIME N s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + BOX_TIME B s^3)
     seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
@@ -42,6 +43,7 @@ BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that a
 BOX_BYTES = 48  # density before and after, RGB, and one array in the making
 BOX_BYTES_SHAPE = 250  # potentials on all levels, their gradients, Adam's moments, displacement
 BOX_BYTES_WARM = 150  # velocity, and where every voxel's smoke was before
+MASK_BYTES = 16  # as it was read, checked, within [0, 1] and on the device
 VOXEL_BYTES = 500  # positions, colours, their gradients and moments, a view in the making
 VIEW_BYTES = 80  # four pixels and weights, in two orders
 PIXEL_BYTES = 12_000  # feature maps and what is kept of them for the gradient
@@ -68,6 +70,7 @@ class FrameSize:
     box: tuple[int, int, int]  # voxels along i, j, k; (0, 0, 0) when empty
     window_start: bool = True  # False: it starts from its neighbour's result
     n_copied: int = 0  # values a voxel that are written beside the result: the velocity's 3, or 0
+    mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,8 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
         per_box_voxel += BOX_BYTES_WARM
     per_voxel = VOXEL_BYTES + n_different_views(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
-    return BASE + per_box_voxel * box + active * per_voxel + pictures
+    mask = MASK_BYTES * math.prod(frame.mask_box)
+    return BASE + per_box_voxel * box + mask + active * per_voxel + pictures
 
 
 def _frame_seconds(frame: FrameSize, config: Config, n_styles: int, speed: float) -> float:

@@ -3,11 +3,12 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from usdsmoke.config import Config
-from usdsmoke.errors import UnsupportedGrid
+from usdsmoke.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.grids.header import FileHeader, GridHeader
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
 from usdsmoke.grids.velocity import find_velocity, read_velocity
@@ -15,8 +16,10 @@ from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
 
 __all__ = [
+    "MaskSource",
     "VelocitySource",
     "find_density",
+    "find_frame_mask",
     "find_frame_velocity",
     "is_copied",
     "read_frame",
@@ -31,6 +34,14 @@ class VelocitySource:
     field: FieldSource  # gives file and place in space
     name: str  # what ``read_velocity`` is asked for
     grids: tuple[GridHeader, ...]
+
+
+@dataclass(frozen=True)
+class MaskSource:
+    """Where a frame's mask comes from."""
+
+    field: FieldSource  # gives file and place in space
+    grid: GridHeader
 
 
 def find_density(volume: VolumeSource, frame: FrameSource, header: FileHeader) -> GridHeader:
@@ -78,6 +89,59 @@ def find_frame_velocity(
     return VelocitySource(density, name, grids) if grids else None
 
 
+def find_frame_mask(
+    volume: VolumeSource, frame: FrameSource, headers: Mapping[str, FileHeader], config: Config
+) -> MaskSource | None:
+    """The grid that scales a frame's effect, from headers alone; None when none is named.
+
+    The Volume's own relationship of that name comes first, with its file, grid and place; then the
+    grid of that name in the density's file, which lies where the density lies.
+
+    Args:
+        volume: names its mask relationship, where it has one.
+        frame: one timeCode of it.
+        headers: by file path, of the frame's files.
+        config: ``stage.mask`` names it.
+
+    Raises:
+        GridNotFound: it was named and is neither; the message lists what there is.
+        UnsupportedGrid: no float grid, a level set, or a transform that is not linear or, as the
+            field prim's xform may be too, cannot be inverted.
+    """
+    name = config.stage.mask
+    if not name:
+        return None
+    field = frame.fields[volume.mask or volume.density]
+    header = headers[field.file_path]
+    if volume.mask:
+        request = _mask_request(field, field.grid_name, field.grid_index)
+    else:
+        request = _mask_request(field, name, None)
+        _check_has_mask(volume, header, name)
+    grid = find_grid(header, request)
+    check_readable(header, grid, request)
+    if not abs(np.linalg.det(field.field_to_stage[:3, :3])) > 0:  # nor with NaN
+        raise UnsupportedGrid(
+            f"the xform of the {request.where} flattens space; wanted one that can be inverted, so "
+            "that a place on the stage can be looked up in the mask: correct its scale"
+        )
+    return MaskSource(field, grid)
+
+
+def _check_has_mask(volume: VolumeSource, header: FileHeader, name: str) -> None:
+    """Both places where a mask could have been are worth a word."""
+    if any(grid.name == name for grid in header.grids):
+        return
+    related = sorted({volume.density, *volume.velocity, *volume.other_fields})
+    raise GridNotFound(
+        f'no mask "{name}": Volume <{volume.prim_path}> has no relationship field:{name} (it has: '
+        f"{', '.join(f'field:{item}' for item in related)}), and its density's file "
+        f"{Path(header.file_path).name} no such grid (it has: "
+        f"{', '.join(grid.label for grid in header.grids) or 'no grids at all'}); "
+        "correct stage.mask, or unset it"
+    )
+
+
 def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Config) -> bool:
     """Whether the velocity goes into the result's files as well.
 
@@ -105,6 +169,7 @@ def read_frame(
     config: Config,
     velocity: VelocitySource | None = None,
     time_codes_per_second: float = 24.0,
+    mask: MaskSource | None = None,
 ) -> VolumeFrame:
     """The dense fields of one timeCode.
 
@@ -114,6 +179,7 @@ def read_frame(
         config: limits of reading, and the velocity's unit.
         velocity: from ``find_frame_velocity``; None reads no velocity.
         time_codes_per_second: turns velocities per frame into velocities per second.
+        mask: from ``find_frame_mask``; None reads no mask.
 
     Raises:
         GridError: a file or grid cannot be used.
@@ -134,7 +200,15 @@ def read_frame(
         density_to_stage=source.field_to_stage,
         velocity=moving,
         velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
+        mask=None if mask is None else _read_mask(mask, config),
+        mask_to_stage=None if mask is None else mask.field.field_to_stage,
     )
+
+
+def _read_mask(mask: MaskSource, config: Config) -> DenseField:
+    """By itself, even from the density's file: the limits of reading are one grid's."""
+    request = _mask_request(mask.field, mask.grid.name, mask.grid.index)
+    return read_grids(mask.field.file_path, [request], config.grids)[0]
 
 
 def read_velocity_grids(
@@ -159,6 +233,10 @@ def read_velocity_grids(
 
 def _density_request(source: FieldSource) -> GridRequest:
     return GridRequest(source.grid_name, source.grid_index, _where(source), components=1)
+
+
+def _mask_request(source: FieldSource, name: str, index: int | None) -> GridRequest:
+    return GridRequest(name, index, f"mask, {_where(source)}", components=1)
 
 
 def _where(source: FieldSource) -> str:

@@ -13,7 +13,7 @@ from usdsmoke.volume import StageSource
 if TYPE_CHECKING:
     from usdsmoke.plan import FramePlan, VolumePlan
 
-__all__ = ["Omission", "list_needed", "list_omitted"]
+__all__ = ["Omission", "list_needed", "list_omitted", "optimizes"]
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,14 @@ def list_needed(
     with_velocity = [frame for frame in _frames(volumes) if frame.velocity]
     if with_velocity:
         needed.append(f"velocity of {len(with_velocity)} frames")
+    if n_masked := sum(frame.mask is not None for frame in _frames(volumes)):
+        needed.append(
+            f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
+            "scales the effect"
+        )
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
         needed.append(f"velocity copied into {n_copied} files, so that a frame is one file")
-    if _optimizes(config):
+    if optimizes(config):
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
         n_views = n_different_views(config.views)
@@ -69,6 +74,8 @@ def list_omitted(
     frames = _frames(volumes)
     if all(frame.velocity is None for frame in frames):
         omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
+    if all(frame.mask is None for frame in frames):
+        omitted.append(Omission("mask field", _why_no_mask(config)))
     for volume in volumes:
         omitted += _omitted_of_volume(volume)
     return tuple(omitted)
@@ -78,7 +85,8 @@ def _frames(volumes: Sequence["VolumePlan"]) -> list["FramePlan"]:
     return [frame for volume in volumes for frame in volume.frames]
 
 
-def _optimizes(config: Config) -> bool:
+def optimizes(config: Config) -> bool:
+    """Whether there is anything to optimise: otherwise the source is given back."""
     return config.losses.style > 0 and config.optimize.strength > 0
 
 
@@ -139,6 +147,12 @@ def _why_no_velocity(volumes: Sequence["VolumePlan"], config: Config) -> str:
     return "neither the Volumes nor their files have any under the usual names (stage.velocity)"
 
 
+def _why_no_mask(config: Config) -> str:
+    if not config.stage.mask:
+        return "none is named (stage.mask)"
+    return "every frame is empty" if optimizes(config) else "there is no effect to be scaled"
+
+
 def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
     omitted = []
     where = f"of <{volume.source.prim_path}>"
@@ -146,7 +160,7 @@ def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
         omitted.append(
             Omission(
                 f"fields {', '.join(volume.source.other_fields)} {where}",
-                "only density and velocity are used; they stay as they are on the stage",
+                "only density, velocity and mask are used; they stay as they are on the stage",
             )
         )
     empty = [frame.source.time_code for frame in volume.frames if frame.is_empty]

@@ -35,9 +35,9 @@ class FrameReader:
             return self._kept[frame.file_name]
         rate = self._plan.source.time_codes_per_second
         config = self._plan.config
-        read = read_frame(volume.source, frame.source, config, frame.velocity, rate)
-        n_bytes = read.density.values.nbytes
-        n_bytes += read.velocity.values.nbytes if read.velocity else 0
+        read = read_frame(volume.source, frame.source, config, frame.velocity, rate, frame.mask)
+        fields = (read.density, read.velocity, read.mask)
+        n_bytes = sum(field.values.nbytes for field in fields if field is not None)
         if self._n_bytes + n_bytes <= KEPT_BYTES:
             self._kept[frame.file_name] = read
             self._n_bytes += n_bytes

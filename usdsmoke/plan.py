@@ -6,7 +6,7 @@ Only the stage's own values and the headers of VDB files are looked at: no voxel
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,17 @@ from usdsmoke.estimate import (
     estimate_run,
     free_disk_bytes,
 )
-from usdsmoke.frames import VelocitySource, find_density, find_frame_velocity, is_copied
+from usdsmoke.frames import (
+    MaskSource,
+    VelocitySource,
+    find_density,
+    find_frame_mask,
+    find_frame_velocity,
+    is_copied,
+)
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.naming import frame_file_names, volume_stems
-from usdsmoke.needs import Omission, list_needed, list_omitted
+from usdsmoke.needs import Omission, list_needed, list_omitted, optimizes
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.windows import Window, split_windows
 
@@ -40,6 +47,7 @@ class FramePlan:
     grid: GridHeader
     velocity: VelocitySource | None  # None: there is none, or the core does not need it
     copied: VelocitySource | None  # None: it is not written into the result's file
+    mask: MaskSource | None  # None: none is named, or there is no effect that it could scale
     file_name: str  # of the result
 
     @property
@@ -102,7 +110,8 @@ def make_plan(source: StageSource, config: Config, n_styles: int = 1) -> Plan:
         n_styles: style images.
 
     Raises:
-        GridError: a header shows that a density cannot be used.
+        GridError: a header shows that a density cannot be used, or a velocity or mask that was
+            named.
         LayerError: two timeCodes are too close for file names of their own.
     """
     stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
@@ -178,27 +187,42 @@ def _plan_volume(
 ) -> VolumePlan:
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows)
-    starts = {window.time_codes[0] for window in windows}
-    in_company = {code for w in windows if len(w.time_codes) > 1 for code in w.time_codes}
     names = result_file_names(volume, stem)
+    window_of = {code: window for window in windows for code in window.time_codes}
     frames = []
     for frame in volume.frames:
         _read_headers(frame, headers)
-        grid = find_density(volume, frame, headers[frame.fields[volume.density].file_path])
-        density = frame.fields[volume.density]
-        velocity = find_frame_velocity(volume, frame, headers, config)
-        copied = velocity if is_copied(velocity, density, config) else None
-        frames.append(
-            FramePlan(
-                source=frame,
-                size=_frame_size(density.file_path, grid, frame.time_code in starts, copied),
-                grid=grid,
-                velocity=velocity if frame.time_code in in_company else None,
-                copied=copied,
-                file_name=names[frame.time_code],
-            )
-        )
+        code = frame.time_code
+        frames.append(_plan_frame(volume, frame, window_of[code], names[code], config, headers))
     return VolumePlan(volume, stem, tuple(frames), windows)
+
+
+def _plan_frame(
+    volume: VolumeSource,
+    frame: FrameSource,
+    window: Window,
+    file_name: str,
+    config: Config,
+    headers: Mapping[str, FileHeader],
+) -> FramePlan:
+    density = frame.fields[volume.density]
+    grid = find_density(volume, frame, headers[density.file_path])
+    velocity = find_frame_velocity(volume, frame, headers, config)
+    copied = velocity if is_copied(velocity, density, config) else None
+    mask = find_frame_mask(volume, frame, headers, config)
+    is_first = frame.time_code == window.time_codes[0]
+    size = _frame_size(density.file_path, grid, is_first, copied)
+    if size.active_voxels == 0 or not optimizes(config):
+        mask = None
+    return FramePlan(
+        source=frame,
+        size=size if mask is None else replace(size, mask_box=_mask_box(mask)),
+        grid=grid,
+        velocity=velocity if len(window.time_codes) > 1 else None,
+        copied=copied,
+        mask=mask,
+        file_name=file_name,
+    )
 
 
 def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
@@ -210,14 +234,23 @@ def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
 def _frame_size(
     file_path: str, grid: GridHeader, window_start: bool, copied: VelocitySource | None
 ) -> FrameSize:
-    """From the header; a file that does not tell is taken to hold nothing but this grid."""
+    active, box = _grid_size(file_path, grid)
+    return FrameSize(active, box, window_start, 0 if copied is None else 3)
+
+
+def _mask_box(mask: MaskSource) -> tuple[int, int, int]:
+    return _grid_size(mask.field.file_path, mask.grid)[1]
+
+
+def _grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, int]]:
+    """Active voxels and their box; a file that does not tell is taken to hold only this grid."""
     active, box = grid.active_voxels, grid.box_shape
     if active is None:
         active = max(1, os.path.getsize(file_path) // 2)  # half floats, nothing compressed
     if box is None and active:
         side = round(active ** (1 / 3)) + 1
         box = (side, side, side)
-    return FrameSize(active, box or (0, 0, 0), window_start, 0 if copied is None else 3)
+    return active, box or (0, 0, 0)
 
 
 def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
@@ -253,6 +286,7 @@ def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
         "active_voxels": frame.grid.active_voxels,
         "box": list(frame.size.box),
         "velocity": [grid.label for grid in frame.velocity.grids] if frame.velocity else [],
+        "mask": frame.mask.grid.label if frame.mask else "",
         "empty": frame.is_empty,
         "output_file": frame.file_name,
     }

@@ -1,4 +1,4 @@
-"""From a Volume's relationships to the field prims that its density and velocity come from."""
+"""From a Volume's relationships to the field prims of its density, its velocity and its mask."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ class VolumeFields:
 
     density: str  # relationship name
     velocity: tuple[str, ...]  # relationship names; none, one vector or x, y, z
+    mask: str  # relationship name; "" when the Volume has none of that name
     prims: dict[str, Usd.Prim]
     others: tuple[str, ...]  # relationships that are left alone
 
@@ -47,19 +48,21 @@ def velocity_relationships(names: Sequence[str], wanted: str = "") -> tuple[str,
     return ()
 
 
-def find_fields(volume: Usd.Prim, density: str, velocity: str) -> VolumeFields:
-    """The field prims of a Volume's density and, where there is one, velocity.
+def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -> VolumeFields:
+    """The field prims of a Volume's density and, where there are such, velocity and mask.
 
-    A velocity relationship that leads to no OpenVDBAsset is left with the others: only the density
-    has to be there.
+    A velocity relationship that leads to no OpenVDBAsset is left with the others. The density has
+    to be there; a mask without a relationship may still be a grid of the density's file.
 
     Args:
         volume: a composed Volume prim.
         density: relationship name of the density.
         velocity: relationship name of the velocity; empty means the usual names.
+        mask: relationship name of the mask; empty means none.
 
     Raises:
-        FieldNotFound: no relationship of the density's name, or one that leads to no OpenVDBAsset.
+        FieldNotFound: no relationship of the density's name, or the density's or the mask's leads
+            to no OpenVDBAsset.
         StageError: the density's field prim is an instance proxy.
     """
     relationships = field_targets(volume)
@@ -69,6 +72,9 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str) -> VolumeFields:
             f"it has: {_listed(relationships)}; name the density's with stage.density"
         )
     prims = {density: _density_prim(volume, density, relationships[density])}
+    mask = mask if mask in relationships else ""
+    if mask:
+        prims[mask] = _wanted_prim(volume, mask, relationships[mask])
     names = velocity_relationships(sorted(relationships), velocity)
     found = {name: _field_prim(volume, relationships[name]) for name in names}
     if all(isinstance(prim, Usd.Prim) for prim in found.values()):
@@ -76,7 +82,7 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str) -> VolumeFields:
     else:
         names = ()
     others = tuple(name for name in sorted(relationships) if name not in prims)
-    return VolumeFields(density, names, prims, others)
+    return VolumeFields(density, names, mask, prims, others)
 
 
 def describe_instance(prim: Usd.Prim) -> str:
@@ -93,15 +99,27 @@ def describe_instance(prim: Usd.Prim) -> str:
 
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
-    prim = _field_prim(volume, targets)
-    where = f'relationship "{FIELD_PREFIX}{density}" of Volume <{volume.GetPath()}>'
-    if isinstance(prim, str):
-        raise FieldNotFound(f"the {where} {prim}; wanted one OpenVDBAsset prim: correct its target")
+    prim = _wanted_prim(volume, density, targets)
     if prim.IsInstanceProxy():
         raise StageError(
-            f"cannot change the field <{prim.GetPath()}> of the {where}: {describe_instance(prim)}"
+            f"cannot change the field <{prim.GetPath()}> of the {_where(volume, density)}: "
+            f"{describe_instance(prim)}"
         )
     return prim
+
+
+def _wanted_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.Prim:
+    """The field prim of a relationship that has to lead to one."""
+    prim = _field_prim(volume, targets)
+    if isinstance(prim, str):
+        raise FieldNotFound(
+            f"the {_where(volume, name)} {prim}; wanted one OpenVDBAsset prim: correct its target"
+        )
+    return prim
+
+
+def _where(volume: Usd.Prim, name: str) -> str:
+    return f'relationship "{FIELD_PREFIX}{name}" of Volume <{volume.GetPath()}>'
 
 
 def _field_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:

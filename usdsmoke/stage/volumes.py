@@ -1,6 +1,6 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
@@ -35,7 +35,7 @@ class _Outline:
 
 
 def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
-    """The Volumes to stylize, with every selected timeCode of their density and velocity.
+    """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
     A Volume's timeCodes are those at which its density's file or grid changes; other fields are
     held in between, as USD holds them. What is not animated has one frame, at the stage's
@@ -48,8 +48,9 @@ def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
     Raises:
         ConfigError: ``frames`` cannot be read.
         VolumeNotFound: a named prim is missing or no Volume, or the stage has no Volume at all.
-        FieldNotFound: the density's relationship or its field prim is missing.
-        AssetNotResolved: a selected file cannot be read from disk.
+        FieldNotFound: the density's relationship or its field prim is missing, or the mask's
+            relationship leads to no field prim.
+        AssetNotResolved: a selected file cannot be read from disk, or the mask has none.
         StageError: a Volume is an instance proxy, or a timeCode is asked for that does not exist.
     """
     ranges = parse_frames(config.frames)
@@ -147,7 +148,7 @@ def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd
 
 
 def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
-    fields = find_fields(prim, config.density, config.velocity)
+    fields = find_fields(prim, config.density, config.velocity, config.mask)
     density = fields.prims[fields.density]
     codes = field_time_codes(density)
     animated = bool(codes)
@@ -199,6 +200,7 @@ def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
             for name, prim in outline.fields.prims.items()
         }
         fields = {name: source for name, source in found.items() if source is not None}
+        _check_mask(outline, fields, time_code)
         frames.append(FrameSource(time_code, fields))
     for name, prim in outline.fields.prims.items():
         check_assets(prim, _of_field(frames, name))
@@ -209,8 +211,21 @@ def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
         time_codes=outline.time_codes,
         density=outline.fields.density,
         velocity=outline.fields.velocity,
+        mask=outline.fields.mask,
         other_fields=outline.fields.others,
     )
+
+
+def _check_mask(outline: _Outline, fields: Mapping[str, FieldSource], time_code: float) -> None:
+    """A mask that was asked for may have no gap where there is smoke: all of it, or none?"""
+    mask = outline.fields.mask
+    if mask and mask not in fields:
+        raise AssetNotResolved(
+            f"the mask <{outline.fields.prims[mask].GetPath()}> of Volume "
+            f"<{outline.prim.GetPath()}> has no filePath at timeCode "
+            f"{format_time_code(time_code)}; wanted a .vdb file wherever the density has one: "
+            "author it, or select other frames"
+        )
 
 
 def _of_field(frames: Sequence[FrameSource], name: str) -> list[FieldSource]:
