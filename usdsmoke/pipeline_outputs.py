@@ -58,7 +58,7 @@ def write_result(
     frame: FramePlan,
     stylized: "StylizedFrame",
     config: Config,
-    source_hash: str,
+    source_hashes: Mapping[str, str],
 ) -> None:
     """Write one frame's VDB file and note in the run's record that it is finished.
 
@@ -67,7 +67,7 @@ def write_result(
         volume, frame: what it is the result of.
         stylized: the result.
         config: the resolved settings.
-        source_hash: content hash of the density that was read.
+        source_hashes: content hashes of the ``density`` and, if any, the ``mask`` that were read.
 
     Raises:
         WriteFailed: the operating system refused, or the file came back different.
@@ -80,7 +80,7 @@ def write_result(
         **read_header(source_file).metadata,
         "usdsmoke:version": __version__,
         "usdsmoke:run": run.run_id,
-        "usdsmoke:source_sha256": source_hash,
+        "usdsmoke:source_sha256": source_hashes["density"],
         "usdsmoke:params_sha256": run.settings_hash,
     }
     target = run.folder / frame.file_name
@@ -90,7 +90,7 @@ def write_result(
         "prim_path": volume.source.prim_path,
         "time_code": frame.source.time_code,
         "content_hash": content_hash,
-        "source_hash": source_hash,
+        "source_hashes": dict(source_hashes),
         "extent_min": low,
         "extent_max": high,
         "report": _plain(stylized.report),
@@ -147,8 +147,12 @@ def make_provenance(
     inputs = {}
     for volume in plan.volumes:
         for frame in volume.frames:
+            hashes = run.frames[frame.file_name]["source_hashes"]
             source_file = frame.source.fields[volume.source.density].file_path
-            inputs[f"{source_file} {frame.grid.label}"] = run.frames[frame.file_name]["source_hash"]
+            inputs[f"{source_file} {frame.grid.label}"] = hashes["density"]
+            if frame.mask is not None:
+                mask_file = frame.mask.field.file_path
+                inputs[f"{mask_file} {frame.mask.grid.label}"] = hashes["mask"]
     facts = RunFacts(
         version=__version__,
         seed=config.optimize.seed,

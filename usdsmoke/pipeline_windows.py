@@ -40,11 +40,12 @@ def _windows_to_do(
 
 def check_frames(
     reader: FrameReader, plan: Plan, run: RunFolder, tell: RunProgressCallback
-) -> dict[str, str]:
+) -> dict[str, dict[str, str]]:
     """Read every frame once, so that damage and NaN show before an hour of work, not after it.
 
     Returns:
-        Content hash of the source's density by the result's file name.
+        By the result's file name the content hashes of what decides the frame: ``density``, and
+        ``mask`` where there is one.
 
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
@@ -55,7 +56,10 @@ def check_frames(
     hashes = {}
     for number, (volume, frame) in enumerate(to_do):
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
-        hashes[frame.file_name] = hash_fields([reader.read(volume, frame).density])
+        read = reader.read(volume, frame)
+        hashes[frame.file_name] = {"density": hash_fields([read.density])}
+        if read.mask is not None:
+            hashes[frame.file_name]["mask"] = hash_fields([read.mask])
     return hashes
 
 
@@ -76,7 +80,7 @@ def stylize_windows(
     run: RunFolder,
     reader: FrameReader,
     scenes: Sequence["Scene"],
-    source_hashes: Mapping[str, str],
+    source_hashes: Mapping[str, Mapping[str, str]],
     tell: RunProgressCallback,
 ) -> float:
     """Stylize every unfinished window and write its frames.
@@ -113,8 +117,8 @@ def stylize_windows(
         for frame, stylized in zip(members, results, strict=True):
             share = meter.share_before(done + 1)
             tell(RunProgress("write", frame.source.time_code, done, len(warm), share))
-            source_hash = source_hashes[frame.file_name]
-            write_result(run, volume, frame, stylized, plan.config, source_hash)
+            hashes = source_hashes[frame.file_name]
+            write_result(run, volume, frame, stylized, plan.config, hashes)
             done += 1
     return time.monotonic() - started
 

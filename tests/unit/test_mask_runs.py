@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import pytest
+from pxr import Sdf
 
 from tests.grids_fixtures import openvdb, write_raw
 from tests.mask_fixtures import frames_of, make_stage, plan_of, write_mask
 from tests.pipeline_fixtures import FakeCore, Shot, make_style, run
 from usdsmoke.errors import Interrupted, OutputExists
 from usdsmoke.estimate import MASK_BYTES
+from usdsmoke.grids.content_hash import hash_fields
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.plan import Plan
 from usdsmoke.stage import open_stage
@@ -75,11 +77,16 @@ def test_a_frame_is_remembered_when_density_and_mask_fit_together(
     assert (reader.read(volume, volume.frames[0]) is first) == kept
 
 
-def test_the_core_gets_the_mask_and_the_results_layer_leaves_its_field_as_it_is(
+def test_the_core_gets_the_mask_and_the_layer_records_it_but_leaves_its_field_as_it_is(
     masked_shot: Shot, core: FakeCore
 ) -> None:
     result = run(masked_shot, "stage.mask=fade")
     assert core.masks == [True, True, True]
+    record = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
+    plan = plan_of(masked_shot.stage)
+    mask = FrameReader(plan).read(plan.volumes[0], plan.volumes[0].frames[0]).mask
+    assert f"fade.vdb weight={hash_fields([mask])}" in record["inputs"]
+    assert len(record["inputs"]) == 4  # three densities and one mask for all
     stage = open_stage(result.root_stage)
     shown = stage.GetAttributeAtPath("/World/smoke/fade.filePath").Get(2)
     assert Path(shown.resolvedPath) == masked_shot.stage.parent / "fade.vdb"
