@@ -23,6 +23,7 @@ READ = "tests/unit/grids/test_read.py::"
 VELOCITY = "tests/unit/grids/test_velocity.py::"
 REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
 STAGES = "tests/test_extreme_stages.py::"
+MASK = "tests/unit/test_mask.py::"
 WARM = "tests/unit/core/test_warm.py::"
 WINDOWS = "tests/unit/test_windows.py::"
 
@@ -100,6 +101,17 @@ VOLUME = _group(
      "index beyond them, with those there are",
      (READ + "test_grid_is_found_by_name_then_index",
       READ + "test_grid_not_found_lists_what_the_file_has")),
+    ("a mask that is not there", "named error GridNotFound: with the fields and grids there are; "
+     "named error AssetNotResolved: where its file is missing, or its timeCode",
+     (MASK + "test_a_mask_in_neither_place_is_refused_with_what_there_is",
+      MASK + "test_a_missing_mask_file_and_a_gap_are_refused_with_their_timecode")),
+    ("a mask of vectors, a level set, truth values, or scaled to nothing",
+     "named error UnsupportedGrid: known from stage and header",
+     (MASK + "test_a_grid_that_is_no_field_of_numbers_is_no_mask",
+      MASK + "test_a_mask_that_is_scaled_to_nothing_is_refused")),
+    ("NaN in a mask", "named error NonFiniteError: field and timeCode; finite: once "
+     "`grids.repair_nan` is set",
+     (MASK + "test_nan_in_a_mask_is_refused_or_repaired_as_in_a_density",)),
 )  # fmt: skip
 
 OPTICAL = _group(
