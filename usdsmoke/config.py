@@ -49,6 +49,7 @@ __all__ = [
     "config_to_yaml",
     "read_config",
     "resolve_config",
+    "style_shares",
 ]
 
 
@@ -136,6 +137,27 @@ def resolve_config(*sources: Mapping[str, Any], assignments: Sequence[str] = ())
     )
     _check_together(config)
     return config
+
+
+def style_shares(config: StyleConfig, n_styles: int) -> list[float]:
+    """What share each style image has, adding up to 1.
+
+    >>> style_shares(StyleConfig(weights=[3, 1]), 2)
+    [0.75, 0.25]
+
+    Raises:
+        ConfigError: not one weight for each image, or none above 0.
+    """
+    weights = config.weights or [1.0] * n_styles
+    if len(weights) != n_styles:
+        raise ConfigError(
+            f"style.weights holds {len(weights)} numbers for {n_styles} style images; give one for "
+            "each or none"
+        )
+    if not max(weights) > 0:
+        raise ConfigError("style.weights are all 0; wanted at least one above 0")
+    relative = [weight / max(weights) for weight in weights]  # their sum cannot overflow
+    return [weight / sum(relative) for weight in relative]
 
 
 def config_to_dict(config: Config) -> dict[str, dict[str, Any]]:

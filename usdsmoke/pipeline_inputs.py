@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.config import Config, config_to_dict, style_shares
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ImageError, LayerError
@@ -63,6 +63,7 @@ def prepare_job(
     """
     if not style_paths:
         raise ImageError("no style image was given; wanted one at least")
+    style_shares(config.style, len(style_paths))
     output = Path(output).absolute()
     stage = open_stage(stage_path)
     source = find_volumes(stage, config.stage)

@@ -152,6 +152,9 @@ class StyleConfig:
     size: float = _setting(
         1.0, "size of the style relative to the rendered image", above=0.0, high=8.0
     )
+    weights: list[float] = _setting(
+        [], "one weight for each style image; their shares count; empty means equal ones", low=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,11 @@ class FeaturesConfig:
     network: str = _setting("embedded", "feature extractor", choices=("embedded", "vgg19"))
     layers: list[str] = _setting([], "style layers; empty means the network's default")
     weights: list[float] = _setting([], "one weight for each of them; empty means all 1", low=0.0)
+    content_layers: list[str] = _setting(
+        [],
+        "layers that losses.content compares; empty means the deepest style layer",
+        distinct=True,
+    )
     vgg19_file: str = _setting("", "torchvision state dict or safetensors file; empty means search")
 
 
@@ -168,12 +176,33 @@ class FeaturesConfig:
 class LossesConfig:
     """What is minimised."""
 
-    style: float = _setting(1.0, "weight of the style (Gram) loss", low=0.0)
-    keep: float = _setting(
-        20.0, "weight that keeps the shape step's smoke inside its silhouette", low=0.0
+    style: float = _setting(
+        1.0, "weight of the style; 0 gives the source back, whatever else is weighted", low=0.0
+    )
+    statistic: str = _setting(
+        "gram",
+        "how feature maps are compared: their Gram matrices, or their distributions",
+        choices=("gram", "sliced_wasserstein"),
+    )
+    histogram: float = _setting(
+        0.0, "weight of the feature histograms, as a share of the style's", low=0.0
+    )
+    content: float = _setting(
+        0.0, "weight that keeps the features of the smoke's own grey picture", low=0.0
+    )
+    laplacian: float = _setting(
+        0.0, "weight that keeps the edges of the smoke's own grey picture", low=0.0
+    )
+    photorealism: float = _setting(
+        0.0,
+        "weight that keeps the picture locally affine in the smoke's own grey picture",
+        low=0.0,
     )
     total_variation: float = _setting(
         0.0, "weight of the rendered image's total variation", low=0.0
+    )
+    keep: float = _setting(
+        20.0, "weight that keeps the shape step's smoke inside its silhouette", low=0.0
     )
 
 

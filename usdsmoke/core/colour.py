@@ -8,40 +8,45 @@ does.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.losses import StyleTarget, total_variation
+from usdsmoke.core.mask import EffectMask
 from usdsmoke.core.noise import white_noise
-from usdsmoke.core.optimize import Minimum, minimize
-from usdsmoke.core.project import SparseImage, colour_map
+from usdsmoke.core.optics import opacity
+from usdsmoke.core.optimize import Adam, Minimum, minimize
+from usdsmoke.core.picture_loss import Content, PictureLoss
+from usdsmoke.core.project import SparseImage, colour_map, column_map
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do, sample_colours
-from usdsmoke.core.style import decode_srgb, encode_srgb
+from usdsmoke.core.style import decode_srgb, encode_srgb, luminance
+from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.views import View
+from usdsmoke.core.views import View, draw_views
 
 __all__ = ["ColourView", "initial_colours", "optimize_colours", "prepare_views", "run_colour_step"]
 
 LATER_RATE = 0.7  # octaves after the first start near their goal
-THIN = 0.05  # opacity at which a pixel of the straight picture is half background
+THIN = 0.05  # exposed opacity at which a pixel of the straight picture is half background
 
 
 @dataclass(frozen=True)
 class ColourView:
-    """A view's linear map from voxel colours to its picture, and its opacity [H W]."""
+    """A view's linear map from the painted voxels' colours to its picture."""
 
     image: SparseImage
-    alpha: Tensor
+    alpha: Tensor  # [H W], opacity of the painted smoke as it is seen
+    thin: float = THIN  # opacity at which a pixel of the straight picture is half background
+    content: Content | None = None
 
     @property
     def guide(self) -> Tensor:
         """T of the guidance mask, [H W] in [0, 1): the share of smoke in the straight picture."""
-        return self.alpha / (self.alpha + THIN)
+        return self.alpha / (self.alpha + self.thin)
 
     def straight_picture(self, colours: Tensor, background: Tensor) -> Tensor:
         """Display-encoded picture [H W 3] of linear colours [N 3], their opacity divided out.
@@ -52,17 +57,33 @@ class ColourView:
         style does not have.
         """
         alpha = self.alpha[..., None]
-        return encode_srgb((self.image.apply(colours) + THIN * background) / (alpha + THIN))
+        light = self.image.apply(colours) + self.thin * background
+        return encode_srgb(light / (alpha + self.thin))
 
 
-def prepare_views(smoke: ActiveSmoke, views: Sequence[View], gamma_w: float) -> list[ColourView]:
-    """The linear maps of all views of one octave."""
-    positions = smoke.positions
-    step = smoke.voxel_size
-    return [
-        ColourView(*colour_map(positions, smoke.density, smoke.voxel_volume, gamma_w, view, step))
-        for view in views
-    ]
+def prepare_views(
+    smoke: ActiveSmoke,
+    views: Sequence[View],
+    gamma_w: float,
+    exposure: float = 1.0,
+    shown: Tensor | None = None,
+) -> list[ColourView]:
+    """The linear maps of all views of one octave.
+
+    Args:
+        smoke: all of it, painted or not.
+        gamma_w: extinction per density, 1/stage unit.
+        exposure: see ``Scene``.
+        shown: see ``project.colour_map``.
+    """
+    positions, step = smoke.positions, smoke.voxel_size
+    made = []
+    for view in views:
+        image, alpha = colour_map(
+            positions, smoke.density, smoke.voxel_volume, gamma_w, view, step, shown
+        )
+        made.append(ColourView(image, alpha, THIN / exposure))
+    return made
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
@@ -75,49 +96,49 @@ def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
 def optimize_colours(
     views: Sequence[ColourView],
     colours: Tensor,
-    targets: Sequence[StyleTarget],
+    judge: PictureLoss,
     background: Tensor,
     rate: float,
     n_iterations: int,
     n_views: int = 1,
-    tv_weight: float = 0.0,
+    seed: int = 0,
     tolerance: float = 0.0,
     watch: Callable[[Minimum], None] | None = None,
+    adam: Adam | None = None,
 ) -> tuple[Tensor, Minimum | None]:
     """Colours that give the pictures the style, one octave.
 
     Args:
-        views: the pool; iteration t sees views t * n_views, ... of it, modulo its size.
+        views: the pool; see ``views.draw_views``.
         colours: start, [N 3], display-encoded, in [0, 1].
-        targets: one per style image; their losses are added.
+        judge: of every picture.
         background: linear colour [3] behind the smoke, the style's mean, so that the border is no
             outlier.
         rate: Adam's step in display-encoded units.
         n_iterations: at most this many.
         n_views: pictures per iteration.
+        seed: of the order of views.
+        adam: moments from an earlier octave; changed in place.
 
     Returns:
         Colours [N 3] and how the optimisation ended.
     """
     unknown = colours.detach().clone().requires_grad_(True)
 
+    def term(view: ColourView, iteration: int, linear: Tensor) -> Tensor:
+        picture = view.straight_picture(linear, background)
+        return judge(picture, view.guide, view.content, iteration)
+
     def objective(iteration: int) -> Tensor:
-        linear = decode_srgb(unknown)
-        total = linear.new_zeros(())
-        for number in range(n_views):
-            view = views[(iteration * n_views + number) % len(views)]
-            picture = view.straight_picture(linear, background)
-            for target in targets:
-                total = total + target.loss(picture, view.guide)
-            if tv_weight:
-                total = total + tv_weight * total_variation(picture)
-        return total / n_views
+        drawn = draw_views(iteration, n_views, len(views), seed)
+        terms = [partial(term, views[number], iteration) for number in drawn]
+        return sum_terms(decode_srgb(unknown), terms) / n_views
 
     def clip() -> None:
         unknown.clamp_(0, 1)
 
     state = None
-    for state in minimize(objective, [unknown], rate, n_iterations, clip, tolerance):
+    for state in minimize(objective, [unknown], rate, n_iterations, clip, tolerance, adam):
         if watch is not None:
             watch(state)
     return unknown.detach(), state
@@ -131,39 +152,99 @@ def run_colour_step(
     config: Config,
     iterations: Sequence[int],
     watch: Callable[[int, Minimum], None] | None = None,
+    mask: EffectMask | None = None,
 ) -> tuple[Tensor, list[Minimum]]:
     """Colours of one frame, coarse to fine.
 
     Args:
         smoke: the (moved) density at full resolution.
-        start: display-encoded colours [N 3] carried over from a neighbouring frame; only octaves
-            with iterations left refine them. None starts from ``colour.init`` at the coarsest one.
+        start: display-encoded colours [N 3] of the painted voxels, carried over from a neighbouring
+            frame; only octaves with iterations left refine them. None starts from ``colour.init``
+            at the coarsest one.
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
+        mask: voxels where it is 0 are not painted, and only hide what is behind them.
 
     Returns:
-        Display-encoded colours [N 3] in [0, 1], and how each octave ended.
+        Display-encoded colours [N 3] in [0, 1] of the painted voxels, in the smoke's order, and how
+        each octave ended.
     """
-    colours, before, ends = start, smoke, []
+    painted = _painted(smoke, _shown(smoke, mask))
+    colours, before, adam = start, painted, Adam()
+    ends: list[Minimum] = []
     for number, factor, octave, n_iterations in octaves_to_do(smoke, iterations):
-        colours = _colours_on(octave, before, colours, config)
-        rate = config.colour.learning_rate * (1.0 if number == 0 else LATER_RATE)
-        views = frame_views(octave, config, scene, config.optimize.seed + number, factor)
+        shown = _shown(octave, mask)
+        here = _painted(octave, shown)
+        if len(here.ijk) == 0:  # the mask is finer than this octave
+            continue
+        if ends:
+            adam = adam.carried(partial(_moments_on, here, before))
+        seed = config.optimize.seed + number
         colours, end = optimize_colours(
-            prepare_views(octave, views, scene.gamma_w),
-            colours,
+            _octave_views(octave, shown, targets, scene, config, seed, factor),
+            _colours_on(here, before, colours, config),
             targets.at(factor),
             targets.background,
-            rate,
+            config.colour.learning_rate * (LATER_RATE if number else 1.0),
             n_iterations,
             config.views.count,
-            config.losses.total_variation,
+            seed,
             config.optimize.tolerance,
             partial(watch, number) if watch is not None else None,
+            adam,
         )
-        before = octave
+        before = here
         ends += [end] if end is not None else []
-    return _colours_on(smoke, before, colours, config), ends
+    return _colours_on(painted, before, colours, config), ends
+
+
+def _shown(smoke: ActiveSmoke, mask: EffectMask | None) -> Tensor | None:
+    return None if mask is None else mask.at(smoke.positions)
+
+
+def _painted(smoke: ActiveSmoke, shown: Tensor | None) -> ActiveSmoke:
+    return smoke if shown is None else smoke.take(shown > 0)
+
+
+def _octave_views(
+    octave: ActiveSmoke,
+    shown: Tensor | None,
+    targets: StyleTargets,
+    scene: Scene,
+    config: Config,
+    seed: int,
+    factor: int,
+) -> list[ColourView]:
+    """The pool of views of one octave, with their content pictures if a loss wants them."""
+    views = frame_views(octave, config, scene, seed, factor)
+    made = prepare_views(octave, views, scene.gamma_w, scene.exposure, shown)
+    judge = targets.at(factor)
+    if not judge.wants_content:
+        return made
+    found = []
+    for ours, view in zip(made, views, strict=True):
+        content = judge.remember(_content_picture(octave, view, ours.guide, targets, scene))
+        found.append(replace(ours, content=content))
+    return found
+
+
+def _content_picture(
+    smoke: ActiveSmoke, view: View, guide: Tensor, targets: StyleTargets, scene: Scene
+) -> Tensor:
+    """The smoke's grey picture with the style's brightness and contrast, [H W 3]."""
+    image = column_map(smoke.positions, smoke.voxel_volume, view, smoke.density.dtype)
+    columns = image.apply(smoke.density[:, None])[..., 0]
+    grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
+    mean, deviation = targets.brightness
+    light = mean + (grey - scene.grey_mean) / max(scene.grey_deviation, 0.05) * deviation
+    behind = luminance(encode_srgb(targets.background))
+    filled = guide * light.clamp(0, 1) + (1 - guide) * behind
+    return filled[..., None].expand(-1, -1, 3)
+
+
+def _moments_on(here: ActiveSmoke, before: ActiveSmoke, moments: list[Tensor]) -> list[Tensor]:
+    """Adam's moments of the octave before at the voxels of this one."""
+    return [sample_colours(before, moment, here.positions)[0] for moment in moments]
 
 
 def _colours_on(

@@ -1,5 +1,6 @@
 """A dense box around the smoke of one octave, on which potentials and displacements live."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -31,6 +32,16 @@ class Lattice:
         """Voxel edge lengths along i, j, k, stage units."""
         sides = np.linalg.norm(self.index_to_stage[:3, :3], axis=1)
         return float(sides[0]), float(sides[1]), float(sides[2])
+
+    def coarsened(self, shape: Sequence[int]) -> "Lattice":
+        """The same box cut into fewer voxels; ``shape`` may have further entries."""
+        coarse = tuple(int(n) for n in tuple(shape)[:3])
+        scale = np.array(self.shape) / np.array(coarse)
+        place = np.diag([*scale, 1.0])
+        place[3, :3] = self.low + 0.5 * scale - 0.5  # voxel m is centred at (m + 1/2) / n
+        return Lattice(
+            np.zeros(3, np.int64), cast(tuple[int, int, int], coarse), place @ self.index_to_stage
+        )
 
     def positions(self, ijk: Tensor | None = None) -> Tensor:
         """Stage positions [N 3] float64 of voxels [N 3] of the box, or of all of them in order."""

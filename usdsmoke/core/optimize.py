@@ -25,26 +25,53 @@ WORSE = (
 
 @dataclass
 class Adam:
-    """Adam's moments for a list of tensors. [Kingma2015, algorithm 1]"""
+    """Adam's moments for a list of tensors. [Kingma2015, algorithm 1]
+
+    Deviation: gradients are measured in units of the first ones' root mean square. So the path does
+    not depend on the loss's unit, nothing under- or overflows, and epsilon keeps what hardly shows
+    in any picture from being moved by round-off.
+    """
 
     betas: tuple[float, float] = (0.9, 0.99)
-    epsilon: float = 1e-8
+    epsilon: float = 1e-5
     n_steps: int = 0
     first: list[Tensor] = field(default_factory=list)
     second: list[Tensor] = field(default_factory=list)
+    unit: float = 0.0  # 0: the next gradients set it
 
     def step(self, parameters: list[Tensor], gradients: list[Tensor], rate: float) -> None:
         """Moves the parameters in place by one step of size ``rate``."""
         if not self.first:
             self.first = [torch.zeros_like(p) for p in parameters]
             self.second = [torch.zeros_like(p) for p in parameters]
+        self.unit = self.unit or _root_mean_square(gradients)
+        if self.unit == 0:
+            return
         self.n_steps += 1
         b1, b2 = self.betas
         unbias = math.sqrt(1 - b2**self.n_steps) / (1 - b1**self.n_steps)
         for p, g, m, v in zip(parameters, gradients, self.first, self.second, strict=True):
+            g = g / self.unit
             m.mul_(b1).add_(g, alpha=1 - b1)
             v.mul_(b2).addcmul_(g, g, value=1 - b2)
             p.addcdiv_(m, v.sqrt().add_(self.epsilon), value=-rate * unbias)
+
+    def carried(self, transfer: Callable[[list[Tensor]], list[Tensor]]) -> "Adam":
+        """The moments on other parameters, for the octave that follows.
+
+        Gradients are of another size there: the pattern is carried over, and the size set so that
+        it agrees with the first gradients.
+
+        Args:
+            transfer: either moment's tensors -> those of the new parameters.
+        """
+        first, second = transfer(self.first), [t.clamp_min(0) for t in transfer(self.second)]
+        size = _root_mean_square([v.sqrt() for v in second])
+        if size == 0:
+            return Adam(self.betas, self.epsilon)
+        size /= math.sqrt(1 - self.betas[1] ** self.n_steps)
+        first, second = [m / size for m in first], [v / size**2 for v in second]
+        return Adam(self.betas, self.epsilon, self.n_steps, first, second)
 
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
@@ -54,9 +81,18 @@ class Adam:
 
     def restore(self, kept: "Adam") -> None:
         """Takes over the moments of another state."""
-        self.n_steps = kept.n_steps
+        self.n_steps, self.unit = kept.n_steps, kept.unit
         self.first = [t.clone() for t in kept.first]
         self.second = [t.clone() for t in kept.second]
+
+
+def _root_mean_square(tensors: list[Tensor]) -> float:
+    """Over all entries; squares neither under- nor overflow."""
+    most = max((float(t.abs().max()) for t in tensors if t.numel()), default=0.0)
+    if most == 0:
+        return 0.0
+    squares = sum(float((t / most).square().sum()) for t in tensors)
+    return most * math.sqrt(squares / sum(t.numel() for t in tensors))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
 """From a potential on a box to the displacement of its smoke."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from usdsmoke.core.displacement import (
@@ -13,7 +15,7 @@ from usdsmoke.core.displacement import (
 )
 from usdsmoke.core.lattice import Lattice
 
-__all__ = ["Potential", "border_mask", "displacement_from"]
+__all__ = ["Potential", "border_mask", "carry_levels", "displacement_from"]
 
 BORDER = 2.0  # voxels over which the displacement fades towards the border
 
@@ -30,6 +32,31 @@ class Potential:
         positions = lattice.positions() if departures is None else departures
         found = self.lattice.sample(self.values, positions.to(self.values.device))
         return found.view(*lattice.shape, -1)
+
+
+def carry_levels(
+    like: Sequence[Tensor], lattice: Lattice, before: Lattice, levels: Sequence[Tensor]
+) -> list[Tensor]:
+    """A pyramid's values on the pyramid of the next octave, whose lattice is twice as fine.
+
+    Each level gets what the level of its own resolution had; the finest had none, and gets 0.
+
+    Args:
+        like: the new levels, coarse to fine, [i j k C] each.
+        lattice, before: of the new pyramid's finest level, and of the old one's.
+        levels: the old levels, coarse to fine.
+    """
+    carried = []
+    for number, level in enumerate(like):
+        above = number - len(like) + 1 + len(levels)  # the same resolution, counted from the finest
+        if not 0 <= above < len(levels):
+            carried.append(torch.zeros_like(level))
+            continue
+        old = levels[above]
+        places = lattice.coarsened(level.shape).positions()
+        found = before.coarsened(old.shape).sample(old, places.to(old.device))
+        carried.append(found.view(level.shape))
+    return carried
 
 
 def border_mask(density: Tensor) -> Tensor:

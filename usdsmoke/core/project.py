@@ -23,7 +23,8 @@ from usdsmoke.core.views import View
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 
-NEGLIGIBLE = 1e-9  # share of a pixel: what is hidden deeper is rounded away in float32 sums anyway
+# Share of the most opaque pixel: what is hidden deeper is rounded away in float32 sums anyway.
+NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
 MOST_CELLS = 2**27  # slabs times pixels: the emptiness between far places must not fill memory
 
@@ -156,7 +157,13 @@ def column_map(
 
 
 def colour_map(
-    positions: Tensor, density: Tensor, voxel_volume: float, gamma_w: float, view: View, step: float
+    positions: Tensor,
+    density: Tensor,
+    voxel_volume: float,
+    gamma_w: float,
+    view: View,
+    step: float,
+    shown: Tensor | None = None,
 ) -> tuple[SparseImage, Tensor]:
     """The map from voxel colour [N 3] to the picture of fixed smoke, and its opacity [H W].
 
@@ -167,9 +174,12 @@ def colour_map(
         gamma_w: extinction per density, 1/stage unit.
         view: see ``column_map``.
         step: thickness of the slabs, stage units; about the voxel's size.
+        shown: [N] in [0, 1], the share of a voxel's light that counts; None means all. Smoke that
+            is not shown still hides what is behind it.
 
     Returns:
-        The map, and alpha = 1 - exp(-gamma_w * column integral), which is what white smoke gives.
+        The map, from the voxels that are shown at all, and what white smoke gives, alpha: with
+        everything shown 1 - exp(-gamma_w * column integral).
 
     Gradients: none through density; it is fixed in the colour step.
     """
@@ -196,6 +206,12 @@ def colour_map(
     weight = share * (
         per_depth[cell0] * (1 - far)[:, None] + per_depth[cell0 + n_pixels] * far[:, None]
     )
-    weight = torch.where(weight > NEGLIGIBLE, weight, torch.zeros_like(weight))
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
-    return _sorted_image(view, foot.pixel, weight), alpha
+    least = NEGLIGIBLE * float(alpha.max())
+    weight = torch.where(weight > least, weight, torch.zeros_like(weight))
+    if shown is None:
+        return _sorted_image(view, foot.pixel, weight), alpha
+    some = shown > 0
+    weight = weight[some] * shown[some, None].to(weight)
+    image = _sorted_image(view, foot.pixel[some], weight)
+    return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]

@@ -20,6 +20,8 @@ from usdsmoke.volume import VolumeFrame
 __all__ = ["Scene", "face_view", "fit_view", "frame_views", "measure_scene"]
 
 MARGIN = 2  # pixels around the smoke
+FAINTEST = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
+VISIBLE = 0.7  # opacity that the thick columns are exposed to where they have less
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,8 @@ class Scene:
     image_size: int  # pixels of the largest picture's longer side, which the style is scaled to
     grey_mean: float = 0.5  # of the grey pictures inside the smoke: grey styles are matched to it
     grey_deviation: float = 0.2
+    exposure: float = 1.0  # what thin smoke's pictures are brightened by, >= 1: colour step
+    exposure_shape: float = 1.0
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:
@@ -123,7 +127,8 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
     An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
     optical depth ``optics.depth``, seen from the middle view, in the median of the frames; likewise
     ``gamma_shape``. A set gamma is per voxel, the paper's meaning, and is divided by the voxel
-    size.
+    size. Where it leaves the thick columns fainter than an opacity of 0.7, the pictures are exposed
+    to that: the paper divides each by its own maximum, after which exposure jumps with the frame.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -155,7 +160,11 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
             (config.optics.gamma_shape, config.optics.depth_shape),
         )
     )
-    grey = -np.expm1(-gamma_w_shape * np.concatenate(columns))
+    exposure, exposure_shape = (
+        max(1.0, VISIBLE / max(-math.expm1(-gamma * thick), FAINTEST))
+        for gamma in (gamma_w, gamma_w_shape)
+    )
+    grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
     return Scene(
         gamma_w,
@@ -166,6 +175,8 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
         math.ceil(longest / pixel_size - 1e-6),
         float(inside.mean()),
         float(inside.std()),
+        exposure,
+        exposure_shape,
     )
 
 

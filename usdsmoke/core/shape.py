@@ -15,7 +15,7 @@ Deviations from the reference, each against a fault seen there:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
 
@@ -24,26 +24,29 @@ import torch
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.lattice import field_from_box, grow, surround
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.optimize import Minimum, minimize
-from usdsmoke.core.potential import Potential, border_mask, displacement_from
-from usdsmoke.core.project import SparseImage, column_map
+from usdsmoke.core.grey import GreyView, look_at
+from usdsmoke.core.lattice import Lattice, field_from_box, grow, surround
+from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.optimize import Adam, Minimum, minimize
+from usdsmoke.core.picture_loss import PictureLoss
+from usdsmoke.core.potential import Potential, border_mask, carry_levels, displacement_from
+from usdsmoke.core.project import column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
+from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.transport import Scheme, correct_mass, warp
+from usdsmoke.core.views import draw_views
 from usdsmoke.core.warm import departure_points
 from usdsmoke.volume import DenseField, VolumeFrame
 
 __all__ = ["Displaced", "run_shape_step"]
 
+N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 N_LEVELS = 5  # of the coefficient pyramid
 ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
 FAINTEST = 1e-6  # of the largest density
-THIN = 0.05  # opacity at which the guidance mask is one half
 
 
 @dataclass(frozen=True)
@@ -55,77 +58,69 @@ class Displaced:
     report: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _GreyView:
-    """A view's sums over the voxels that smoke can come to, and the unmoved picture [H W]."""
-
-    image: SparseImage
-    grey: Tensor
-
-    def guide(self) -> Tensor:
-        """T of the guidance mask, [H W]: 1 in all but the thinnest smoke, 0 outside."""
-        return self.grey / (self.grey + THIN)
-
-    def filled(self, grey: Tensor, behind: float) -> Tensor:
-        """What the network sees, [H W 3]: a grey level beyond the silhouette instead of black.
-
-        Against black the silhouette's edge is the strongest structure of the picture, and the
-        optimiser sees little else.
-        """
-        return (grey + (1 - self.guide()) * behind)[..., None].expand(-1, -1, 3)
-
-    def picture(self, density: Tensor, gamma_w: float) -> Tensor:
-        return opacity(gamma_w * self.image.apply(density[:, None])[..., 0])
-
-
 class _Octave:
     """The shape step's problem at one resolution."""
 
     def __init__(
-        self, smoke: ActiveSmoke, cap: float, scene: Scene, config: Config, seed: int, factor: int
+        self,
+        smoke: ActiveSmoke,
+        mask: EffectMask | None,
+        cap: float,
+        judge: PictureLoss,
+        scene: Scene,
+        config: Config,
+        seed: int,
+        factor: int,
     ) -> None:
         self.lattice = surround(smoke, ROOM)
         self.density = self.lattice.fill(smoke)
-        self.mask = border_mask(self.density)
-        # nothing moves where the mask and its neighbours are 0: no smoke can come to other voxels
-        self.active = torch.nonzero((self.density > 0) | grow(self.mask > 0))
-        self._kind, self._cap, self._gamma_w = config.shape.displacement, cap, scene.gamma_w_shape
+        self.effect = _effect(self.density, self.lattice, mask)
+        # nothing moves where the effect and its neighbours are 0: no smoke can come to other voxels
+        self.active = torch.nonzero((self.density > 0) | grow(self.effect > 0))
+        self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
+        shown = None if mask is None else mask.at(positions)
         still = self.density[tuple(self.active.T)]
         self._views = []
         for view in frame_views(smoke, config, scene, seed, factor):
             image = column_map(positions, smoke.voxel_volume, view)
-            self._views.append(
-                _GreyView(image, opacity(self._gamma_w * image.apply(still[:, None])[..., 0]))
-            )
+            look = look_at(image, still, shown, scene.gamma_w_shape, scene.exposure_shape)
+            if judge.wants_content:
+                content = judge.remember(look.filled(look.grey, self._behind))
+                look = replace(look, content=content)
+            self._views.append(look)
 
     def moved(self, potential: Tensor) -> Tensor:
         """Moved density at the active voxels, [N]; the cheap scheme."""
-        u = displacement_from(potential, self.mask, self._kind, self._cap, self.lattice)
+        u = displacement_from(
+            potential, self.effect, self._config.shape.displacement, self._cap, self.lattice
+        )
         chosen = u[tuple(self.active.T)]
         return warp(self.density, chosen, active_ijk=self.active, scheme="linear")
 
-    def loss(
-        self,
-        potential: Tensor,
-        targets: Sequence[StyleTarget],
-        keep: float,
-        iteration: int,
-        n_views: int,
-    ) -> Tensor:
+    def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
-        density = self.moved(potential)
-        total = density.new_zeros(())
-        for number in range(n_views):
-            view = self._views[(iteration * n_views + number) % len(self._views)]
-            grey = view.picture(density, self._gamma_w)
+        n_views, keep = self._config.views.count, self._config.losses.keep
+
+        def term(view: GreyView, density: Tensor) -> Tensor:
+            grey = view.picture(density)
             picture = view.filled(grey, self._behind)
-            for target in targets:
-                total = total + target.loss(picture, view.guide())
-            if keep:
-                total = total + keep * ((grey - view.grey).abs() * (1 - view.grey)).mean()
-        return total / n_views
+            loss = self._judge(picture, view.guide, view.content, iteration)
+            return loss + keep * view.leaving(grey) if keep else loss
+
+        drawn = draw_views(iteration, n_views, len(self._views), self._seed)
+        terms = [partial(term, self._views[number]) for number in drawn]
+        return sum_terms(self.moved(potential), terms) / n_views
+
+
+def _effect(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
+    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border."""
+    inside = border_mask(density)
+    if mask is None:
+        return inside
+    share = mask.at(lattice.positions().to(density.device))
+    return inside * share.view(lattice.shape).to(inside)
 
 
 def run_shape_step(
@@ -139,6 +134,7 @@ def run_shape_step(
     config: Config,
     iterations: Sequence[int],
     watch: Callable[[int, Minimum], None] | None = None,
+    mask: EffectMask | None = None,
 ) -> Displaced:
     """One frame's density, moved so that its grey pictures take the style's structure.
 
@@ -149,49 +145,64 @@ def run_shape_step(
         seconds: time since that frame.
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
+        mask: scales the displacement in space.
     """
-    low, high = source.box
-    sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)
-    cap = config.shape.reach * float(max((high - low + 1) * sides))
-    n_channels = {"stream": 3, "potential": 1, "mixed": 4}[config.shape.displacement]
-    potential, ends = None, []
+    cap = config.shape.reach * _longest_side(source)
+    potential, ends, carried = None, [], None
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
-        octave = _Octave(smoke, cap, scene, config, config.optimize.seed + number, factor)
-        if potential is not None:
-            base = potential.on(octave.lattice)
-        elif before is not None:
-            places = octave.lattice.positions().to(octave.density.device)
-            base = before.potential.on(octave.lattice, departure_points(frame, places, seconds))
+        seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
+        octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor)
+        if potential is None:
+            base = _first_potential(octave.lattice, frame, before, seconds, config, octave.density)
         else:
-            base = octave.density.new_zeros(*octave.lattice.shape, n_channels)
-        values, end = _optimize_octave(
-            octave,
-            base,
-            cap,
-            targets.at(factor, grey=True),
-            config,
-            n_iterations,
-            partial(watch, number) if watch is not None else None,
-        )
-        potential = Potential(values, octave.lattice)
+            base = potential.on(octave.lattice)
+        told = partial(watch, number) if watch is not None else None
+        values, adam, end = _optimize_octave(octave, base, cap, config, n_iterations, carried, told)
+        potential, carried = Potential(values, octave.lattice), (adam, octave.lattice)
         ends += [end] if end is not None else []
     if potential is None:
         lattice = surround(source, ROOM)
-        potential = Potential(source.density.new_zeros(*lattice.shape, n_channels), lattice)
-    moved, report = _move_finally(density, source, potential, cap, config)
+        still = source.density.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
+        potential = Potential(still, lattice)
+    moved, report = _move_finally(density, source, mask, potential, cap, config)
     return Displaced(moved, potential, {"ends": ends, **report})
+
+
+def _longest_side(smoke: ActiveSmoke) -> float:
+    low, high = smoke.box
+    sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
+    return float(max((high - low + 1) * sides))
+
+
+def _first_potential(
+    lattice: Lattice,
+    frame: VolumeFrame,
+    before: Displaced | None,
+    seconds: float,
+    config: Config,
+    like: Tensor,
+) -> Tensor:
+    """Where the first octave starts: nothing moved, or the neighbour's potential carried along."""
+    if before is None:
+        return like.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
+    places = lattice.positions().to(like.device)
+    return before.potential.on(lattice, departure_points(frame, places, seconds))
 
 
 def _optimize_octave(
     octave: _Octave,
     base: Tensor,
     cap: float,
-    targets: Sequence[StyleTarget],
     config: Config,
     n_iterations: int,
+    before: tuple[Adam, Lattice] | None,
     watch: Callable[[Minimum], None] | None,
-) -> tuple[Tensor, Minimum | None]:
-    """The potential [I J K C] after one octave, starting from ``base``."""
+) -> tuple[Tensor, Adam, Minimum | None]:
+    """One octave, from a potential [I J K C] and the moments (and lattice) of the octave before.
+
+    Returns:
+        The potential, Adam's moments, and how the optimisation ended.
+    """
     pyramid = Pyramid.zeros(octave.lattice.shape, base.shape[-1], N_LEVELS, base)
     spacing = max(octave.lattice.spacing)
     # a coefficient of 1 moves smoke by about the cap on any level: one rate serves all
@@ -200,38 +211,41 @@ def _optimize_octave(
         for level in pyramid.levels
     ]
     unknowns = [level.requires_grad_(True) for level in pyramid.levels]
+    adam = Adam()
+    if before is not None:
+        adam = before[0].carried(partial(carry_levels, unknowns, octave.lattice, before[1]))
 
     def potential() -> Tensor:
         levels = tuple(u * s for u, s in zip(unknowns, scales, strict=True))
         return base + Pyramid(levels, pyramid.method).expand()
 
-    def objective(iteration: int) -> Tensor:
-        return octave.loss(potential(), targets, config.losses.keep, iteration, config.views.count)
-
+    rate, tolerance = config.shape.learning_rate, config.optimize.tolerance
+    steps = minimize(
+        lambda iteration: octave.loss(potential(), iteration),
+        unknowns, rate, n_iterations, tolerance=tolerance, adam=adam,
+    )  # fmt: skip
     state = None
-    for state in minimize(
-        objective,
-        unknowns,
-        config.shape.learning_rate,
-        n_iterations,
-        tolerance=config.optimize.tolerance,
-    ):
+    for state in steps:
         if watch is not None:
             watch(state)
     with torch.no_grad():
-        return potential(), state
+        return potential(), adam, state
 
 
 def _move_finally(
-    density: DenseField, source: ActiveSmoke, potential: Potential, cap: float, config: Config
+    density: DenseField,
+    source: ActiveSmoke,
+    mask: EffectMask | None,
+    potential: Potential,
+    cap: float,
+    config: Config,
 ) -> tuple[DenseField, dict[str, Any]]:
     """The full density moved by the accurate scheme, and how far the cheap one is off."""
     lattice = surround(source, ROOM)
     box = lattice.fill(source)
-    values = potential.on(lattice)
-    mask = border_mask(box)
+    effect = _effect(box, lattice, mask)
     u = config.optimize.strength * displacement_from(
-        values, mask, config.shape.displacement, cap, lattice
+        potential.on(lattice), effect, config.shape.displacement, cap, lattice
     )
     moved = warp(box, u, scheme=cast(Scheme, config.shape.interpolation)).clamp_min(0)
     # round-off of the spline is no smoke: it would fill the box with active voxels

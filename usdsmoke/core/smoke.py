@@ -35,6 +35,10 @@ class ActiveSmoke:
     density: Tensor  # [N], > 0
     index_to_stage: np.ndarray  # [4 4]
 
+    def take(self, chosen: Tensor) -> "ActiveSmoke":
+        """Some of the voxels; chosen is [N] bool."""
+        return ActiveSmoke(self.ijk[chosen], self.density[chosen], self.index_to_stage)
+
     @property
     def voxel_volume(self) -> float:
         """Stage unit^3."""

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from usdsmoke.config import StyleConfig
 
-__all__ = ["decode_srgb", "encode_srgb", "match_grey", "scale_style"]
+__all__ = ["decode_srgb", "encode_srgb", "luminance", "match_grey", "scale_style"]
 
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
@@ -26,6 +26,11 @@ def decode_srgb(encoded: Tensor) -> Tensor:
     """Scene-linear values of display-encoded sRGB [...]; the inverse of ``encode_srgb``."""
     curve = ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     return torch.where(encoded <= 0.04045, encoded / 12.92, curve)
+
+
+def luminance(picture: Tensor) -> Tensor:
+    """Rec.709 luma [...] of display-encoded colours [... 3]."""
+    return picture @ picture.new_tensor([0.2126, 0.7152, 0.0722])
 
 
 def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor) -> Tensor:
@@ -63,8 +68,8 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
         style: [H W 3], display-encoded.
         mean, deviation: of the grey level inside the smoke's silhouette.
     """
-    luminance = style @ style.new_tensor([0.2126, 0.7152, 0.0722])
-    spread = luminance.std(correction=0).clamp_min(1e-4)
+    light = luminance(style)
+    spread = light.std(correction=0).clamp_min(1e-4)
     wanted = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
-    matched = (luminance - luminance.mean()) / spread * wanted + mean
+    matched = (light - light.mean()) / spread * wanted + mean
     return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()

@@ -12,6 +12,7 @@ from torch import Tensor
 from usdsmoke.config import Config
 from usdsmoke.core.colour import run_colour_step
 from usdsmoke.core.device import choose_device
+from usdsmoke.core.mask import EffectMask, effect_mask
 from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.progress import Progress, ProgressCallback
 from usdsmoke.core.refine import refine_field
@@ -126,8 +127,11 @@ def _stylize_frame(
     steps = job.config.optimize.steps
     density = refine_field(frame.density, job.config.grids.refine)
     source = smoke = activate(density, frame.density_to_stage, job.device)
+    mask = effect_mask(frame)
     report: dict[str, Any] = {"voxels": len(source.ijk)}
-    left_out = _why_left_out(source, job.config)
+    if mask is not None and mask.n_clamped:
+        report["warnings"] = [_clamped_text(frame, mask)]
+    left_out = _why_left_out(source, mask, job.config)
     if left_out:
         report["left out"] = left_out
         empty = _empty_emission(density) if "colour" in steps else None
@@ -135,12 +139,20 @@ def _stylize_frame(
         return StylizedFrame(frame.time_code, density, empty, report), kept
     displaced = colours = emission = None
     if "shape" in steps:
-        displaced, report["shape"] = _move(density, source, frame, before, seconds, job, watch)
+        displaced, report["shape"] = _move(
+            density, source, mask, frame, before, seconds, job, watch
+        )
         density = displaced.density
         smoke = activate(density, frame.density_to_stage, job.device)
     if "colour" in steps:
-        colours, report["colour"] = _paint(smoke, frame, before, seconds, job, watch)
-        emission = _emission_field(density, smoke, colours, job.scene, job.config.optimize.strength)
+        share = None if mask is None else mask.at(smoke.positions)
+        painted = smoke if share is None else smoke.take(share > 0)
+        colours, report["colour"] = _paint(smoke, painted, mask, frame, before, seconds, job, watch)
+        strength: float | Tensor = job.config.optimize.strength
+        if share is not None:
+            strength = strength * share[share > 0]
+        emission = _emission_field(density, painted, colours, job.scene, strength)
+        smoke = painted
     return (
         StylizedFrame(frame.time_code, density, emission, report),
         _Neighbour(frame.time_code, displaced, smoke, colours),
@@ -150,6 +162,7 @@ def _stylize_frame(
 def _move(
     density: DenseField,
     source: ActiveSmoke,
+    mask: EffectMask | None,
     frame: VolumeFrame,
     before: _Neighbour | None,
     seconds: float,
@@ -162,7 +175,7 @@ def _move(
     plan = _plan_octaves(job.config.shape.iterations, job.config, start is not None)
     displaced = run_shape_step(
         density, source, frame, start, seconds,
-        job.targets, job.scene, job.config, plan, watch("shape", plan),
+        job.targets, job.scene, job.config, plan, watch("shape", plan), mask,
     )  # fmt: skip
     report = {**displaced.report, "seconds": time.perf_counter() - started}
     return displaced, {**_summarize(report.pop("ends")), **report}
@@ -170,30 +183,35 @@ def _move(
 
 def _paint(
     smoke: ActiveSmoke,
+    painted: ActiveSmoke,
+    mask: EffectMask | None,
     frame: VolumeFrame,
     before: _Neighbour | None,
     seconds: float,
     job: _Job,
     watch: _Watch,
 ) -> tuple[Tensor, dict[str, Any]]:
-    """The colour step of one frame: display-encoded colours [N 3], and its report."""
+    """The colour step of one frame: the painted voxels' encoded colours [N 3], and its report."""
     started = time.perf_counter()
     config, start = job.config, None
     if before is not None and before.smoke is not None and before.colours is not None:
-        start = carry_colours(
-            before.smoke, before.colours, frame, smoke, seconds, config.optimize.seed
-        )
+        if len(before.smoke.ijk) and len(painted.ijk):
+            start = carry_colours(
+                before.smoke, before.colours, frame, painted, seconds, config.optimize.seed
+            )
     plan = _plan_octaves(config.colour.iterations, config, start is not None)
     colours, ends = run_colour_step(
-        smoke, start, job.targets, job.scene, config, plan, watch("colour", plan)
+        smoke, start, job.targets, job.scene, config, plan, watch("colour", plan), mask
     )
     return colours, {**_summarize(ends), "seconds": time.perf_counter() - started}
 
 
-def _why_left_out(source: ActiveSmoke, config: Config) -> str:
+def _why_left_out(source: ActiveSmoke, mask: EffectMask | None, config: Config) -> str:
     """Why there is nothing to do for a frame; "" when there is."""
     if len(source.ijk) == 0:
         return "empty frame"
+    if mask is not None and not bool(mask.at(source.positions).any()):
+        return "the mask is 0 wherever there is smoke"
     if config.optimize.strength == 0:
         return "optimize.strength is 0"
     return "losses.style is 0" if config.losses.style == 0 else ""
@@ -216,13 +234,21 @@ def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
 
 
 def _check_finite(frame: VolumeFrame) -> None:
-    for item in (frame.density, frame.velocity):
+    for item in (frame.density, frame.velocity, frame.mask):
         if item is not None and not np.isfinite(item.values).all():
             count = int((~np.isfinite(item.values)).sum())
             raise NonFiniteError(
                 f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
                 "infinite; set grids.repair_nan to the value that shall replace them"
             )
+
+
+def _clamped_text(frame: VolumeFrame, mask: EffectMask) -> str:
+    name = frame.mask.name if frame.mask is not None else ""
+    return (
+        f'{mask.n_clamped} values of the mask "{name}" at timeCode {frame.time_code:g} are not '
+        "between 0 and 1 and were clamped"
+    )
 
 
 def _empty_emission(density: DenseField) -> DenseField:
@@ -239,11 +265,19 @@ def _empty_emission(density: DenseField) -> DenseField:
 
 
 def _emission_field(
-    density: DenseField, smoke: ActiveSmoke, colours: Tensor, scene: Scene, strength: float
+    density: DenseField,
+    smoke: ActiveSmoke,
+    colours: Tensor,
+    scene: Scene,
+    strength: float | Tensor,
 ) -> DenseField:
-    """C x sigma in 1/stage unit, scene-linear, zero where there is no smoke."""
+    """C x sigma in 1/stage unit, scene-linear, zero where there is no painted smoke.
+
+    So the guidance mask is applied once more to the result, as the paper asks for: whatever the
+    network saw beyond the smoke, nothing is left of it. ``strength`` may be one number a voxel.
+    """
     emission = _empty_emission(density)
-    light = decode_srgb(colours) * (strength * scene.gamma_w * smoke.density)[:, None]
+    light = decode_srgb(colours) * (scene.gamma_w * strength * smoke.density)[:, None]
     index = smoke.ijk.cpu().numpy() - np.asarray(density.ijk_min)
     emission.values[tuple(index.T)] = light.cpu().numpy()
     return emission

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from usdsmoke.config import ViewsConfig
 
-__all__ = ["View", "camera_view", "orbit_view", "sample_angles"]
+__all__ = ["View", "camera_view", "draw_views", "orbit_view", "sample_angles"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,30 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
     else:
         unit = _lattice(n, half, with_middle=config.sampling == "fixed")
     return middle + unit * half
+
+
+def draw_views(iteration: int, count: int, pool: int, seed: int) -> list[int]:
+    """Which views of a pool are looked at in an iteration: ``count`` numbers below ``pool``.
+
+    The pool is gone through again and again, each time in another order, so every view has its turn
+    and none has a fixed neighbour. The same arguments always give the same views.
+
+    Args:
+        iteration: from 0.
+        count: views an iteration; may exceed the pool, whose views then repeat.
+        pool: views that there are, at least 1.
+        seed: of the orders.
+    """
+    first = iteration * count
+    return [
+        int(_view_order(turn // pool, pool, seed)[turn % pool])
+        for turn in range(first, first + count)
+    ]
+
+
+@lru_cache(maxsize=64)
+def _view_order(passage: int, pool: int, seed: int) -> np.ndarray:
+    return np.random.default_rng([seed, 0x71E3, passage]).permutation(pool)
 
 
 def _spread_points(n: int, half: np.ndarray, seed: int) -> np.ndarray:
