@@ -1,6 +1,6 @@
 PYTHON_IN = .venv/bin/python
 .DEFAULT_GOAL := help
-.PHONY: help env demo test check bench schema clean
+.PHONY: help env demo test check bench pictures schema clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
@@ -20,6 +20,9 @@ check: env ## formatting, lint and types
 
 bench: env ## how near stylized real smoke comes to its style (needs the data folder)
 	$(PYTHON_IN) -m benchmarks.style_scores
+
+pictures: env ## rebuild the pictures of the controls in docs/pictures (minutes, no data needed)
+	$(PYTHON_IN) -m benchmarks.control_pictures
 
 schema: env ## make the schema's generated files from schemas/usdSmoke/schema.usda
 	$(PYTHON_IN) tools/generate_schema.py
