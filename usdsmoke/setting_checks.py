@@ -1,5 +1,6 @@
-"""Is a value what a setting wants: its type, limits and choices; and how to say that it is not."""
+"""What a setting is, and whether a value is what it wants: type, limits, choices."""
 
+import dataclasses
 import difflib
 import math
 import re
@@ -10,7 +11,21 @@ from typing import Any
 
 from usdsmoke.errors import ConfigError
 
-__all__ = ["check_setting", "limits_text", "nearest"]
+__all__ = ["check_setting", "limits_text", "nearest", "setting"]
+
+
+def setting(default: Any, doc: str, **limits: Any) -> Any:
+    """A dataclass field with its help text and its limits.
+
+    ``low``, ``high`` (inclusive) and ``above`` (exclusive) bound a number or every element of a
+    list, ``choices`` names the words there are, ``pattern`` is what a text must match as a whole,
+    ``least`` is the smallest length of a list, and ``distinct`` refuses a list that names something
+    twice.
+    """
+    metadata = {"doc": doc, **limits}
+    if isinstance(default, (list, dict)):
+        return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 def check_setting(where: str, value: Any, wanted: Any, limits: Mapping[str, Any]) -> Any:
@@ -20,7 +35,7 @@ def check_setting(where: str, value: Any, wanted: Any, limits: Mapping[str, Any]
         where: the setting's dotted name, for messages.
         value: what YAML or a caller gave; a single value is taken as a list of one.
         wanted: the annotation: a plain type, ``list[type]`` or ``type | None``.
-        limits: the field's metadata, see ``usdsmoke.sections``.
+        limits: the field's metadata, see ``setting``.
 
     Raises:
         ConfigError: another type, out of range, too few or repeated elements.

@@ -178,7 +178,8 @@ def run_colour_step(
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
         if ends:
-            adam = adam.carried(partial(_moments_on, here, before))
+            carry = config.optimize.carry_moments
+            adam = adam.carried(partial(_moments_on, here, before)) if carry else Adam()
         seed = config.optimize.seed + number
         colours, end = optimize_colours(
             _octave_views(octave, shown, targets, scene, config, seed, factor),

@@ -212,7 +212,7 @@ def _optimize_octave(
     ]
     unknowns = [level.requires_grad_(True) for level in pyramid.levels]
     adam = Adam()
-    if before is not None:
+    if before is not None and config.optimize.carry_moments:
         adam = before[0].carried(partial(carry_levels, unknowns, octave.lattice, before[1]))
 
     def potential() -> Tensor:
