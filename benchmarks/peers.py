@@ -41,7 +41,9 @@ def measure_in_child(case: Case) -> Cost:
     asked = json.dumps(dataclasses.asdict(case))
     print(f"benchmarks.peers: {asked}", file=sys.stderr, flush=True)
     command = [sys.executable, "-m", "benchmarks.peers", "--case", asked]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    # as the pipeline has it: threads that wait do not spin, which would count as CPU seconds
+    variables = {"OMP_WAIT_POLICY": "PASSIVE", **os.environ}
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env=variables)
     if done.returncode:
         raise RuntimeError(f"the case ended with {done.returncode}: {asked}")
     found = json.loads(done.stdout)
@@ -97,10 +99,13 @@ def _row(case: Case, cost: Cost, costs: dict[Case, Cost]) -> str:
 
 def _introduction(costs: dict[Case, Cost]) -> list[str]:
     case, cost = next(iter(costs.items()))
-    shape, box = (" x ".join(map(str, sizes)) for sizes in (case.shape, cost.box))
+    wide = next((cost for case, cost in costs.items() if case.scattered), cost)
+    shape, box, wide_box = (
+        " x ".join(map(str, sizes)) for sizes in (case.shape, cost.box, wide.box)
+    )
     work = f"""One frame of {shape} voxels, {cost.voxels} of which
     ({cost.voxels / np.prod(case.shape):.1%}) hold smoke: a lumpy plume in a box of {box};
-    "scattered" is as much smoke all over the frame. Displacement by a potential, full resolution
+    "scattered" is as much smoke in one of {wide_box}. Displacement by a potential, full resolution
     alone, a pixel a voxel, {case.iterations} iterations. Seconds are those of an iteration: the
     mean of all but the first. "Network" is the share of the CPU seconds that goes when the style
     loss of a picture is replaced by its mean. VGG-19 has random parameters, to relu3_1. GiB: the
@@ -125,7 +130,8 @@ def _circumstances(arguments: Sequence[str]) -> list[str]:
     return [
         f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
         f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, {memory:.0f} GiB, "
-        f"Python {platform.python_version()}, torch {version('torch')}.",
+        f"Python {platform.python_version()}, torch {version('torch')}; load average at the end "
+        f"{os.getloadavg()[0]:.1f}.",
         f"- `{' '.join(['python -m benchmarks.peers', *arguments])}`",
     ]
 
