@@ -19,9 +19,10 @@ class _SumTerms(torch.autograd.Function):
             with torch.enable_grad():
                 leaf = shared.detach().requires_grad_(ctx.needs_input_grad[0])
                 value = term(leaf)
-                if value.requires_grad:
+                if leaf.requires_grad and value.requires_grad:
                     (found,) = torch.autograd.grad(value, leaf, materialize_grads=True)
-                    gradient = found if gradient is None else gradient.add_(found)
+                    # not in place: a gradient may be one number, expanded
+                    gradient = found if gradient is None else gradient + found
             total = total + value.detach()
         ctx.save_for_backward(torch.zeros_like(shared) if gradient is None else gradient)
         return total
