@@ -114,8 +114,8 @@ def _introduction(costs: dict[Case, Cost]) -> list[str]:
     reference = f"""Reference: the code of [Kim2019] (byungsook/neural-flow-style, branch tnst)
     under TensorFlow 2.15 on two CPU cores, smoke of the same box and share, `field_type=field`,
     w_field 1, GoogLeNet to mixed4b on pictures of the whole box, MacCormack in every iteration
-    (here linear look-ups, and a cubic spline at the end); its peak of {REFERENCE_PEAK[9]:.2f} GiB (one
-    view: {REFERENCE_PEAK[1]:.2f}) less about {REFERENCE_BASE} GiB of TensorFlow and network. Its
+    (here linear look-ups, and a cubic spline at the end); its peak of {REFERENCE_PEAK[9]:.2f} GiB
+    (one view: {REFERENCE_PEAK[1]:.2f}) less about {REFERENCE_BASE} GiB of TensorFlow and network. Its
     smoke was another, and the machine may have been: ratios are good to their first digit."""
     title = "# The shape step beside the public reference code"
     filled = (textwrap.fill(" ".join(text.split()), 88) for text in (work, reference))
