@@ -115,8 +115,8 @@ def _introduction(costs: dict[Case, Cost]) -> list[str]:
     under TensorFlow 2.15 on two CPU cores, smoke of the same box and share, `field_type=field`,
     w_field 1, GoogLeNet to mixed4b on pictures of the whole box, MacCormack in every iteration
     (here linear look-ups, and a cubic spline at the end); its peak of {REFERENCE_PEAK[9]:.2f} GiB
-    (one view: {REFERENCE_PEAK[1]:.2f}) less about {REFERENCE_BASE} GiB of TensorFlow and network. Its
-    smoke was another, and the machine may have been: ratios are good to their first digit."""
+    (one view: {REFERENCE_PEAK[1]:.2f}) less about {REFERENCE_BASE} GiB of TensorFlow and network.
+    Its smoke was another, and the machine may have been: ratios are good to their first digit."""
     title = "# The shape step beside the public reference code"
     filled = (textwrap.fill(" ".join(text.split()), 88) for text in (work, reference))
     return [title, "", *(line for text in filled for line in (text, ""))]
