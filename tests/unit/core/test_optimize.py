@@ -193,3 +193,89 @@ def test_the_projection_follows_each_step():
 
     run(x, 200, project=into_range)
     assert x.tolist() == pytest.approx([1.0, 0.0, 0.5], abs=0.05)
+
+
+def quartic_path(unit: float, dtype: torch.dtype) -> Tensor:
+    """Parameters after some steps on an objective in another unit."""
+    x = torch.tensor([2.0, -1.0, 0.3], dtype=dtype, requires_grad=True)
+    list(minimize(lambda t: unit * ((x - GOAL.to(x)) ** 4).sum(), [x], 0.05, 40))
+    return x.detach()
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e20])
+def test_the_path_does_not_depend_on_the_loss_s_unit(unit):
+    """Also in float32, where squared gradients of such losses under- or overflow."""
+    single = torch.float32
+    assert torch.allclose(quartic_path(unit, single), quartic_path(1.0, single), atol=1e-6)
+    assert not torch.allclose(quartic_path(unit, single)[0], torch.tensor(2.0), atol=0.1)
+
+
+def test_a_zero_gradient_first_sets_no_unit_and_counts_as_no_step():
+    p, q = torch.zeros(2), torch.zeros(2)
+    late, plain = Adam(), Adam()
+    late.step([p], [torch.zeros(2)], 0.1)
+    assert late.n_steps == 0 and late.unit == 0 and not p.any()
+    for gradient in ([1e-12, -3e-12], [2e-12, 1e-12]):
+        late.step([p], [torch.tensor(gradient)], 0.1)
+        plain.step([q], [torch.tensor(gradient)], 0.1)
+    assert torch.equal(p, q) and p[0] == pytest.approx(-0.1 - 0.1, abs=0.05)
+
+
+def test_the_unit_counts_every_entry_of_every_tensor():
+    adam = Adam()
+    tensors = [torch.zeros(3), torch.zeros(1)]
+    adam.step(tensors, [torch.tensor([3e25, 0.0, 0.0]), torch.tensor([4e25])], 0.1)
+    assert adam.unit == pytest.approx(math.sqrt((9 + 16) / 4) * 1e25)
+    assert torch.isfinite(torch.cat(tensors)).all()
+
+
+def trained(gradients: Tensor, n: int) -> tuple[Adam, Tensor]:
+    """Adam after n steps of gradients with some noise, and their average pattern."""
+    generator, adam, p = torch.Generator().manual_seed(0), Adam(), torch.zeros_like(gradients)
+    for _ in range(n):
+        noise = torch.randn(gradients.shape, generator=generator, dtype=gradients.dtype)
+        adam.step([p], [gradients * (1 + 0.1 * noise)], 0.01)
+    return adam, p
+
+
+def test_carried_moments_keep_their_pattern_and_fit_gradients_of_any_size():
+    """The first step after it is the one that a further gradient of the old size would have led to,
+    whatever the new size is."""
+    gradients = torch.tensor([1.0, -2.0, 0.5, 4.0], dtype=torch.float64)
+    adam, _ = trained(gradients, 50)
+    steps = []
+    for size in (1e-9, 1.0, 1e9):
+        carried = adam.carried(lambda tensors: [t.flip(0) for t in tensors])
+        assert carried.n_steps == 50 and carried.unit == 0
+        ratio = carried.first[0] / adam.first[0].flip(0)
+        assert torch.allclose(ratio, ratio[0].expand(4)) and ratio[0] > 0
+        assert torch.allclose(carried.second[0], adam.second[0].flip(0) * ratio**2)
+        p = torch.zeros(4, dtype=torch.float64)
+        carried.step([p], [size * gradients.flip(0)], 0.1)
+        steps.append(p)
+    assert torch.allclose(steps[0], steps[1]) and torch.allclose(steps[2], steps[1])
+    assert torch.allclose(steps[1], -0.1 * gradients.flip(0).sign(), atol=0.02)
+
+
+@pytest.mark.parametrize("n", [1, 5, 200])
+def test_the_carried_second_moment_has_the_size_of_the_new_gradients_whatever_its_age(n):
+    """In units of the next gradients' root mean square the unbiased second moment's root has a root
+    mean square of 1."""
+    adam, _ = trained(torch.tensor([1.0, -2.0, 0.5, 4.0], dtype=torch.float64), n)
+    second = adam.carried(lambda tensors: tensors).second[0] / (1 - adam.betas[1] ** n)
+    assert second.mean().sqrt().item() == pytest.approx(1.0, rel=1e-9)
+
+
+def test_nothing_to_carry_is_a_fresh_start():
+    assert Adam().carried(lambda tensors: tensors).n_steps == 0
+    adam, _ = trained(torch.tensor([1.0, 2.0]), 3)
+    fresh = adam.carried(lambda tensors: [torch.zeros(5) for _ in tensors])
+    assert fresh.n_steps == 0 and fresh.first == []
+
+
+def test_a_second_moment_interpolated_below_zero_counts_as_zero():
+    adam, _ = trained(torch.tensor([1.0, 2.0]), 3)
+    carried = adam.carried(lambda tensors: [torch.tensor([-1.0, 2.0])])
+    p = torch.zeros(2)
+    carried.step([p], [torch.tensor([1.0, 1.0])], 0.1)
+    assert torch.isfinite(p).all() and carried.second[0][0] == pytest.approx(0.01, rel=1e-4)

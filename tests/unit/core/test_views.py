@@ -1,10 +1,12 @@
 """Views: rigid, where they were asked for, and for every count and range."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from usdsmoke.config import ViewsConfig
-from usdsmoke.core.views import View, camera_view, orbit_view, sample_angles
+from usdsmoke.core.views import View, camera_view, draw_views, orbit_view, sample_angles
 
 SAMPLINGS = ["fixed", "uniform", "poisson"]
 RANGES = [(12.0, 6.0), (180.0, 0.0), (180.0, 90.0), (0.0, 6.0), (0.0, 0.0), (1e-3, 90.0)]
@@ -145,3 +147,34 @@ def test_poisson_angles_lie_farther_apart_than_random_ones(azimuth, elevation):
         generator = np.random.default_rng(seed)
         loose.append(smallest_gap(generator.uniform(-1, 1, (16, 2)) * [azimuth, elevation], turn))
     assert np.mean(spread) > 3 * np.mean(loose)
+
+
+def drawn(n: int, count: int, pool: int, seed: int = 0) -> list[int]:
+    """All views of the first n iterations, one after the other."""
+    return [view for iteration in range(n) for view in draw_views(iteration, count, pool, seed)]
+
+
+@pytest.mark.parametrize(("count", "pool"), [(1, 1), (1, 7), (3, 7), (7, 7), (9, 4), (5, 1)])
+def test_every_passage_through_the_pool_shows_every_view_once(count, pool):
+    assert len(draw_views(5, count, pool, 0)) == count
+    turns = drawn(4 * pool, count, pool)
+    passages = [sorted(turns[n : n + pool]) for n in range(0, len(turns), pool)]
+    assert passages == [list(range(pool))] * (4 * count)
+
+
+def test_how_many_views_an_iteration_takes_does_not_change_their_order():
+    assert drawn(12, 1, 5) == drawn(4, 3, 5) == drawn(1, 12, 5)
+
+
+def test_the_same_arguments_give_the_same_views_and_another_seed_others():
+    far = 10**6
+    assert draw_views(far, 3, 16, 4) == draw_views(far, 3, 16, 4)
+    assert draw_views(far, 16, 16, 4) != draw_views(far, 16, 16, 5)
+    assert drawn(10, 4, 16, seed=2**63 - 1) != drawn(10, 4, 16, seed=0)
+
+
+def test_every_order_of_the_pool_occurs_so_no_view_has_a_fixed_neighbour():
+    """Of three views, in 120 passages: each of the six orders about 20 times."""
+    turns = drawn(120, 3, 3, seed=1)
+    orders = Counter(tuple(turns[n : n + 3]) for n in range(0, len(turns), 3))
+    assert len(orders) == 6 and min(orders.values()) >= 8
