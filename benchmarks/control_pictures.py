@@ -35,6 +35,17 @@ SETTINGS = {
     "2-D": ["views.image_size=192"],
     "3-D": ["views.image_size=128", "views.pool=12"],
 }
+# Few and small steps, 300 of 1 in 255 as in the paper's 3-D: where one starts is seen to the end.
+SMALL_STEPS = (
+    "colour.iterations=[100,100,100]",
+    "colour.learning_rate=0.004",
+    "optimize.tolerance=0",
+)
+BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
+SETTINGS = {
+    "2-D": ["views.image_size=192"],
+    "3-D": ["views.image_size=128", "views.pool=12"],
+}
 # One octave and steps of 0.5 in 255, as in the paper: a start from plain density washes out.
 PAPER_START = ("colour.iterations=[0,0,300]", "colour.learning_rate=0.002", "optimize.tolerance=0")
 
@@ -93,11 +104,11 @@ def show_start(studio: Studio) -> Grid:
     rows = []
     for kind in KINDS:
         row = []
-        for name, settings in (("defaults", ()), ("paper's step", PAPER_START)):
-            for init in ("density", "noise"):
-                look = studio.look(kind, "waves", f"colour.init={init}", *settings)
-                label = f"{kind}, {init}, {name}\n{_describe_colours(look, studio.styles['waves'])}"
-                row.append(Panel(look.colour(), label))
+        for name, settings in (("small steps", SMALL_STEPS), ("defaults", ())):
+            for start, init in (("density", ("colour.init=density",)), ("noise", ())):
+                look = studio.look(kind, "waves", *init, *settings)
+                measured = _describe_colours(look, studio.styles["waves"])
+                row.append(Panel(look.colour(), f"{kind}, {start}, {name}\n{measured}"))
         rows.append(row)
     return Grid("start", "colour.init: density against noise", rows)
 
