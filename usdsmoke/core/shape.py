@@ -116,11 +116,15 @@ class _Octave:
 
 def _effect(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
     """The share of the displacement that is kept, [I J K]: 0 at the smoke's border."""
-    inside = border_mask(density)
+    return border_mask(density) * _shares(density, lattice, mask)
+
+
+def _shares(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
+    """The mask's values on a box, [I J K]."""
     if mask is None:
-        return inside
+        return torch.ones_like(density)
     share = mask.at(lattice.positions().to(density.device))
-    return inside * share.view(lattice.shape).to(inside)
+    return share.view(lattice.shape).to(density)
 
 
 def run_shape_step(
@@ -257,6 +261,9 @@ def _move_finally(
         cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
         difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
         report["cheap scheme differs"] = float(difference)
-    corrected, report["mass error"] = correct_mass(moved, box)
-    result = corrected if config.shape.mass_correction else moved
+    # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
+    here = _shares(box, lattice, mask) > 0
+    corrected, report["mass error"] = correct_mass(moved[here], box[here])
+    result = box.clone()
+    result[here] = corrected if config.shape.mass_correction else moved[here]
     return field_from_box(density, result.cpu().numpy(), lattice.low), report

@@ -1,0 +1,293 @@
+"""The effect mask: its values in space, and what a masked frame becomes."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import affine, frame_of, puff
+from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from usdsmoke.core import colour
+from usdsmoke.core.mask import EffectMask, effect_mask
+from usdsmoke.core.scene import Scene, measure_scene
+from usdsmoke.core.stylize import StylizedFrame
+from usdsmoke.core.targets import StyleTargets
+from usdsmoke.errors import NonFiniteError
+from usdsmoke.volume import DenseField, VolumeFrame
+
+DENSITY = puff(12)
+FRAME = frame_of(DENSITY)
+COLOUR = {"optimize": {"steps": ["colour"], "threads": 1}}
+
+
+def masked(
+    values: np.ndarray,
+    frame: VolumeFrame = FRAME,
+    index_to_world: np.ndarray | None = None,
+    ijk_min: tuple[int, int, int] = (0, 0, 0),
+    background: float = 0.0,
+    to_stage: np.ndarray | None = None,
+) -> VolumeFrame:
+    """A frame with a mask; on the density's own voxels unless it is placed."""
+    matrix = np.eye(4) if index_to_world is None else index_to_world
+    field = DenseField("fade", np.asarray(values, np.float32), ijk_min, matrix, background)
+    place = np.eye(4) if to_stage is None else to_stage
+    return dataclasses.replace(frame, mask=field, mask_to_stage=place)
+
+
+# The field
+
+
+def test_a_linear_ramp_in_space_is_found_again_from_a_turned_grid_of_uneven_voxels():
+    """On a grid with a place of its own, under a prim with a place of its own."""
+    grid, prim = affine(3, mirrored=True), affine(5)
+    low, shape = (-4, 7, 2), (9, 8, 7)
+    voxels = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1) + low
+    to_stage = grid @ prim
+    places = voxels @ to_stage[:3, :3] + to_stage[3, :3]
+    slope = np.array([0.03, -0.02, 0.025])
+    offset = 0.5 - slope @ places.reshape(-1, 3).mean(0)
+    mask = EffectMask(masked(places @ slope + offset, FRAME, grid, low, 0.25, prim))
+    inside = np.random.default_rng(0).uniform(0, np.array(shape) - 1, (200, 3)) + low
+    points = inside @ to_stage[:3, :3] + to_stage[3, :3]
+    found = mask.at(torch.from_numpy(points))
+    assert found.dtype == torch.float32 and mask.n_clamped == 0
+    assert found.numpy() == pytest.approx(points @ slope + offset, abs=1e-6)
+
+
+def test_beyond_the_box_the_background_holds_and_blends_in_within_a_voxel():
+    mask = EffectMask(masked(np.full((3, 3, 3), 0.75), background=0.25))
+    x = torch.tensor([-1e6, -1, -0.5, 0, 1, 2, 2.25, 3, 1e6, 1e300], dtype=torch.float64)
+    points = torch.stack([x, torch.ones_like(x), torch.ones_like(x)], 1)
+    wanted = [0.25, 0.25, 0.5, 0.75, 0.75, 0.75, 0.625, 0.25, 0.25, 0.25]
+    assert mask.at(points).tolist() == pytest.approx(wanted)
+
+
+def test_values_and_background_are_clamped_and_the_clamped_values_counted():
+    values = np.array([-0.5, 0.0, 0.5, 1.0, 1.5, 3e38]).reshape(6, 1, 1)
+    mask = EffectMask(masked(values, background=-7.0))
+    assert mask.n_clamped == 3
+    points = torch.tensor([[float(i), 0.0, 0.0] for i in range(-3, 6)]).double()
+    assert mask.at(points).tolist() == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0])
+    assert EffectMask(masked(values, background=7.0)).at(points)[0] == 1.0
+
+
+@pytest.mark.parametrize("background", [0.0, 0.4, 1.0])
+def test_an_empty_grid_is_its_background_everywhere(background):
+    mask = EffectMask(masked(np.zeros((0, 0, 0)), background=background))
+    points = torch.tensor([[0.0, 0.0, 0.0], [1e6, -1e6, 5.0]]).double()
+    assert mask.at(points).tolist() == pytest.approx([background] * 2) and mask.n_clamped == 0
+
+
+def test_far_from_the_origin_a_mask_is_as_sharp_as_near_it():
+    """A million voxels away float32 has eighths of a voxel left; the places are float64."""
+    values = np.random.default_rng(0).random((5, 6, 4))
+    far = np.diag([0.1, 0.1, 0.1, 1.0])
+    far[3, :3] = [1e6, -2e6, 3e6]
+    inside = np.random.default_rng(1).uniform(-1, 6, (100, 3))
+    near = EffectMask(masked(values)).at(torch.from_numpy(inside))
+    points = torch.from_numpy(inside @ far[:3, :3] + far[3, :3])
+    found = EffectMask(masked(values, index_to_world=far)).at(points)
+    assert torch.allclose(found, near, atol=1e-6) and near.std() > 0.1
+
+
+def test_a_frame_without_a_mask_has_none():
+    assert effect_mask(FRAME) is None
+    with pytest.raises(ValueError, match="no mask"):
+        EffectMask(FRAME)
+
+
+# What a masked frame becomes
+
+
+@pytest.fixture(scope="module")
+def plain() -> StylizedFrame:
+    return run_core([FRAME])[0]
+
+
+def half_mask() -> np.ndarray:
+    """0 in one half of the puff, then a ramp over three voxels, then 1."""
+    ramp = np.clip((np.arange(12) - 5) / 4, 0, 1)
+    return np.broadcast_to(ramp[:, None, None], DENSITY.shape).copy()
+
+
+def assert_close(found: DenseField, wanted: DenseField, error: float) -> None:
+    """Over all voxels, whatever the two boxes are."""
+    one, other = by_voxel(found), by_voxel(wanted)
+    nothing = (0.0,) * (found.values.shape[3] if found.values.ndim == 4 else 1)
+    for voxel in one.keys() | other.keys():
+        difference = np.subtract(one.get(voxel, nothing), other.get(voxel, nothing))
+        assert np.abs(difference).max() <= error, voxel
+
+
+def test_a_mask_of_one_everywhere_is_no_mask(plain):
+    """Up to the round-off of pictures that are summed in another order."""
+    result = run_core([masked(np.ones((1, 1, 1)), background=1.0)])[0]
+    assert_close(result.density, plain.density, 1e-5)
+    assert_close(result.emission, plain.emission, 1e-4)
+    assert "warnings" not in result.report
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "maccormack", "cubic"])
+@pytest.mark.parametrize("displacement", ["stream", "potential"])
+def test_where_the_mask_is_zero_the_source_stays_bit_for_bit(displacement, interpolation):
+    """Under splines and with the correction of mass, which take every voxel; it gets no colour."""
+    shape = {"learning_rate": 1.0, "reach": 0.1, "iterations": [4]}
+    config = quick_config(
+        shape={**shape, "displacement": displacement, "interpolation": interpolation}
+    )
+    result = run_core([masked(half_mask())], config)[0]
+    found, emission = by_voxel(result.density), by_voxel(result.emission)
+    source = by_voxel(FRAME.density)
+    beyond = {voxel for voxel in found.keys() | source.keys() if voxel[0] <= 5}
+    assert len(beyond) > 100
+    assert all(found.get(voxel) == source.get(voxel) for voxel in beyond)
+    assert not any(voxel in emission for voxel in beyond)
+    assert any(found.get(v) != source.get(v) for v in source if v[0] > 8)
+    assert all(v in emission for v in found if v[0] > 5)
+    assert sum(v[0] for v in found.values()) == pytest.approx(DENSITY.sum(), rel=1e-5)
+
+
+def recorded(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
+    """The colours [N 3] that each octave of the colour step starts from, as they are asked for."""
+    seen: list[torch.Tensor] = []
+    real = colour.optimize_colours
+
+    def noted(views: Any, colours: torch.Tensor, *more: Any) -> Any:
+        seen.append(colours)
+        return real(views, colours, *more)
+
+    monkeypatch.setattr(colour, "optimize_colours", noted)
+    return seen
+
+
+def test_emission_is_the_mask_times_the_painted_colour_times_the_extinction():
+    """No iterations: the painted colours are the voxels' noise, with a mask and without."""
+    config = quick_config(colour={"iterations": [0]}, **COLOUR)
+    plain, half = (run_core([f], config)[0].emission for f in (FRAME, masked(half_mask())))
+    assert plain is not None and half is not None
+    wanted = plain.values * half_mask()[..., None].astype(np.float32)
+    assert half.values == pytest.approx(wanted, rel=1e-5, abs=0)
+    assert plain.values.any() and not half.values[half_mask() == 0].any()
+
+
+def test_voxels_that_the_mask_leaves_out_are_no_unknowns(monkeypatch):
+    """Of an octave, whose voxels are twice as large, those whose centres the mask reaches."""
+    seen = recorded(monkeypatch)
+    run_core([masked(half_mask())], quick_config(**COLOUR))
+    fine = int(np.count_nonzero(DENSITY[6:]))
+    assert [len(colours) for colours in seen][1] == fine < np.count_nonzero(DENSITY)
+    blocks = DENSITY.reshape(6, 2, 6, 2, 6, 2).sum(axis=(1, 3, 5))  # centred at 2 m + 1/2
+    assert len(seen[0]) == np.count_nonzero(blocks[3:])
+
+
+@pytest.mark.parametrize("place", ["of zeros", "elsewhere", "empty"])
+def test_a_mask_that_leaves_no_smoke_leaves_the_frame_out_with_its_reason(place, monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("features were asked for without need")
+
+    monkeypatch.setattr(StyleTargets, "at", refuse)
+    frame = {
+        "of zeros": masked(np.zeros(DENSITY.shape)),
+        "elsewhere": masked(np.ones((3, 3, 3)), ijk_min=(100, 0, 0)),
+        "empty": masked(np.zeros((0, 0, 0))),
+    }[place]
+    result = run_core([frame])[0]
+    assert result.density is frame.density and result.emission is not None
+    assert result.emission.values.shape == (*DENSITY.shape, 3)
+    assert not result.emission.values.any()
+    assert result.report["left out"] == "the mask is 0 wherever there is smoke"
+
+
+def test_values_beyond_the_range_are_clamped_with_a_warning(plain):
+    values = np.ones(DENSITY.shape)
+    values[2, 3, 4], values[0, 0, 0], values[6, 6, 6] = 1.5, 7.0, 1e6
+    result = run_core([masked(values, FRAME)])[0]
+    (warning,) = result.report["warnings"]
+    assert warning.startswith('3 values of the mask "fade" at timeCode 1 are not between 0 and 1')
+    assert_close(result.emission, plain.emission, 1e-4)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_mask_that_is_not_finite_is_refused_by_time_code_and_name(bad):
+    values = np.ones(DENSITY.shape)
+    values[0, 0, 0] = bad
+    with pytest.raises(NonFiniteError, match=r'1 values of grid "fade" at timeCode 1 .*repair_nan'):
+        run_core([masked(values)], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
+
+
+def test_masked_smoke_still_hides_what_is_behind_it(monkeypatch):
+    """The pictures' maps keep the whole smoke's weights at the voxels that are painted; those of
+    the back alone, without the unpainted front, would be much larger."""
+    made: list[Any] = []
+    real = colour.prepare_views
+
+    def noted(*args: Any) -> Any:
+        views = real(*args)
+        made.append((args, views))
+        return views
+
+    monkeypatch.setattr(colour, "prepare_views", noted)
+    config = quick_config(colour={"iterations": [1]}, optics={"depth": 20.0}, **COLOUR)
+    back = half_mask().T[..., ::-1]  # seen along -Z
+    run_core([masked(back)], config)
+    ((smoke, views, gamma_w, exposure, shown), (view, *_)) = made[0]
+    assert len(smoke.ijk) == np.count_nonzero(DENSITY)
+    whole = real(smoke, views, gamma_w, exposure)[0]
+    assert torch.allclose(
+        view.image.apply(torch.ones(int((shown > 0).sum()), 1)),
+        whole.image.apply(shown[:, None].float()),
+        atol=1e-6,
+    )
+    alone = smoke.take(shown > 0)
+    seen = real(alone, views, gamma_w, exposure, shown[shown > 0])[0].alpha
+    assert 0 < float(view.alpha.sum()) < 0.3 * float(seen.sum())
+
+
+def test_a_frame_that_its_mask_leaves_out_in_the_middle_does_not_break_the_window():
+    """Time runs on: the colours of the first frame are at their places two frames later."""
+    config = quick_config(colour={"iterations": [0]}, **COLOUR)
+    velocity = np.array([24.0, 0.0, 0.0])  # a voxel a frame
+    moving = [frame_of(DENSITY, 1.0 + k, velocity, ijk_min=(k, 0, 0)) for k in range(3)]
+    frames = [
+        masked(np.full(DENSITY.shape, k != 1), frame, ijk_min=frame.density.ijk_min)
+        for k, frame in enumerate(moving)
+    ]
+    first, middle, last = run_core(frames, config)
+    assert middle.report["left out"] == "the mask is 0 wherever there is smoke"
+    assert not middle.emission.values.any() and middle.density is frames[1].density
+    assert last.emission.values == pytest.approx(first.emission.values, abs=1e-4)
+    assert by_voxel(first.emission)
+
+
+@pytest.mark.parametrize("steps", [["shape", "colour"], ["colour"]])
+def test_a_mask_that_opens_paints_smoke_whose_neighbours_were_not(steps):
+    """From frame to frame, with what the frame before had not painted starting as noise."""
+    config = quick_config(optimize={"steps": steps, "threads": 1})
+    frames = [
+        masked(np.broadcast_to((np.arange(12) >= low)[:, None, None], DENSITY.shape), frame)
+        for low, frame in ((9, FRAME), (0, frame_of(DENSITY, 2.0)), (9, frame_of(DENSITY, 3.0)))
+    ]
+    first, second, third = run_core(frames, config)
+    for result, low in ((first, 9), (second, 0), (third, 9)):
+        found = by_voxel(result.emission)
+        assert found.keys() == {v for v in by_voxel(result.density) if v[0] >= low}
+        assert np.isfinite(result.emission.values).all()
+
+
+@pytest.mark.parametrize("mask", [None, np.ones((12, 12, 12))])
+def test_there_is_no_light_where_there_is_no_density(mask):
+    """Bit for bit, wherever smoke has moved to: the guidance mask is applied to the result."""
+    config = quick_config(shape={"iterations": [4], "learning_rate": 1.0, "reach": 0.1})
+    result = run_core([FRAME if mask is None else masked(mask)], config)[0]
+    assert result.emission.values.shape[:3] == result.density.values.shape
+    assert not result.emission.values[result.density.values == 0].any()
+    assert result.emission.values[result.density.values > 0].any(axis=-1).mean() > 0.99
+
+
+def test_the_extinction_is_the_whole_smoke_s_and_not_the_mask_s():
+    frames = [FRAME, masked(half_mask())]
+    scenes = [measure_scene([frame], quick_config(), "Y") for frame in frames]
+    assert scenes[0] == scenes[1]
