@@ -167,6 +167,45 @@ def test_the_front_hides_the_back_and_turns_with_the_view():
         assert float(picture[front]) == pytest.approx(1.0) and float(picture.sum()) <= 1.0 + 1e-6
 
 
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_smoke_that_is_not_shown_hides_what_is_behind_it_and_gives_no_light(share):
+    """Two voxels in one column: the hind one is seen through exp(-t) of the front one, and the map
+    has but one voxel."""
+    positions = torch.tensor([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0]]).double()
+    density = torch.tensor([0.8, 1.7], dtype=torch.float64)
+    view = orbit_view(0.0, 0.0, "Y", np.zeros(3), 1, 1, 1.0)
+    shown = torch.tensor([0.0, share])
+    image, alpha = colour_map(positions, density, 1.0, 0.9, view, 1.0, shown)
+    wanted = share * np.exp(-0.9 * 0.8) * -np.expm1(-0.9 * 1.7)
+    assert float(alpha) == pytest.approx(wanted, rel=1e-12)
+    colour = torch.tensor([[0.2, 1.0, 0.5]], dtype=torch.float64)
+    assert image.apply(colour)[0, 0].tolist() == pytest.approx((wanted * colour[0]).tolist())
+    assert image.adjoint(torch.ones(1, 1, 1).double()).shape == (1, 1)
+    _, front = colour_map(positions, density, 1.0, 0.9, view, 1.0, shown.flip(0))
+    assert float(front) == pytest.approx(share * -np.expm1(-0.9 * 0.8), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_shown_is_linear_in_the_share_and_everything_shown_is_the_plain_picture(kind):
+    smoke = smoke_of(puff(9), affine(1))
+    view, density = look_at(smoke, kind), smoke.density.double()
+    share, colours = random(len(smoke.ijk)) + 0.5, random(len(smoke.ijk), 3, seed=1)
+
+    def picture(shown: Tensor | None) -> tuple[Tensor, Tensor]:
+        image, alpha = colour_map(
+            smoke.positions, density, smoke.voxel_volume, 0.3, view, smoke.voxel_size, shown
+        )
+        chosen = colours if shown is None else colours[shown > 0]
+        return image.apply(chosen), alpha
+
+    whole, one, part, rest = (picture(s) for s in (None, share * 0 + 1, share, 1 - share))
+    for n in range(2):
+        assert torch.allclose(one[n], whole[n], atol=1e-8)
+        assert torch.allclose(part[n] + rest[n], whole[n], atol=1e-8)
+    nothing, alpha = picture(torch.zeros_like(share))
+    assert not nothing.any() and not alpha.any()
+
+
 def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(monkeypatch):
     positions = torch.tensor([[0.0, 0.0, 0.0], [1e6, 0.0, 1e6]]).double()
     view = orbit_view(0.0, 0.0, "Y", np.array([5e5, 0.0, 5e5]), 4, 64, 2e4)
