@@ -1,6 +1,7 @@
 """The gradients of whole chains on an 8 x 8 x 8 volume, against differences of their values."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,17 +9,20 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import affine, puff, random_style, smoke_of
+from usdsmoke.config import LossesConfig
 from usdsmoke.core.colour import ColourView
 from usdsmoke.core.features import EmbeddedFeatures
 from usdsmoke.core.lattice import Lattice, surround
 from usdsmoke.core.losses import StyleTarget, total_variation
 from usdsmoke.core.optics import opacity
+from usdsmoke.core.picture_loss import PictureLoss
 from usdsmoke.core.potential import border_mask, displacement_from
 from usdsmoke.core.project import colour_map, column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import fit_view
 from usdsmoke.core.smoke import ActiveSmoke
 from usdsmoke.core.style import decode_srgb
+from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.transport import warp
 from usdsmoke.core.views import View, orbit_view
 
@@ -86,6 +90,60 @@ def test_colours_to_the_style_loss_with_its_guide_and_total_variation(smoke, tar
         lambda picture, view: target.loss(picture, view.guide) + 0.3 * total_variation(picture),
     )
     assert_slopes_agree(chain, 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=3), error=1e-5)
+
+
+NEW_LOSSES = {
+    "histogram": {"histogram": 1.0},
+    "sliced Wasserstein": {"statistic": "sliced_wasserstein"},
+    "content": {"content": 1.0},
+    "Laplacian": {"laplacian": 30.0},
+    "photorealism": {"photorealism": 100.0},
+    "all at once": {
+        "statistic": "sliced_wasserstein",
+        "histogram": 0.5,
+        "content": 0.5,
+        "laplacian": 10.0,
+        "photorealism": 30.0,
+        "total_variation": 0.2,
+    },
+}
+
+
+@pytest.mark.parametrize("weights", NEW_LOSSES.values(), ids=NEW_LOSSES)
+def test_colours_to_everything_a_picture_is_judged_by(smoke, weights):
+    """With the smoke's own opacity as the content; where a loss is a part of the whole, the style's
+    is left out, so that its own slope is compared."""
+    losses = LossesConfig(**weights)
+    style = torch.from_numpy(random_style(24, 24)).double()
+    alone = {"content", "laplacian", "photorealism"} >= set(weights)
+    layers = {} if alone else dict.fromkeys(("oriented1", "learned1"), 1.0)
+    target = StyleTarget(style, EmbeddedFeatures(style), layers, losses, ["oriented2"])
+    judge = PictureLoss([target], [1.0], losses)
+
+    def compare(picture: Tensor, view: ColourView) -> Tensor:
+        content = judge.remember(view.alpha[..., None].expand(-1, -1, 3))
+        return judge(picture, view.guide, content, 3)
+
+    chain = colour_chain(smoke, compare)
+    assert_slopes_agree(chain, 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=7), error=1e-5)
+
+
+def test_colours_to_the_sum_of_several_views_taken_one_by_one(smoke):
+    """As ``optimize_colours`` does it: each picture gives its slope before the next one is made."""
+    goal = random(1, 1, 3, seed=1)
+    position, density = smoke.positions, smoke.density
+    maps = [
+        colour_map(position, density, smoke.voxel_volume, 0.6, view, smoke.voxel_size)
+        for view in (view_of(smoke), fit_view(orbit_view(80, 5, "Y", np.zeros(3), 1, 1, 1), smoke))
+    ]
+    background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
+
+    def term(view: ColourView, linear: Tensor) -> Tensor:
+        return ((view.straight_picture(linear, background) - goal) ** 2).sum()
+
+    terms = [partial(term, ColourView(image, alpha)) for image, alpha in maps]
+    start = 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=2)
+    assert_slopes_agree(lambda colours: sum_terms(decode_srgb(colours), terms), start)
 
 
 def shape_chain(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import puff, random_style, smoke_of
+from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from usdsmoke.config import Config, resolve_config
 from usdsmoke.core.colour import (
     ColourView,
@@ -14,7 +14,7 @@ from usdsmoke.core.colour import (
     run_colour_step,
 )
 from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.scene import Scene, frame_views
+from usdsmoke.core.scene import Scene, frame_views, measure_scene
 from usdsmoke.core.smoke import ActiveSmoke, make_octaves, sample_colours
 from usdsmoke.core.style import decode_srgb, encode_srgb
 from usdsmoke.core.targets import StyleTargets
@@ -73,6 +73,41 @@ def test_the_straight_picture_has_the_smoke_s_own_colour_however_thin_it_is(smok
     empty = view.alpha == 0
     assert empty.any() and torch.allclose(straight[empty], encode_srgb(BACKGROUND), atol=1e-6)
     assert view.guide[view.alpha > 0.5].min() > 0.6
+
+
+def thin_run(gamma: float, iterations: list[int]) -> tuple[torch.Tensor, torch.Tensor, list[float]]:
+    """The picture of the start, the colours in the end and the losses at an extinction per voxel,
+    with the exposure that is measured for it."""
+    config = config_of(optics={"gamma": gamma}, views={"pool": 1})
+    smoke = smoke_of(puff(12))
+    scene = measure_scene([frame_of(puff(12))], config, "Y")
+    targets = StyleTargets([random_style(16, 20)], scene, config, torch.device("cpu"))
+    views = frame_views(smoke, config, scene, 0)
+    (view,) = prepare_views(smoke, views, scene.gamma_w, scene.exposure)
+    start = decode_srgb(initial_colours(smoke, "noise", 0))
+    colours, ends = run_colour_step(smoke, None, targets, scene, config, iterations)
+    picture = view.straight_picture(start, targets.background)
+    return picture, colours, [end.smoothed for end in ends]
+
+
+def test_the_straight_picture_of_thin_smoke_does_not_depend_on_how_thin_it_is():
+    thin, thinner = (thin_run(gamma, [0, 0])[0] for gamma in (1e-4, 1e-7))
+    assert torch.allclose(thin, thinner, atol=1e-3)
+    assert thin.std() > 0.1  # and it is no empty picture
+
+
+def test_smoke_as_thin_as_the_paper_s_is_painted_like_thick_smoke():
+    """The same colours in the thin limit, and nearly the loss that thick smoke gets."""
+    thick, faint, fainter = (thin_run(gamma, [30, 30]) for gamma in (0.3, 1e-3, 1e-9))
+    assert faint[2] == pytest.approx(thick[2], rel=0.15)
+    assert fainter[2] == pytest.approx(faint[2], rel=0.01)
+    assert (fainter[1] - faint[1]).abs().mean() < 0.01
+
+
+def test_an_optical_depth_of_a_millionth_millionth_can_be_painted():
+    _, colours, losses = thin_run(1e-13, [3, 3])
+    assert torch.isfinite(colours).all() and np.isfinite(losses).all()
+    assert not torch.equal(colours, initial_colours(smoke_of(puff(12)), "noise", 0))
 
 
 def test_the_loss_falls_and_colours_stay_in_range(smoke, views):

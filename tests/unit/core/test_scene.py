@@ -38,6 +38,34 @@ def test_a_set_gamma_is_per_voxel_and_becomes_per_length():
     assert scene.gamma_w == pytest.approx(2.5) and scene.gamma_w_shape == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("gamma", [1e-9, 1e-3, 0.1])
+def test_a_gamma_that_leaves_thick_columns_faint_is_exposed_to_seven_tenths(gamma):
+    config = resolve_config({"optics": {"gamma": gamma, "gamma_shape": 0.5 * gamma}})
+    scene = measure_scene([frame_of(DENSITY)], config, "Y")
+    thick = thick_column(DENSITY, np.eye(4), config)
+    for gamma_w, exposure in (
+        (scene.gamma_w, scene.exposure),
+        (scene.gamma_w_shape, scene.exposure_shape),
+    ):
+        assert exposure * -np.expm1(-gamma_w * thick) == pytest.approx(0.7, rel=1e-5)
+    assert 0.3 < scene.grey_mean < 0.8 and scene.grey_deviation > 0.05
+
+
+@pytest.mark.parametrize("depths", [{}, {"depth": 1.21, "depth_shape": 100.0}])
+def test_smoke_that_is_thick_enough_is_not_exposed_at_all(depths):
+    scene = measure_scene([frame_of(DENSITY)], resolve_config({"optics": depths}), "Y")
+    assert scene.exposure == 1.0 and scene.exposure_shape == 1.0
+
+
+def test_an_optical_depth_of_a_millionth_millionth_is_measured_without_overflow():
+    config = resolve_config({"optics": {"depth": 1e-12, "depth_shape": 1e-300}})
+    scene = measure_scene([frame_of(DENSITY)], config, "Y")
+    assert scene.exposure == pytest.approx(7e11, rel=1e-3)
+    assert scene.exposure_shape == pytest.approx(7e11, rel=1e-3)  # and no brighter than that
+    numbers = [scene.gamma_w, scene.gamma_w_shape, scene.grey_mean, scene.grey_deviation]
+    assert np.isfinite(numbers).all()
+
+
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("amount", [1e-30, 1.0, 1e30])
 def test_units_of_length_and_density_drop_out_of_the_pictures(unit, amount):
