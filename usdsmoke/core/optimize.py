@@ -158,13 +158,17 @@ def minimize(
         if iteration < n_iterations - 1:
             yield latest
     if n_iterations > 0:
-        yield state.settle(latest, lambda: float(objective(n_iterations)))
+        yield state.settle(latest, lambda: _evaluate(objective, n_iterations, parameters)[0])
 
 
 def _evaluate(
     objective: Callable[[int], Tensor], iteration: int, parameters: list[Tensor]
 ) -> tuple[float, list[Tensor]]:
-    loss = objective(iteration)
+    """The loss and its gradients; NaN and none where something on the way was not finite."""
+    try:
+        loss = objective(iteration)
+    except NonFiniteError:  # parameters that overflow; whoever noticed cannot know of them
+        return math.nan, []
     if not loss.requires_grad:  # nothing in it depends on the parameters
         return float(loss), [torch.zeros_like(p) for p in parameters]
     gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
@@ -226,8 +230,7 @@ class _State:
                 f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations; "
                 "look for extreme values in the inputs"
             )
-        with torch.no_grad():
-            worse = self.rollbacks > 0 and not self._is_sound(last_loss())
+        worse = self.rollbacks > 0 and not self._is_sound(last_loss())
         restored = worse or self.smoothed > WORSE * self._kept_loss
         if restored:
             self._put(self._kept)
