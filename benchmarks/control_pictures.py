@@ -29,11 +29,11 @@ KINDS = ("2-D", "3-D")
 GAMMAS = ("0.001", "0.1", "0.5", "1")
 DEPTHS = (1, 2, 3, 4)
 TILINGS = (1, 2, 4)
-RESOLUTION, SLAB_RESOLUTION = 72, 104  # voxels along the box's width
+RESOLUTION, SLAB_RESOLUTION = 64, 96  # voxels along the box's width
 BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
 SETTINGS = {
     "2-D": ["views.image_size=192"],
-    "3-D": ["views.image_size=128", "views.pool=12"],
+    "3-D": ["views.image_size=112", "views.pool=12"],
 }
 # Few and small steps, 300 of 1 in 255 as in the paper's 3-D: where one starts is seen to the end.
 SMALL_STEPS = (
@@ -44,7 +44,7 @@ SMALL_STEPS = (
 BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
 SETTINGS = {
     "2-D": ["views.image_size=192"],
-    "3-D": ["views.image_size=128", "views.pool=12"],
+    "3-D": ["views.image_size=112", "views.pool=12"],
 }
 # One octave and steps of 0.5 in 255, as in the paper: a start from plain density washes out.
 PAPER_START = ("colour.iterations=[0,0,300]", "colour.learning_rate=0.002", "optimize.tolerance=0")
@@ -75,13 +75,13 @@ def show_depth(studio: Studio) -> Grid:
         [
             Panel(
                 studio.look(
-                    kind, style, f"features.layers=[learned0,oriented{depth},learned{depth}]"
+                    kind, "waves", f"features.layers=[learned0,oriented{depth},learned{depth}]"
                 ).colour(),
                 f"{kind}, depth {depth}\n(as relu{depth}_1)",
             )
             for depth in DEPTHS
         ]
-        for kind, style in (("2-D", "waves"), ("2-D", "strokes"), ("3-D", "waves"))
+        for kind in KINDS
     ]
     return Grid("depth", "features.layers = [learned0, oriented N, learned N]", rows)
 
@@ -130,12 +130,17 @@ def show_mask(studio: Studio) -> Grid:
 
 
 def show_dimensions(studio: Studio) -> Grid:
-    """2-D beside 3-D for two styles."""
-    row = []
-    for style in STYLES:
-        row += [Panel(studio.look(k, style).colour(), f"{k}, {style}") for k in reversed(KINDS)]
-        row.append(_style_panel(studio, style))
-    return Grid("dimensions", "3-D and 2-D, default settings", [row])
+    """3-D beside 2-D for two styles: finished, and below the grey pictures of the shape step."""
+    finished: list[Panel] = []
+    moved: list[Panel] = []
+    for style, shown in zip(STYLES, reversed(KINDS), strict=True):
+        for kind in reversed(KINDS):
+            look = studio.look(kind, style)
+            finished.append(Panel(look.colour(), f"{kind}, {style}"))
+            moved.append(Panel(look.grey(), f"{kind}, {style}, shape step"))
+        finished.append(_style_panel(studio, style))
+        moved.append(Panel(studio.look(shown, style).source_grey(), f"{shown}, source"))
+    return Grid("dimensions", "3-D and 2-D, default settings", [finished, moved])
 
 
 GRIDS: dict[str, Callable[[Studio], Grid]] = {
@@ -188,11 +193,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"))
     parser.add_argument("--work", type=Path, default=Path("out/bench/controls"))
     parser.add_argument("--reuse", action="store_true", help="the smoke of the run before")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0 means all")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
     try:
         frames = simulate_once(options.work, options.reuse)
-        studio = Studio(frames, paint_styles(STYLES), SETTINGS)
+        threads = f"optimize.threads={options.threads}"
+        settings = {kind: [*SETTINGS[kind], threads] for kind in KINDS}
+        studio = Studio(frames, paint_styles(STYLES), settings)
         for name in options.only:
             file_path = save_grid(GRIDS[name](studio), options.out)
             print(f"{file_path}: {file_path.stat().st_size / 1000:.0f} kB")

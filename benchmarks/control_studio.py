@@ -18,7 +18,7 @@ from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.render import display_picture, grey_picture, render_view
 from usdsmoke.core.scene import Scene, measure_scene
 from usdsmoke.core.stylize import StylizedFrame, stylize_window
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.volume import DenseField, VolumeFrame
 
 __all__ = ["Grid", "Look", "Panel", "Studio", "draw_grid", "save_grid"]
 
@@ -52,6 +52,7 @@ class Look:
 
     frame: StylizedFrame
     scene: Scene
+    source: VolumeFrame
 
     def colour(self, exposed: bool = False, background: float = 0.0) -> np.ndarray:
         """The finished picture, [H W 3] display-encoded.
@@ -68,6 +69,12 @@ class Look:
         picture = self._picture(self.scene.gamma_w_shape, coloured=False)
         return grey_picture(picture / picture[..., 3].max() if exposed else picture)
 
+    def source_grey(self) -> np.ndarray:
+        """The unmoved density, drawn as `grey` draws the moved one."""
+        return grey_picture(
+            self._draw(self.source.density, None, self.scene.gamma_w_shape),
+        )
+
     def straight(self) -> tuple[np.ndarray, np.ndarray]:
         """The smoke's own colour [H W 3], its opacity divided out, and where there is smoke."""
         picture = self._picture(self.scene.gamma_w)
@@ -77,11 +84,11 @@ class Look:
 
     def _picture(self, gamma_w: float, coloured: bool = True) -> np.ndarray:
         """Premultiplied and linear, [H W 4]."""
-        emission = self.frame.emission if coloured else None
-        to_stage, up_axis = np.eye(4), self.scene.up_axis
-        return render_view(
-            self.frame.density, emission, to_stage, gamma_w, up_axis, image_size=SIDE
-        )
+        return self._draw(self.frame.density, self.frame.emission if coloured else None, gamma_w)
+
+    def _draw(self, density: DenseField, emission: DenseField | None, gamma_w: float) -> np.ndarray:
+        up_axis = self.scene.up_axis
+        return render_view(density, emission, np.eye(4), gamma_w, up_axis, image_size=SIDE)
 
 
 class Studio:
@@ -129,7 +136,7 @@ class Studio:
         scene = measure_scene([frame], config, "Y")
         with _guidance(guided):
             (stylized,) = stylize_window([frame], [self.styles[style]], scene, config)
-        return Look(stylized, scene)
+        return Look(stylized, scene, frame)
 
 
 @contextmanager
