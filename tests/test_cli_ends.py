@@ -82,3 +82,23 @@ def test_a_note_is_made_of_fractional_timecodes(
     shot.stage.write_text(shot.stage.read_text().replace("{ 1: @", "{ 0.5: @"))
     assert main(shot.arguments()) == 0
     assert "note: some timeCodes are no whole numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ("[1, 2]", "style.weights holds 2 numbers for 1 style images; give one for each or none"),
+        ("[0]", "style.weights are all 0; wanted at least one above 0"),
+    ],
+)
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_weights_that_do_not_fit_the_styles_are_refused_before_any_file_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], weights: str, message: str
+) -> None:
+    """Neither the stage nor the style image is there."""
+    files = [str(tmp_path / "no.usda"), "--style", str(tmp_path / "no.png")]
+    options = ["-o", str(tmp_path / "out"), "--set", f"style.weights={weights}", *more]
+    assert main(["stylize", *files, *options]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and message in err
+    assert not (tmp_path / "out").exists()

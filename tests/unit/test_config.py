@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 
 from usdsmoke.config import (
     Config,
+    StyleConfig,
     config_to_dict,
     config_to_yaml,
     read_config,
     resolve_config,
+    style_shares,
 )
 from usdsmoke.errors import ConfigError
 
@@ -165,6 +167,16 @@ def test_assignments_are_read_as_yaml(assignment: str, section: str, key: str, v
         ("layer.name=../elsewhere", r"layer\.name is '\.\./elsewhere'; wanted letters"),
         ("windows.size=[3", r"cannot read the value of windows\.size: .*; wanted YAML"),
         ("windows.size=!!python/name:os.system", r"cannot read the value of windows\.size"),
+        ("losses.statistic=Gram", r"losses\.statistic is 'Gram'; wanted one of gram, sliced_wass"),
+        ("losses.histogram=-0.1", r"losses\.histogram is -0\.1; wanted >= 0"),
+        ("losses.content=-1", r"losses\.content is -1\.0; wanted >= 0"),
+        ("losses.laplacian=.inf", r"losses\.laplacian is inf; wanted a finite number"),
+        ("losses.photorealism=yes", r"losses\.photorealism is True, of type bool; wanted float"),
+        ("losses.sliced=1", r"unknown setting losses\.sliced"),
+        ("style.weights=[1, -1]", r"style\.weights\[1\] is -1\.0; wanted >= 0"),
+        ("style.weights=[1, half]", r"style\.weights\[1\] is 'half', of type str; wanted float"),
+        ("features.content_layers=[a, a]", r"content_layers.* wanted every element once"),
+        ("optimize.carry_moments=1", r"optimize\.carry_moments is 1, of type int; wanted bool"),
         ("features.weights=[1, 2]", r"features\.weights has 2 elements but features\.layers has 0"),
     ],
 )
@@ -207,3 +219,32 @@ def test_a_float_keeps_every_bit_on_its_way_through_yaml() -> None:
         config = resolve_config({"optics": {"depth": value}})
         again = resolve_config(yaml.safe_load(config_to_yaml(config)))
         assert again.optics.depth == value
+
+
+@pytest.mark.parametrize(
+    ("weights", "n_styles", "shares"),
+    [
+        ([], 1, [1.0]),
+        ([], 4, [0.25] * 4),
+        ([3.0, 0.0, 1.0], 3, [0.75, 0.0, 0.25]),
+        ([1.7e308, 1.7e308], 2, [0.5, 0.5]),
+        ([5e-324, 0.0], 2, [1.0, 0.0]),
+    ],
+)
+def test_shares_of_styles_are_their_weights_over_the_sum(
+    weights: list[float], n_styles: int, shares: list[float]
+) -> None:
+    assert style_shares(StyleConfig(weights=weights), n_styles) == pytest.approx(shares)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ([1.0], r"style\.weights holds 1 numbers for 2 style images; give one for each or none"),
+        ([1.0, 2.0, 3.0], r"style\.weights holds 3 numbers for 2 style images"),
+        ([0.0, 0.0], r"style\.weights are all 0; wanted at least one above 0"),
+    ],
+)
+def test_weights_that_do_not_fit_the_styles_are_refused(weights: list[float], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        style_shares(StyleConfig(weights=weights), 2)

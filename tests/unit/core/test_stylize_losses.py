@@ -1,0 +1,112 @@
+"""One frame through both steps with every loss and control of the optimiser."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.smoke_fixtures import frame_of, puff
+from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from usdsmoke.core import losses, picture_loss
+from usdsmoke.core.optimize import minimize
+from usdsmoke.core.stylize import StylizedFrame
+
+DENSITY = puff(12)
+FRAME = frame_of(DENSITY)
+WEIGHTS = [
+    {"statistic": "sliced_wasserstein"},
+    {"histogram": 1.0},
+    {"content": 1.0},
+    {"laplacian": 10.0},
+    {"photorealism": 10.0},
+    {"total_variation": 1.0},
+]
+
+
+@pytest.mark.parametrize("weights", WEIGHTS, ids=lambda weights: next(iter(weights)))
+def test_every_loss_counts_in_both_steps(weights):
+    """From the same start it leads elsewhere than the plain style does."""
+    plain, other = (
+        run_core([FRAME], quick_config(losses=w, shape={"iterations": [3]}))[0]
+        for w in ({}, weights)
+    )
+    for result in (plain, other):
+        assert np.isfinite(result.emission.values).all() and result.emission.values.any()
+    assert by_voxel(plain.density) != by_voxel(other.density)
+    assert by_voxel(plain.emission) != by_voxel(other.emission)
+    for step in ("shape", "colour"):
+        assert plain.report[step]["loss"] != other.report[step]["loss"]
+
+
+def moved(weights: dict[str, float]) -> float:
+    """How much density the shape step changes, as a share of all."""
+    config = quick_config(
+        losses=weights, shape={"iterations": [20]}, optimize={"steps": ["shape"], "threads": 1}
+    )
+    found, source = by_voxel(run_core([FRAME], config)[0].density), by_voxel(FRAME.density)
+    voxels = found.keys() | source.keys()
+    change = sum(abs(found.get(v, (0.0,))[0] - source.get(v, (0.0,))[0]) for v in voxels)
+    return change / float(DENSITY.sum())
+
+
+def test_what_is_kept_of_the_smoke_s_own_picture_holds_the_smoke_in_place():
+    free = moved({})
+    assert free > 0.02
+    assert moved({"content": 100.0}) < 0.1 * free
+    assert moved({"laplacian": 1e5}) < 0.1 * free
+    assert moved({"photorealism": 1e5}) < 0.6 * free  # free to be any affine function of itself
+
+
+def test_content_pictures_are_not_made_when_no_loss_looks_at_them(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise AssertionError("a content picture was made that nobody looks at")
+
+    monkeypatch.setattr("usdsmoke.core.colour._content_picture", refuse)
+    monkeypatch.setattr(picture_loss.PictureLoss, "remember", refuse)
+    monkeypatch.setattr(losses.StyleTarget, "content", refuse)
+    run_core([FRAME], quick_config(losses={"histogram": 1.0, "total_variation": 1.0}))
+
+
+@pytest.mark.parametrize("gamma", [1e-3, 1e-12])
+def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma):
+    """Its light is as faint as it is itself; shape and colours are those of the thin limit."""
+
+    def run(value: float) -> StylizedFrame:
+        return run_core([FRAME], quick_config(optics={"gamma": value, "gamma_shape": value}))[0]
+
+    limit, found = run(1e-6), run(gamma)
+    assert found.report["shape"]["loss"] == pytest.approx(limit.report["shape"]["loss"], rel=0.01)
+    assert found.report["colour"]["loss"] == pytest.approx(limit.report["colour"]["loss"], rel=0.01)
+    one, other = by_voxel(limit.density), by_voxel(found.density)
+    assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.01
+    light = found.emission.values / np.float32(gamma)
+    assert np.isfinite(light).all() and 0 < light.max() <= 1.01 * found.density.values.max()
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, carry: bool) -> list[int]:
+    """Adam's steps at the end of each octave of both steps."""
+    ends: list[int] = []
+    for module in ("shape", "colour"):
+        name = f"usdsmoke.core.{module}.minimize"
+
+        def noted(*args: Any, **options: Any) -> Any:
+            yield from minimize(*args, **options)
+            adam = options.get("adam") or args[-1]
+            ends.append(adam.n_steps)
+
+        monkeypatch.setattr(name, noted)
+    config = quick_config(
+        shape={"iterations": [2, 3]}, colour={"iterations": [4, 5]},
+        optimize={"threads": 1, "carry_moments": carry},
+    )  # fmt: skip
+    result = run_core([frame_of(puff(20))], config)[0]  # smaller smoke moves in no coarser octave
+    assert np.isfinite(result.emission.values).all()
+    return ends
+
+
+def test_moments_go_from_octave_to_octave_only_when_asked_to_and_never_between_steps(monkeypatch):
+    assert counted(monkeypatch, carry=False) == [2, 3, 4, 5]
+
+
+def test_moments_that_go_along_keep_their_age(monkeypatch):
+    assert counted(monkeypatch, carry=True) == [2, 5, 4, 9]
