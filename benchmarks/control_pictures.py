@@ -30,6 +30,7 @@ GAMMAS = ("0.001", "0.1", "0.5", "1")
 DEPTHS = (1, 2, 3, 4)
 TILINGS = (1, 2, 4)
 RESOLUTION, SLAB_RESOLUTION = 64, 96  # voxels along the box's width
+ONE_OCTAVE = ("shape.iterations=[0,0,100]", "colour.iterations=[0,0,240]")
 BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
 SETTINGS = {
     "2-D": ["views.image_size=192"],
@@ -41,6 +42,7 @@ SMALL_STEPS = (
     "colour.learning_rate=0.004",
     "optimize.tolerance=0",
 )
+ONE_OCTAVE = ("shape.iterations=[0,0,100]", "colour.iterations=[0,0,240]")
 BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
 SETTINGS = {
     "2-D": ["views.image_size=192"],
@@ -70,19 +72,20 @@ def show_gamma(studio: Studio) -> Grid:
 
 
 def show_depth(studio: Studio) -> Grid:
-    """One depth of the features at a time, with the colour layer."""
-    rows = [
-        [
-            Panel(
-                studio.look(
-                    kind, "waves", f"features.layers=[learned0,oriented{depth},learned{depth}]"
-                ).colour(),
-                f"{kind}, depth {depth}\n(as relu{depth}_1)",
-            )
-            for depth in DEPTHS
-        ]
-        for kind in KINDS
-    ]
+    """One depth of the features at a time, with the colour layer; the octaves blur the choice."""
+    rows = []
+    for kind, octaves, settings in (
+        ("2-D", "finest octave alone", ONE_OCTAVE),
+        ("2-D", "all octaves", ()),
+        ("3-D", "finest octave alone", ONE_OCTAVE),
+    ):
+        row = []
+        for depth in DEPTHS:
+            layers = f"features.layers=[learned0,oriented{depth},learned{depth}]"
+            look = studio.look(kind, "waves", layers, *settings)
+            label = f"{kind}, depth {depth} (relu{depth}_1)\n{octaves}"
+            row.append(Panel(look.colour(), label))
+        rows.append(row)
     return Grid("depth", "features.layers = [learned0, oriented N, learned N]", rows)
 
 

@@ -25,6 +25,7 @@ QUICK = [
 @pytest.fixture
 def studio(monkeypatch: pytest.MonkeyPatch) -> Studio:
     monkeypatch.setattr(control_pictures, "SMALL_STEPS", ("colour.learning_rate=0.004",))
+    monkeypatch.setattr(control_pictures, "ONE_OCTAVE", ("shape.iterations=[2]",))
     monkeypatch.setattr(control_pictures, "DEPTHS", (1, 2))
     monkeypatch.setattr(control_studio, "SIDE", 64)
     ball = puff(10)
