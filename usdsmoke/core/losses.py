@@ -155,7 +155,7 @@ class StyleTarget:
                 (name, draw, "axes"),
                 lambda: random_directions(len(style), len(style), self._seed + draw, style),
             )
-            values, style = axes @ values, axes @ style
+            values, style = axes @ values.to(axes), axes @ style.to(axes)
         table = self._remembered((name, draw), lambda: quantile_table(style))
         weights = None if guide is None else _small(guide, scaled).square()[0]
         return torch.sqrt(quantile_distance(values, weights, table) + 1e-8)

@@ -225,6 +225,15 @@ def test_directions_change_with_the_draw_and_the_seed_and_repeat():
 
 
 @pytest.mark.parametrize("weights", DISTRIBUTIONS)
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_features_in_half_precision_are_compared_in_single(weights, dtype):
+    style, picture = (random(8, 8, 3, seed=s).to(dtype) for s in (0, 1))
+    found = pixel_target(style, **weights).loss(picture, torch.ones(8, 8))
+    wanted = pixel_target(style.double(), **weights).loss(picture.double(), None)
+    assert found.item() == pytest.approx(wanted.item(), rel=0.03)
+
+
+@pytest.mark.parametrize("weights", DISTRIBUTIONS)
 def test_pixels_outside_the_guide_have_no_say(weights):
     target = pixel_target(random(12, 12, 3), **weights)
     picture, spoiled = random(8, 8, 3, seed=1), random(8, 8, 3, seed=1)
