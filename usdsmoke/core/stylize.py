@@ -235,8 +235,10 @@ def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
 
 def _check_finite(frame: VolumeFrame) -> None:
     for item in (frame.density, frame.velocity, frame.mask):
-        if item is not None and not np.isfinite(item.values).all():
-            count = int((~np.isfinite(item.values)).sum())
+        if item is None:
+            continue
+        count = sum(int((~np.isfinite(part)).sum()) for part in (item.values, item.background))
+        if count:
             raise NonFiniteError(
                 f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
                 "infinite; set grids.repair_nan to the value that shall replace them"

@@ -218,6 +218,11 @@ def test_a_mask_that_is_not_finite_is_refused_by_time_code_and_name(bad):
         run_core([masked(values)], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
 
 
+def test_a_mask_s_background_that_is_not_finite_is_refused_too():
+    with pytest.raises(NonFiniteError, match=r'1 values of grid "fade" at timeCode 1 '):
+        run_core([masked(np.ones((3, 3, 3)), ijk_min=(4, 4, 4), background=np.nan)])
+
+
 def test_masked_smoke_still_hides_what_is_behind_it(monkeypatch):
     """The pictures' maps keep the whole smoke's weights at the voxels that are painted; those of
     the back alone, without the unpainted front, would be much larger."""
