@@ -251,7 +251,14 @@ def _moments_on(here: ActiveSmoke, before: ActiveSmoke, moments: list[Tensor]) -
 def _colours_on(
     octave: ActiveSmoke, before: ActiveSmoke, colours: Tensor | None, config: Config
 ) -> Tensor:
-    """Colours of the octave before at the voxels of this one; None is where a step starts from."""
+    """Colours of the octave before at the voxels of this one; where it has none, as at the start.
+
+    None is where a step starts from. A mask may leave out all that a painted voxel lies between.
+    """
+    if before is octave and colours is not None:
+        return colours
+    fresh = initial_colours(octave, config.colour.init, config.optimize.seed)
     if colours is None:
-        return initial_colours(octave, config.colour.init, config.optimize.seed)
-    return colours if before is octave else sample_colours(before, colours, octave.positions)[0]
+        return fresh
+    found, near = sample_colours(before, colours, octave.positions)
+    return torch.where(near > 0, found, fresh)
