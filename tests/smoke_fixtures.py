@@ -1,5 +1,7 @@
 """Smoke for the core's tests: closed forms on small grids, in any place and at any resolution."""
 
+import dataclasses
+
 import numpy as np
 import torch
 
@@ -11,6 +13,7 @@ __all__ = [
     "frame_of",
     "gaussian_column",
     "gaussian_smoke",
+    "masked",
     "puff",
     "random_style",
     "smoke_of",
@@ -52,6 +55,22 @@ def frame_of(
     values = np.broadcast_to(np.float32(velocity), (*density.shape, 3)).copy()
     moving = DenseField("velocity", values, ijk_min, matrix)
     return VolumeFrame(time_code, field, np.eye(4), moving, np.eye(4))
+
+
+def masked(
+    values: np.ndarray,
+    frame: VolumeFrame | None = None,
+    index_to_world: np.ndarray | None = None,
+    ijk_min: tuple[int, int, int] = (0, 0, 0),
+    background: float = 0.0,
+    to_stage: np.ndarray | None = None,
+) -> VolumeFrame:
+    """A frame, a puff of 12 voxels if none is given, with a mask: on its voxels unless placed."""
+    matrix = np.eye(4) if index_to_world is None else index_to_world
+    field = DenseField("fade", np.asarray(values, np.float32), ijk_min, matrix, background)
+    place = np.eye(4) if to_stage is None else to_stage
+    plain = frame_of(puff(12)) if frame is None else frame
+    return dataclasses.replace(plain, mask=field, mask_to_stage=place)
 
 
 def smoke_of(density: np.ndarray, index_to_stage: np.ndarray | None = None) -> ActiveSmoke:

@@ -140,7 +140,8 @@ def test_several_styles_count_by_their_shares_and_what_is_kept_counts_once(weigh
 def test_content_is_compared_in_grey_so_that_the_colours_are_free():
     """Colours of equal luminance cost nothing beside their content."""
     light = random(8, 9)
-    tint = torch.tensor([0.2, 0.0, -0.2 * 0.2126 / 0.0722], dtype=DOUBLE)  # of no luminance
+    none = torch.tensor([1.0, 0.0, -0.2126 / 0.0722], dtype=DOUBLE)  # luminance
+    tint = 0.2 * random(8, 9, 1, seed=4) * none
     content = light[..., None].expand(-1, -1, 3)
     guide = torch.ones_like(light)
     for weights in ({"content": 1.0}, {"laplacian": 1.0}):
