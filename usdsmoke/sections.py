@@ -86,6 +86,9 @@ class WindowsConfig:
     size: int = setting(
         8, "frames in one window; within it a frame starts from its neighbour's result", low=1
     )
+    overlap: int = setting(
+        3, "frames that a window goes on into the next one, where both are blended; 0: none", low=0
+    )
     warm_iterations: float = setting(
         0.4,
         "share of the iterations that a frame needs that starts from its neighbour",

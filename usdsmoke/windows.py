@@ -2,18 +2,19 @@
 
 A window is the unit of work: its frames are stylized together, each starting from its neighbour's
 result, and no window needs another one, so that they can be run anywhere and resumed one by one.
-Every frame belongs to exactly one window.
+Every frame belongs to exactly one window; the last ones before another window's are computed there
+too, as far as the overlap goes, and blended afterwards.
 """
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usdsmoke.config import WindowsConfig
 from usdsmoke.errors import ShapeError
 
-__all__ = ["Window", "split_windows"]
+__all__ = ["Window", "coarse_runs", "split_windows"]
 
 _GAP = 2.0  # a step this many times the usual one is a cut: nothing is carried over it
 
@@ -22,21 +23,29 @@ _GAP = 2.0  # a step this many times the usual one is a cut: nothing is carried 
 class Window:
     """A run of neighbouring frames."""
 
-    index: int
-    time_codes: tuple[float, ...]  # ascending, at least one
+    index: int  # 0-based, over all Volumes of a run
+    time_codes: tuple[float, ...]  # ascending, at least one: the frames that are its own
+    beyond: tuple[float, ...] = ()  # the next window's first frames, computed here too
+    joined: bool = False  # to the window before: the smoke goes on without a cut
 
 
-def split_windows(time_codes: Sequence[float], config: WindowsConfig) -> tuple[Window, ...]:
+def split_windows(
+    time_codes: Sequence[float], config: WindowsConfig, first_index: int = 0
+) -> tuple[Window, ...]:
     """Windows of at most ``config.size`` frames, in order; a gap in the sequence ends one early.
 
     A gap is a step of more than twice the median step: two shots in one volume, or frames left out.
+    Windows of one frame stand alone: nothing is carried between them, and none overlaps another.
 
     >>> [window.time_codes for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(1, 2), (3,), (10, 11)]
+    >>> [window.beyond for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
+    [(3,), (), ()]
 
     Args:
         time_codes: ascending, each once.
         config: section ``windows``.
+        first_index: of the first window.
 
     Raises:
         ShapeError: the timeCodes do not rise.
@@ -45,10 +54,35 @@ def split_windows(time_codes: Sequence[float], config: WindowsConfig) -> tuple[W
     if any(not step > 0 for step in steps):
         raise ShapeError(f"timeCodes are {list(time_codes)}; wanted them ascending, each once")
     longest = _GAP * statistics.median(steps) if steps else 0.0
-    runs: list[list[float]] = []
+    windows: list[Window] = []
     for number, time_code in enumerate(time_codes):
-        is_cut = number > 0 and steps[number - 1] > longest
-        if not runs or is_cut or len(runs[-1]) == config.size:
+        is_cut = number == 0 or steps[number - 1] > longest
+        if is_cut or len(windows[-1].time_codes) == config.size:
+            joined = not is_cut and config.size > 1
+            windows.append(Window(first_index + len(windows), (time_code,), joined=joined))
+        else:
+            codes = (*windows[-1].time_codes, time_code)
+            windows[-1] = replace(windows[-1], time_codes=codes)
+    for place, (window, later) in enumerate(pairwise(windows)):
+        if later.joined:
+            windows[place] = replace(window, beyond=later.time_codes[: config.overlap])
+    return tuple(windows)
+
+
+def coarse_runs(windows: Sequence[Window]) -> tuple[tuple[float, ...], ...]:
+    """The timeCodes that need a coarse step in common, cut by cut; none where a window is alone.
+
+    >>> coarse_runs(split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2)))
+    ((1, 2, 3),)
+
+    Args:
+        windows: of one Volume, in order.
+    """
+    runs: list[list[Window]] = []
+    for window in windows:
+        if not window.joined:
             runs.append([])
-        runs[-1].append(time_code)
-    return tuple(Window(index, tuple(run)) for index, run in enumerate(runs))
+        runs[-1].append(window)
+    return tuple(
+        tuple(code for window in run for code in window.time_codes) for run in runs if len(run) > 1
+    )

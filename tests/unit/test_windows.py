@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from usdsmoke.config import WindowsConfig
 from usdsmoke.errors import ShapeError
-from usdsmoke.windows import split_windows
+from usdsmoke.windows import coarse_runs, split_windows
 
 TIME_CODES = st.lists(st.integers(-1000, 1000), unique=True, max_size=40).map(
     lambda numbers: [number / 4 for number in sorted(numbers)]
@@ -31,10 +31,42 @@ def test_without_gaps_all_but_the_last_window_are_full(n_frames: int, size: int)
     assert all(len(window.time_codes) == size for window in windows[:-1])
 
 
-def test_a_window_is_the_same_whatever_comes_after_it() -> None:
+def test_a_windows_own_frames_are_the_same_whatever_comes_after_it() -> None:
     short = split_windows([1.0, 2.0, 3.0, 4.0], WindowsConfig(size=2))
     long = split_windows([1.0, 2.0, 3.0, 4.0, 5.0], WindowsConfig(size=2))
-    assert long[: len(short)] == short
+    assert [window.time_codes for window in long[:2]] == [window.time_codes for window in short]
+
+
+@given(TIME_CODES, st.integers(2, 12), st.integers(0, 6))
+def test_a_window_goes_on_as_far_as_the_overlap_and_the_next_window_reach(
+    time_codes: list[float], size: int, overlap: int
+) -> None:
+    windows = split_windows(time_codes, WindowsConfig(size=size, overlap=overlap))
+    for window, later in pairwise(windows):
+        wanted = min(overlap, len(later.time_codes)) if later.joined else 0
+        assert window.beyond == later.time_codes[:wanted]
+    assert not windows or windows[-1].beyond == ()
+    plain = split_windows(time_codes, WindowsConfig(size=size, overlap=0))
+    assert [window.time_codes for window in plain] == [window.time_codes for window in windows]
+
+
+def test_nothing_overlaps_or_is_joined_across_a_cut() -> None:
+    time_codes = [1.0, 2.0, 3.0, 4.0, 100.0, 101.0, 102.0]
+    windows = split_windows(time_codes, WindowsConfig(size=2))
+    assert [window.joined for window in windows] == [False, True, False, True]
+    assert [window.beyond for window in windows] == [(3, 4), (), (102,), ()]
+    assert coarse_runs(windows) == ((1, 2, 3, 4), (100, 101, 102))
+
+
+def test_windows_of_one_frame_stand_alone() -> None:
+    windows = split_windows([1.0, 2.0, 3.0], WindowsConfig(size=1))
+    assert all(not window.joined and not window.beyond for window in windows)
+    assert coarse_runs(windows) == ()
+
+
+def test_windows_of_several_volumes_are_counted_through() -> None:
+    windows = split_windows([1.0, 2.0, 3.0], WindowsConfig(size=2), first_index=5)
+    assert [window.index for window in windows] == [5, 6]
 
 
 def test_no_window_reaches_over_a_cut() -> None:
