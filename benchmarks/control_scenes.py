@@ -71,7 +71,7 @@ def frame_of(density: np.ndarray) -> VolumeFrame:
     return VolumeFrame(1.0, DenseField("density", smoke, (0, 0, 0), index_to_world), np.eye(4))
 
 
-def fading_mask(frame: VolumeFrame, fade: float = 0.15) -> VolumeFrame:
+def fading_mask(frame: VolumeFrame, fade: float = 0.3) -> VolumeFrame:
     """The frame with a mask that is 1 at the left and falls to 0 across the smoke's middle.
 
     Args:
