@@ -81,14 +81,28 @@ class FakeScene:
     up_axis: str = "Z"
 
 
+@dataclass(frozen=True)
+class FakeStart:
+    """A coarse start: a number that depends on every frame before."""
+
+    time_code: float
+    number: float
+
+
 class FakeCore:
-    """Halves the density, so that a result can be told from its source; colours it by the seed."""
+    """Halves the density, so that a result can be told from its source; colours it by the seed.
+
+    What a frame becomes depends on the coarse start of its window and on its place in it a little:
+    two windows' versions of a frame differ, and whoever forgets a start is found out.
+    """
 
     def __init__(self) -> None:
+        self.coarse: list[float] = []  # timeCodes of the coarse step
         self.stylized: list[float] = []  # timeCodes, in the order in which they were done
         self.velocities: list[bool] = []
         self.masks: list[bool] = []
         self.before_frame: Callable[[float], None] = lambda time_code: None
+        self.before_coarse: Callable[[float], None] = lambda time_code: None
 
     def measure_scene(self, frames: Sequence[VolumeFrame], config: Any, up_axis: str) -> FakeScene:
         return FakeScene(up_axis=up_axis)
@@ -101,8 +115,14 @@ class FakeCore:
         config: Any,
         progress: Callable[[Progress], None] | None = None,
         time_codes_per_second: float = 24.0,
+        starts: Callable[[float], FakeStart | None] | None = None,
     ) -> Iterator[FakeStylized]:
+        carried = 0.0
         for number, frame in enumerate(frames):
+            start = starts(frame.time_code) if starts is not None else None
+            if start is not None:
+                assert start.time_code == frame.time_code
+                carried = 0.5 * carried + start.number
             self.before_frame(frame.time_code)
             self.stylized.append(frame.time_code)
             self.velocities.append(frame.velocity is not None)
@@ -110,7 +130,33 @@ class FakeCore:
             for step in config.optimize.steps:
                 if progress is not None:
                     progress(Progress(step, frame.time_code, number, 0, 2, 3, 0, 1, 0.5))
-            yield self._stylize(frame, config)
+            errors = {"displacement": 0.25, "colour": 0.5} if number else None
+            yield self._stylize(frame, config, carried, errors)
+
+    def coarse_frames(
+        self,
+        frames: Iterable[VolumeFrame],
+        styles: Sequence[np.ndarray],
+        scene: FakeScene,
+        config: Any,
+        progress: Callable[[Progress], None] | None = None,
+        time_codes_per_second: float = 24.0,
+    ) -> Iterator[FakeStart]:
+        carried = 0.0
+        for number, frame in enumerate(frames):
+            self.before_coarse(frame.time_code)
+            self.coarse.append(frame.time_code)
+            carried = 0.3 * carried + float(frame.density.values.max(initial=0.0)) / 7
+            if progress is not None:
+                progress(Progress("shape", frame.time_code, number, 0, 0, 1, 0, 1, 0.5))
+            yield FakeStart(frame.time_code, carried)
+
+    def save_start(self, start: FakeStart, file_path: Path) -> None:
+        np.savez(file_path, numbers=np.array([start.time_code, start.number]))
+
+    def load_start(self, file_path: Path) -> FakeStart:
+        with np.load(file_path) as arrays:
+            return FakeStart(*arrays["numbers"].tolist())
 
     def render_view(self, density: DenseField, *_: Any) -> np.ndarray:
         return np.full((8, 8, 4), min(float(density.values.max(initial=0.0)), 1.0), np.float32)
@@ -121,24 +167,36 @@ class FakeCore:
     def grey_picture(self, picture: np.ndarray) -> np.ndarray:
         return picture[..., :3]
 
-    def _stylize(self, frame: VolumeFrame, config: Any) -> FakeStylized:
+    def _stylize(
+        self,
+        frame: VolumeFrame,
+        config: Any,
+        carried: float,
+        errors: dict[str, float] | None,
+    ) -> FakeStylized:
         density, emission = frame.density, None
         if "shape" in config.optimize.steps:
-            density = replace(density, values=density.values * np.float32(0.5))
+            factor = np.float32(0.5 + carried / 100)
+            density = replace(density, values=density.values * factor)
         if "colour" in config.optimize.steps:
             colour = np.array([1.0, 0.5, 0.25], np.float32) * (1 + config.optimize.seed)
+            colour *= np.float32(1 + carried / 10)
             values = density.values[..., None] * colour
             background = (0.0, 0.0, 0.0)
             emission = replace(
                 density, name="emission", values=values, background=background,
                 grid_class="unknown",
             )  # fmt: skip
-        return FakeStylized(frame.time_code, density, emission, {"loss": np.float64(0.5)})
+        report: dict[str, Any] = {"loss": np.float64(0.5)}
+        if errors is not None:
+            report["temporal error"] = errors
+        return FakeStylized(frame.time_code, density, emission, report)
 
     def modules(self) -> dict[str, types.ModuleType]:
         """Modules that can stand in ``sys.modules`` for the core's."""
         homes = {
             "usdsmoke.core.stylize": ("stylize_window",),
+            "usdsmoke.core.coarse": ("coarse_frames", "save_start", "load_start"),
             "usdsmoke.core.scene": ("measure_scene",),
             "usdsmoke.core.render": ("render_view", "display_picture", "grey_picture"),
         }
@@ -147,6 +205,7 @@ class FakeCore:
             modules[home] = types.ModuleType(home)
             for name in names:
                 setattr(modules[home], name, getattr(self, name))
+        vars(modules["usdsmoke.core.scene"])["Scene"] = FakeScene
         return modules
 
 

@@ -50,8 +50,9 @@ def test_inputs_stay_as_they_are_and_nothing_temporary_is_left(shot: Shot) -> No
     result = run(shot)
     assert file_hashes(shot.stage.parent) == before
     (record,) = shot.output.glob("vdb/*/run.json")
+    manifest = record.with_name("windows") / "0000.json"
     expected = {result.root_stage, result.look_layer, *result.contact_sheets, *result.frames}
-    assert {p for p in shot.output.rglob("*") if p.is_file()} == {*expected, record}
+    assert {p for p in shot.output.rglob("*") if p.is_file()} == {*expected, record, manifest}
 
 
 @pytest.mark.usefixtures("core")
@@ -234,7 +235,7 @@ def test_a_contact_sheet_that_fails_is_a_warning(
     def fail(*arguments: object) -> None:
         raise ImageError("the picture cannot be drawn")
 
-    monkeypatch.setattr("usdsmoke.pipeline.write_contact_sheet", fail)
+    monkeypatch.setattr("usdsmoke.pipeline_assemble.write_contact_sheet", fail)
     result = run(shot)
     assert result.contact_sheets == ()
     assert any("the picture cannot be drawn" in warning for warning in result.warnings)

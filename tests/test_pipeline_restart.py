@@ -73,11 +73,12 @@ def test_the_old_result_stays_whole_until_the_new_one_is_complete(
 
 def test_a_stopped_run_goes_on_with_its_first_unfinished_window(shot: Shot, core: FakeCore) -> None:
     stop_at(core, 3.0)
+    windows = ("windows.size=2", "windows.overlap=0")
     with pytest.raises(Interrupted, match=r"stopped with 2 of 3 frames finished.*same command"):
-        run(shot, "windows.size=2")
+        run(shot, *windows)
     assert not list(shot.output.glob("*.usd*"))
     stop_no_more(core)
-    result = run(shot, "windows.size=2")
+    result = run(shot, *windows)
     assert core.stylized == [3.0]
     assert len(shown_files(result.root_stage)) == 3
 
@@ -118,9 +119,9 @@ def test_an_unfinished_run_of_other_settings_or_inputs_is_not_mixed_with_this_on
 ) -> None:
     stop_at(core, 2.0)
     with pytest.raises(Interrupted):
-        run(shot)
+        run(shot, "windows.size=1")
     stop_no_more(core)
-    settings = ("optimize.seed=5",) if change == "setting" else ()
+    settings = ("windows.size=1", *(["optimize.seed=5"] if change == "setting" else []))
     if change == "input":
         write_vdb(shot.stage.parent / "cache/smoke.0002.vdb", value=3.0)
     if change == "style":

@@ -11,6 +11,9 @@ resolution as a share of the full one:
     seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
+Frames in an overlap of windows cost their time twice, and two more files of 32-bit floats. The
+coarse step, where there is one, costs the work of the octaves up to COARSE of the resolution.
+
 BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, whose potentials live
 on the whole box. Memory is the largest frame's; frames are held one at a time. The constants of
 time fit two threads of a server's processor, for plumes of 75 thousand and a million voxels: a
@@ -21,11 +24,12 @@ import math
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from usdsmoke.config import Config, ViewsConfig
 from usdsmoke.core.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.grids.header import GridHeader
 
 __all__ = [
     "Estimate",
@@ -33,6 +37,7 @@ __all__ = [
     "available_memory_gib",
     "estimate_run",
     "free_disk_bytes",
+    "grid_size",
     "n_different_views",
     "usable_cpus",
 ]
@@ -56,6 +61,8 @@ PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
 BOX_TIME = 3.0e-7
 VIEW_TIME = 7.0e-7
+COARSE = 0.25  # resolution that all windows start from, as a share of the full one
+COARSE_BYTES = 24  # of a coarse voxel: potential and colours
 GAIN = 0.8  # n threads are n ** GAIN times as quick
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
@@ -83,7 +90,12 @@ class Estimate:
 
 
 def estimate_run(
-    frames: Sequence[FrameSize], config: Config, n_styles: int = 1, threads: int | None = None
+    frames: Sequence[FrameSize],
+    config: Config,
+    n_styles: int = 1,
+    threads: int | None = None,
+    twice: Sequence[FrameSize] = (),
+    coarse: Sequence[FrameSize] = (),
 ) -> Estimate:
     """Peak memory, time and bytes written, by the formulae at the top of this file.
 
@@ -92,13 +104,37 @@ def estimate_run(
         config: the resolved settings.
         n_styles: style images.
         threads: None takes the configured number, or all of the machine.
+        twice: those frames that two windows compute.
+        coarse: those frames that the shared coarse step is for.
     """
+    again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
+    parts = replace(config, grids=replace(config.grids, half=False))
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return Estimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
-        seconds=START + sum(_frame_seconds(frame, config, n_styles, speed) for frame in frames),
-        bytes_written=sum(_frame_bytes(frame, config) for frame in frames),
+        seconds=START
+        + sum(_frame_seconds(frame, config, n_styles, speed) for frame in (*frames, *again))
+        + sum(_frame_seconds(frame, config, n_styles, speed, COARSE) for frame in coarse),
+        bytes_written=sum(_frame_bytes(frame, config) for frame in frames)
+        + sum(2 * _frame_bytes(frame, parts) for frame in again)
+        + sum(_coarse_bytes(frame, config) for frame in coarse),
     )
+
+
+def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, int]]:
+    """Active voxels and their box; a file that does not tell is taken to hold only this grid.
+
+    Args:
+        file_path: the grid's file.
+        grid: its header.
+    """
+    active, box = grid.active_voxels, grid.box_shape
+    if active is None:
+        active = max(1, os.path.getsize(file_path) // 2)  # half floats, nothing compressed
+    if box is None and active:
+        side = round(active ** (1 / 3)) + 1
+        box = (side, side, side)
+    return active, box or (0, 0, 0)
 
 
 def n_different_views(views: ViewsConfig) -> int:
@@ -174,32 +210,39 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
     return BASE + per_box_voxel * box + mask + active * per_voxel + pictures
 
 
-def _frame_seconds(frame: FrameSize, config: Config, n_styles: int, speed: float) -> float:
+def _frame_seconds(
+    frame: FrameSize, config: Config, n_styles: int, speed: float, finest: float = 1.0
+) -> float:
+    """``finest``: the share of the full resolution beyond which no octave is done."""
     active, _ = _refined(frame, config)
     seconds = FRAME + FILE_TIME * active
     if not _is_optimized(frame, config):
         return seconds
-    work = sum(_step_work(step, frame, config, n_styles) for step in config.optimize.steps)
+    work = sum(_step_work(step, frame, config, n_styles, finest) for step in config.optimize.steps)
     return seconds + work / speed
 
 
-def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int) -> float:
+def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, finest: float) -> float:
     """Seconds of one thread."""
     active, box = _refined(frame, config)
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config)
     n_views = n_different_views(config.views)
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-    if not frame.window_start:
+    if not frame.window_start and finest == 1.0:
         octaves = warm_iterations(octaves, config.windows.warm_iterations)
     work = 0.0
     for number, n_iterations in enumerate(octaves):
-        if n_iterations == 0:
-            continue
         scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
+        if n_iterations == 0 or scale > finest:
+            continue
         iteration = ITERATION + (BOX_TIME * box * scale**3 if step == "shape" else 0.0)
         iteration += config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
         work += n_iterations * iteration + n_views * VIEW_TIME * active * scale**3
     return work
+
+
+def _coarse_bytes(frame: FrameSize, config: Config) -> int:
+    return round(COARSE**3 * sum(_refined(frame, config)) * COARSE_BYTES)
 
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:

@@ -50,6 +50,7 @@ def list_needed(
         count = min(config.views.count, n_views)
         needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
         needed += [_describe_step(step, config) for step in config.optimize.steps]
+    needed += _describe_windows(volumes)
     gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
     for step, gamma in gammas:
         if gamma is None and step in config.optimize.steps:
@@ -93,6 +94,19 @@ def optimizes(config: Config) -> bool:
 def _describe_step(step: str, config: Config) -> str:
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine"
+
+
+def _describe_windows(volumes: Sequence["VolumePlan"]) -> list[str]:
+    """What windows have in common: nothing where none follows on another."""
+    sentences = []
+    if n_coarse := sum(len(volume.coarse_frames) for volume in volumes):
+        sentences.append(f"a coarse step over {n_coarse} frames, once, that all windows start from")
+    if n_twice := sum(len(volume.twice_frames) for volume in volumes):
+        sentences.append(
+            f"{n_twice} frame{'' if n_twice == 1 else 's'} in two windows each, to be blended "
+            "(windows.overlap)"
+        )
+    return sentences
 
 
 def _omitted_steps(config: Config) -> list[Omission]:

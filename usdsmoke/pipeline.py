@@ -5,41 +5,53 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
-from usdsmoke.contact_sheet import sheet_files
-from usdsmoke.errors import Interrupted, UsdSmokeError
-from usdsmoke.layer import author_look
+from usdsmoke.errors import Interrupted, LayerError
+from usdsmoke.locks import lock_output
+from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_result
+from usdsmoke.pipeline_coarse import run_coarse_step
 from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_run, prepare_job, published_runs
-from usdsmoke.pipeline_outputs import collect_volume, make_provenance
-from usdsmoke.pipeline_pictures import write_contact_sheet
-from usdsmoke.pipeline_windows import check_frames, measure_volume, stylize_windows
+from usdsmoke.pipeline_inputs import Job, prepare_job, published_runs, requested_job
+from usdsmoke.pipeline_runs import (
+    begin_run,
+    check_same,
+    how_far,
+    is_whole,
+    joined_run,
+    open_or_redo,
+    run_to_assemble,
+    tidy_end,
+)
+from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
-from usdsmoke.provenance import hash_file
-from usdsmoke.run_folder import RunFolder, lock_output, open_run
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
+from usdsmoke.run_windows import finished_window, manifest_path
 
-if TYPE_CHECKING:
-    from usdsmoke.core.scene import Scene
-
-__all__ = ["Settings", "StylizeResult", "plan_stylize", "stylize"]
+__all__ = [
+    "Settings",
+    "StepResult",
+    "StylizeResult",
+    "assemble",
+    "plan_stylize",
+    "run_coarse",
+    "run_window",
+    "stylize",
+]
 
 FilePath = str | PathLike[str]
 Settings = Config | Mapping[str, Any] | FilePath | None
 
 
 @dataclass(frozen=True)
-class StylizeResult:
-    """What a run left behind."""
+class StepResult:
+    """What a part of a run left behind: one window, or the coarse step."""
 
-    root_stage: Path  # the stage to open
-    look_layer: Path
-    frames: tuple[Path, ...]  # VDB files, Volume by Volume
-    contact_sheets: tuple[Path, ...]  # one picture for each Volume
+    folder: Path  # of the run
+    manifest: Path  # what was written, for machines; a run without a coarse step has none
+    was_done: bool  # nothing was left to do
     plan: Plan
-    warnings: tuple[str, ...]  # worth knowing, none of them fatal
 
 
 def plan_stylize(
@@ -70,7 +82,9 @@ def stylize(
     """Stylize the smoke of a stage after one or more images and write the result as a look layer.
 
     A run that was stopped, however rudely, is continued by the same call: finished windows are
-    kept. Input files are only read.
+    kept. Where the output folder holds a result of equal settings with more frames
+    (``stage.frames``), the windows of the selected ones are done again and the others stay. Input
+    files are only read.
 
     Args:
         stage: a .usda, .usdc or .usd file.
@@ -84,30 +98,154 @@ def stylize(
         planned: called once with the plan, before anything heavy is loaded.
 
     Raises:
-        UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished frames.
+        UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished windows.
         Interrupted: by Ctrl-C.
     """
+    job = _prepare(stage, style, output, config, settings, planned)
+    tell = progress or _tell_nobody
+    with lock_output(job.output) as lock:
+        job, run, redone = open_or_redo(
+            job, force, lambda config: prepare_job(stage, _paths(style), job.output, config)
+        )
+        to_do = [
+            task
+            for task in list_tasks(job.plan)
+            if task.window.index in redone or finished_window(run, task.window.index) is None
+        ]
+        with tidy_end(run, lock, lambda: how_far(run, job.plan)):
+            reader = FrameReader(job.plan)
+            hashes = check_frames(reader, to_do, tell)
+            begin_run(job, run, reader)
+            run_coarse_step(job, run, reader, tell)
+            stylize_windows(job, run, reader, to_do, hashes, tell, again=True)
+            return assemble_run(job, run, reader, tell)
+
+
+def run_coarse(
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
+    force: bool = False,
+    progress: RunProgressCallback | None = None,
+    planned: Callable[[Plan], None] | None = None,
+) -> StepResult:
+    """The step that all windows of a run share, for a queue that runs them one by one.
+
+    Where another process is at it, its end is waited for. See ``run_window`` for the arguments.
+
+    Raises:
+        UsdSmokeError: see ``usdsmoke.errors``.
+        Interrupted: by Ctrl-C.
+    """
+    job = _prepare(stage, style, output, config, settings, planned)
+    tell = progress or _tell_nobody
+    with joined_run(job, force) as (run, lock):
+        with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
+            reader = FrameReader(job.plan)
+            had_begun = run.has_begun
+            if not had_begun:
+                check_frames(reader, list_tasks(job.plan), tell)
+                begin_run(job, run, reader)
+            did_coarse = run_coarse_step(job, run, reader, tell)
+    was_done = had_begun and not did_coarse
+    return StepResult(run.folder, run.folder / "coarse.json", was_done, job.plan)
+
+
+def run_window(
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    window: int,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
+    force: bool = False,
+    progress: RunProgressCallback | None = None,
+    planned: Callable[[Plan], None] | None = None,
+) -> StepResult:
+    """One window of a run, for a queue; the coarse step before it, if no one has done it yet.
+
+    Several processes may work on one output folder, on this machine or on others that share it;
+    when all windows are there, ``assemble`` makes the result. A window that is finished is left as
+    it is, and one that another process is at is waited for.
+
+    Args:
+        stage: as in ``stylize``, like those that follow it.
+        style: one image file or several.
+        output: the folder of the result.
+        window: its number, from 0, in the order of the plan's ``windows``.
+        config: settings.
+        settings: further ones, stronger than ``config``.
+        force: begin beside a result of other settings, which ``assemble`` will then replace.
+        progress: called often, with how far the window is.
+        planned: called once with the plan.
+
+    Raises:
+        ConfigError: there is no such window.
+        OutputExists: the folder holds a run or result of other settings or inputs.
+        UsdSmokeError: see ``usdsmoke.errors``.
+        Interrupted: by Ctrl-C.
+    """
+    job = _prepare(stage, style, output, config, settings, planned)
+    task, tell = pick_task(job.plan, window), progress or _tell_nobody
+    with joined_run(job, force) as (run, lock):
+        manifest = manifest_path(run, window)
+        if finished_window(run, window) is not None:
+            return StepResult(run.folder, manifest, True, job.plan)
+        with tidy_end(run, lock, lambda: f"stopped in window {window}; run the command again"):
+            reader = FrameReader(job.plan)
+            hashes = check_frames(reader, [task], tell)
+            begin_run(job, run, reader)
+            run_coarse_step(job, run, reader, tell)
+            stylize_windows(job, run, reader, [task], hashes, tell)
+    return StepResult(run.folder, manifest, False, job.plan)
+
+
+def assemble(output: FilePath, progress: RunProgressCallback | None = None) -> StylizeResult:
+    """Make the result of a run whose windows are all finished: the last step of a queue.
+
+    Called once more on a result it changes nothing.
+
+    Args:
+        output: the folder that the windows were written to.
+        progress: called for every frame that is blended.
+
+    Raises:
+        LayerError: there is no run, or one of its windows is not finished; these are listed.
+        OutputExists: inputs have changed since the run began, or another process is at work.
+        UsdSmokeError: see ``usdsmoke.errors``.
+        Interrupted: by Ctrl-C.
+    """
+    output = Path(output).absolute()
+    if not output.is_dir():
+        raise LayerError(f"there is no folder {output}; give the one that windows were written to")
+    with lock_output(output):
+        run = run_to_assemble(output)
+        job = requested_job(output, run.request)
+        check_same(run, job)
+        if run.complete and run.run_id in published_runs(job) and is_whole(run, job):
+            return summarize_result(job, run)
+        try:
+            return assemble_run(job, run, FrameReader(job.plan), progress or _tell_nobody)
+        except KeyboardInterrupt:
+            raise Interrupted("stopped; run the same command again to continue") from None
+
+
+def _prepare(
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    config: Settings,
+    settings: Mapping[str, Any] | Sequence[str],
+    planned: Callable[[Plan], None] | None,
+) -> Job:
     # Threads that spin while they wait slow each other down many times where processors are shared.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, below
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, later
     job = prepare_job(stage, _paths(style), Path(output), _resolve(config, settings))
     if planned is not None:
         planned(job.plan)
-    tell = progress or (lambda report: None)
-    features_hash = _features_hash(job.config)
-    description = describe_run(job, features_hash)
-    with lock_output(job.output):
-        run = open_run(job.output, description, published_runs(job), force)
-        try:
-            reader = FrameReader(job.plan)
-            source_hashes = check_frames(reader, job.plan, run, tell)
-            scenes = [measure_volume(reader, job.plan, volume) for volume in job.plan.volumes]
-            run.begin(_plan_record(job.plan))
-            seconds = stylize_windows(job, run, reader, scenes, source_hashes, tell)
-            return _publish(job, run, reader, scenes, features_hash, seconds, tell)
-        except KeyboardInterrupt:
-            raise Interrupted(_how_far(run, job.plan)) from None
-        finally:
-            run.discard_if_useless()
+    return job
 
 
 def _paths(style: FilePath | Sequence[FilePath]) -> list[FilePath]:
@@ -126,76 +264,5 @@ def _resolve(config: Settings, settings: Mapping[str, Any] | Sequence[str]) -> C
     return resolve_config(sections, assignments=settings)
 
 
-def _features_hash(config: Config) -> str:
-    """SHA-256 of the network's parameter file; "" for the embedded features, which have none."""
-    if config.features.network == "embedded":
-        return ""
-    from usdsmoke.core.vgg19 import find_vgg19_file
-
-    return hash_file(find_vgg19_file(config.features.vgg19_file))
-
-
-def _plan_record(plan: Plan) -> dict[str, Any]:
-    """What of the plan stays with the result: nothing that names folders of this machine."""
-    described = plan.to_dict()
-    return {key: described[key] for key in ("windows", "needed", "omitted", "estimate")}
-
-
-def _publish(
-    job: Job,
-    run: RunFolder,
-    reader: FrameReader,
-    scenes: Sequence["Scene"],
-    features_hash: str,
-    seconds: float,
-    tell: RunProgressCallback,
-) -> StylizeResult:
-    """All frames are there: author the layer, which makes them the result, and draw the sheets."""
-    plan, styles = job.plan, job.styles
-    volumes = [
-        collect_volume(run, volume, scene.gamma_w, plan.config)
-        for volume, scene in zip(plan.volumes, scenes, strict=True)
-    ]
-    provenance = make_provenance(run, plan, styles, features_hash, scenes, {"stylize": seconds})
-    files = author_look(job.stage, plan.source, volumes, job.output, plan.config.layer, provenance)
-    sheets = sheet_files([volume.stem for volume in plan.volumes], job.output)
-    warnings = _warnings(plan, run)
-    for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
-        tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
-        pixels = [style.pixels for style in styles]
-        try:
-            write_contact_sheet(sheet, plan, volume, reader, run.folder, scenes[number], pixels)
-        except UsdSmokeError as error:  # the result is whole without it
-            warnings += (f"no contact sheet: {error}",)
-    run.finish([files.look_layer, files.root_stage, *sheets])
-    return StylizeResult(
-        root_stage=files.root_stage,
-        look_layer=files.look_layer,
-        frames=tuple(Path(frame.file_path) for volume in volumes for frame in volume.frames),
-        contact_sheets=tuple(sheet for sheet in sheets if sheet.is_file()),
-        plan=plan,
-        warnings=warnings,
-    )
-
-
-def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
-    found = [
-        f"{name}: {warning}"
-        for name, record in sorted(run.frames.items())
-        for warning in record["report"].get("warnings", [])
-    ]
-    codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
-    if any(code != round(code) for code in codes):
-        found.append(
-            "some timeCodes are no whole numbers: Blender's importer cannot follow such sequences"
-        )
-    return tuple(found)
-
-
-def _how_far(run: RunFolder, plan: Plan) -> str:
-    if not run.frames:
-        return "stopped before the first frame was finished; nothing was left behind"
-    return (
-        f"stopped with {len(run.frames)} of {plan.n_frames} frames finished in {run.folder}; "
-        "run the same command again to continue"
-    )
+def _tell_nobody(report: RunProgress) -> None:
+    """Takes the place of a progress callback that was not given."""

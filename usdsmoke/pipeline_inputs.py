@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict, style_shares
+from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ImageError, LayerError
@@ -25,7 +25,15 @@ from usdsmoke.provenance import hash_file
 from usdsmoke.stage import find_volumes, open_stage
 from usdsmoke.volume import StageSource
 
-__all__ = ["Job", "check_output_folder", "describe_run", "prepare_job", "published_runs"]
+__all__ = [
+    "Job",
+    "check_output_folder",
+    "describe_request",
+    "describe_run",
+    "prepare_job",
+    "published_runs",
+    "requested_job",
+]
 
 # Settings that change when or whether a result comes about, but not the result.
 _NEUTRAL = {
@@ -41,6 +49,7 @@ class Job:
     stage: Usd.Stage
     plan: Plan
     styles: tuple[StyleImage, ...]
+    style_files: tuple[Path, ...]
     output: Path
     targets: LookFiles
 
@@ -55,8 +64,15 @@ def prepare_job(
     style_paths: Sequence[str | PathLike[str]],
     output: Path,
     config: Config,
+    fits: bool = True,
 ) -> Job:
     """Open the stage, find its Volumes, read the style images, make the plan and see that it fits.
+
+    Args:
+        stage_path, style_paths: files.
+        output: the output folder.
+        config: the resolved settings.
+        fits: whether memory and disk must be large enough for the whole work.
 
     Raises:
         UsdSmokeError: everything that can be wrong without a voxel being read.
@@ -73,8 +89,10 @@ def prepare_job(
     sheets = sheet_files([volume.stem for volume in plan.volumes], output)
     inputs = _input_files(stage, source, [Path(style_path) for style_path in style_paths])
     check_output_folder(output, inputs, [targets.look_layer, targets.root_stage, *sheets])
-    check_plan(plan, output)
-    return Job(stage, plan, styles, output, targets)
+    if fits:
+        check_plan(plan, output)
+    style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
+    return Job(stage, plan, styles, style_files, output, targets)
 
 
 def published_runs(job: Job) -> frozenset[str]:
@@ -152,6 +170,29 @@ def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
         "styles": [f"{style.name} {style.sha256}" for style in job.styles],
         "features_hash": features_hash,
     }
+
+
+def describe_request(job: Job) -> dict[str, Any]:
+    """What it takes to make the job again, as JSON values; files relative to the output folder."""
+    files = [Path(job.plan.source.file_path), *job.style_files]
+    stage, *styles = [os.path.relpath(file_path, job.output) for file_path in files]
+    return {"stage": stage, "styles": styles, "config": config_to_dict(job.config)}
+
+
+def requested_job(output: Path, request: Mapping[str, Any]) -> Job:
+    """The job that a run was begun for.
+
+    Args:
+        output: the output folder.
+        request: from ``describe_request``.
+
+    Raises:
+        UsdSmokeError: an input has vanished or is no longer what it was.
+    """
+    stage, *styles = [
+        os.path.normpath(output / name) for name in (request["stage"], *request["styles"])
+    ]
+    return prepare_job(stage, styles, output, resolve_config(request["config"]), fits=False)
 
 
 def _named_run(look_layer: Path) -> str:

@@ -17,32 +17,39 @@ from usdsmoke.grids.write import write_frame
 from usdsmoke.images import StyleImage
 from usdsmoke.layer.records import EMISSION, StylizedVolume
 from usdsmoke.plan import FramePlan, Plan, VolumePlan, result_file_names
-from usdsmoke.provenance import Provenance, RunFacts, build_provenance
+from usdsmoke.provenance import Provenance, RunFacts, build_provenance, hash_file
+from usdsmoke.publish import make_folders
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.volume import DenseField, WrittenFrame
 
 if TYPE_CHECKING:
-    from usdsmoke.core.scene import Scene
     from usdsmoke.core.stylize import StylizedFrame
 
-__all__ = ["collect_volume", "make_provenance", "result_fields", "write_result"]
+__all__ = [
+    "collect_volume",
+    "frame_metadata",
+    "frame_record",
+    "make_provenance",
+    "plain_values",
+    "result_fields",
+    "write_result",
+]
 
 _PACKAGES = ("usd-core", "torch", "numpy")
 
 
 def result_fields(
-    stylized: "StylizedFrame", volume: VolumePlan, frame: FramePlan, config: Config
+    fields: Sequence[DenseField], volume: VolumePlan, frame: FramePlan, config: Config
 ) -> list[DenseField]:
-    """The grids of a frame's file: density and emission, pruned, and the velocity when it is asked
+    """The grids of a result's file: density and emission, pruned, and the velocity when it is asked
     for.
 
-    The density's grid is called like its relationship: some renderers look for the one name, some
-    for the other.
+    Args:
+        fields: density and, after a colour step, emission.
+        volume, frame: what they are the result of.
+        config: the resolved settings.
     """
-    density = dataclasses.replace(stylized.density, name=volume.source.density)
-    fields = [density]
-    if stylized.emission is not None:
-        fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
+    fields, density = list(fields), fields[0]
     if config.grids.prune > 0 and not density.is_empty:
         smoke = density.values > config.grids.prune
         fields = [_keep_where(smoke, field) for field in fields]
@@ -54,28 +61,55 @@ def result_fields(
 
 def write_result(
     run: RunFolder,
+    name: str,
     volume: VolumePlan,
     frame: FramePlan,
     stylized: "StylizedFrame",
     config: Config,
     source_hashes: Mapping[str, str],
-) -> None:
-    """Write one frame's VDB file and note in the run's record that it is finished.
+) -> dict[str, Any]:
+    """Write what one window made of a frame.
+
+    A version that is to be blended with another is a part: it keeps all of its voxels, in 32-bit
+    floats, and nothing is copied into it. The density's grid is called like its relationship: some
+    renderers look for the one name, some for the other.
 
     Args:
         run: where it goes.
+        name: of the file, relative to the run's folder; another one than the frame's for a part.
         volume, frame: what it is the result of.
         stylized: the result.
         config: the resolved settings.
         source_hashes: content hashes of the ``density`` and, if any, the ``mask`` that were read.
 
+    Returns:
+        JSON values that describe the file; see ``frame_record``.
+
     Raises:
         WriteFailed: the operating system refused, or the file came back different.
         GridError: a velocity to be copied cannot be read.
     """
-    fields = result_fields(stylized, volume, frame, config)
+    fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
+    if stylized.emission is not None:
+        fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
+    is_part = name != frame.file_name
+    if not is_part:
+        fields = result_fields(fields, volume, frame, config)
+    make_folders((run.folder / name).parent)
+    metadata = frame_metadata(run, volume, frame, source_hashes)
+    half = config.grids.half and not is_part
+    content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
+    record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
+    digest = hash_file(run.folder / name)
+    return {**record, "sha256": digest, "part": is_part, "report": plain_values(stylized.report)}
+
+
+def frame_metadata(
+    run: RunFolder, volume: VolumePlan, frame: FramePlan, source_hashes: Mapping[str, str]
+) -> dict[str, Any]:
+    """What a frame's file says about itself, on top of what its source said."""
     source_file = frame.source.fields[volume.source.density].file_path
-    metadata = {
+    return {
         "creator": f"usdsmoke {__version__}",
         **read_header(source_file).metadata,
         "usdsmoke:version": __version__,
@@ -83,19 +117,25 @@ def write_result(
         "usdsmoke:source_sha256": source_hashes["density"],
         "usdsmoke:params_sha256": run.settings_hash,
     }
-    target = run.folder / frame.file_name
-    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
-    low, high = _extent(fields[:1]) or (None, None)
-    record = {
+
+
+def frame_record(
+    volume: VolumePlan,
+    frame: FramePlan,
+    density: DenseField,
+    content_hash: str,
+    source_hashes: Mapping[str, str],
+) -> dict[str, Any]:
+    """What is kept of a written frame: place, hashes, and the corners of its active voxels."""
+    low, high = field_extent(density) or (None, None)
+    return {
         "prim_path": volume.source.prim_path,
         "time_code": frame.source.time_code,
         "content_hash": content_hash,
         "source_hashes": dict(source_hashes),
         "extent_min": low,
         "extent_max": high,
-        "report": _plain(stylized.report),
     }
-    run.finish_frame(frame.file_name, record)
 
 
 def collect_volume(
@@ -138,11 +178,11 @@ def make_provenance(
     run: RunFolder,
     plan: Plan,
     styles: Sequence[StyleImage],
-    features_hash: str,
-    scenes: Sequence["Scene"],
     timings: Mapping[str, float],
+    temporal_error: Mapping[str, float],
+    overlap_difference: Mapping[str, float],
 ) -> Provenance:
-    """The record of the run that goes into the layer; ``scenes`` has one for each Volume."""
+    """The record of a run, all of whose frames are there, for the layer."""
     config = plan.config
     inputs = {}
     for volume in plan.volumes:
@@ -160,13 +200,15 @@ def make_provenance(
         inputs=inputs,
         styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
         features=config.features.network,
-        features_hash=features_hash,
+        features_hash=run.description["features_hash"],
         packages={**_package_versions(), "openvdb": read_binding_version(config.grids)},
         timings=timings,
         extinction={
-            volume.source.prim_path: (scene.gamma_w, scene.gamma_w_shape)
-            for volume, scene in zip(plan.volumes, scenes, strict=True)
+            volume.source.prim_path: (scene["gamma_w"], scene["gamma_w_shape"])
+            for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         },
+        temporal_error=temporal_error,
+        overlap_difference=overlap_difference,
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         run_id=run.run_id,
         created=run.created,
@@ -179,12 +221,6 @@ def _keep_where(smoke: np.ndarray, field: DenseField) -> DenseField:
     mask = smoke[..., None] if field.values.ndim == 4 else smoke
     background = np.asarray(field.background, np.float32)
     return dataclasses.replace(field, values=np.where(mask, field.values, background))
-
-
-def _extent(
-    fields: Sequence[DenseField],
-) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
-    return next((extent for field in fields if (extent := field_extent(field))), None)
 
 
 def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
@@ -232,12 +268,12 @@ def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | Non
     return None if numbers is None else (numbers[0], numbers[1], numbers[2])
 
 
-def _plain(value: Any) -> Any:
-    """The value as JSON can say it."""
+def plain_values(value: Any) -> Any:
+    """The value as JSON can say it: mappings, lists, texts, truth values, numbers."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain_values(item) for item in value]
     if isinstance(value, (str, bool, int, float)) or value is None:
         return value
     return float(value)

@@ -1,8 +1,8 @@
 """Pictures of source and result for the contact sheets, made from the files that were written."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import DenseField, VolumeFrame
-
-if TYPE_CHECKING:
-    from usdsmoke.core.scene import Scene
 
 __all__ = ["sample_frames", "write_contact_sheet"]
 
@@ -40,7 +37,7 @@ def write_contact_sheet(
     volume: VolumePlan,
     reader: FrameReader,
     folder: Path,
-    scene: "Scene",
+    scene: Mapping[str, Any],
     styles: Sequence[np.ndarray],
 ) -> None:
     """Three frames of a Volume: source, stylized grey, stylized colour, beside the style images.
@@ -51,7 +48,7 @@ def write_contact_sheet(
         volume: what is shown.
         reader: of the source's frames.
         folder: of the result's VDB files.
-        scene: extinction and up axis.
+        scene: the core's, as JSON values: extinction and up axis.
         styles: style images, [H W 3] display-encoded.
 
     Raises:
@@ -79,7 +76,7 @@ def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[De
 
 
 def _frame_pictures(
-    config: Config, source: VolumeFrame, result: Sequence[DenseField], scene: "Scene"
+    config: Config, source: VolumeFrame, result: Sequence[DenseField], scene: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
     to_stage = source.density_to_stage
     pictures = {
@@ -95,7 +92,7 @@ def _picture(
     density: DenseField,
     emission: DenseField | None,
     to_stage: np.ndarray,
-    scene: "Scene",
+    scene: Mapping[str, Any],
     config: Config,
 ) -> np.ndarray:
     from usdsmoke.core.render import display_picture, grey_picture, render_view
@@ -104,8 +101,8 @@ def _picture(
         density,
         emission,
         to_stage,
-        scene.gamma_w_shape if emission is None else scene.gamma_w,
-        scene.up_axis,
+        scene["gamma_w_shape"] if emission is None else scene["gamma_w"],
+        scene["up_axis"],
         config.views.centre_azimuth,
         config.views.centre_elevation,
         _PICTURE_SIZE,

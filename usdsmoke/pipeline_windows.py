@@ -2,44 +2,78 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+from usdsmoke.errors import ConfigError
 from usdsmoke.grids.content_hash import hash_fields
+from usdsmoke.pipeline_coarse import coarse_starts, read_scene
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_outputs import write_result
-from usdsmoke.pipeline_pictures import sample_frames
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.run_progress import RunProgress, RunProgressCallback, WorkMeter
+from usdsmoke.run_windows import (
+    WindowRecord,
+    finish_window,
+    finished_window,
+    hold_work,
+    part_file_name,
+)
+from usdsmoke.windows import Window
 
 if TYPE_CHECKING:
     from usdsmoke.core.progress import Progress
-    from usdsmoke.core.scene import Scene
 
-__all__ = ["check_frames", "measure_volume", "stylize_windows"]
+__all__ = ["WindowTask", "check_frames", "list_tasks", "pick_task", "stylize_windows"]
 
 
-def _windows_to_do(
-    plan: Plan, run: RunFolder
-) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
-    """Volume number, Volume and frames of every window that is not finished.
+@dataclass(frozen=True)
+class WindowTask:
+    """One window with the frames that it computes."""
 
-    A window with one unfinished frame is done again as a whole, because each frame starts from its
-    neighbour: so a run that was stopped gives the same bits as one that was not.
-    """
-    to_do = []
+    window: Window
+    volume_number: int
+    volume: VolumePlan
+    frames: tuple[FramePlan, ...]  # its own, then those beyond
+
+    def file_name(self, frame: FramePlan) -> str:
+        """Where this window's version of a frame goes, relative to the run's folder."""
+        if frame in self.volume.twice_frames:
+            return part_file_name(self.window.index, frame.file_name)
+        return frame.file_name
+
+
+def list_tasks(plan: Plan) -> list[WindowTask]:
+    """The windows of all Volumes, in the order of their numbers."""
+    tasks = []
     for number, volume in enumerate(plan.volumes):
         frames = {frame.source.time_code: frame for frame in volume.frames}
         for window in volume.windows:
-            members = tuple(frames[time_code] for time_code in window.time_codes)
-            if any(run.finished(frame.file_name) is None for frame in members):
-                to_do.append((number, volume, members))
-    return to_do
+            members = tuple(frames[code] for code in (*window.time_codes, *window.beyond))
+            tasks.append(WindowTask(window, number, volume, members))
+    return tasks
+
+
+def pick_task(plan: Plan, window: int) -> WindowTask:
+    """The window of this number.
+
+    Raises:
+        ConfigError: there is none; the message tells how many there are.
+    """
+    tasks = list_tasks(plan)
+    if not 0 <= window < len(tasks):
+        count = f"{len(tasks)} window{'' if len(tasks) == 1 else 's'}"
+        raise ConfigError(
+            f"there is no window {window}: the plan has {count}, counted from 0 to "
+            f"{len(tasks) - 1}; see 'windows' in the plan (--dry-run --json)"
+        )
+    return tasks[window]
 
 
 def check_frames(
-    reader: FrameReader, plan: Plan, run: RunFolder, tell: RunProgressCallback
+    reader: FrameReader, tasks: Sequence[WindowTask], tell: RunProgressCallback
 ) -> dict[str, dict[str, str]]:
     """Read every frame once, so that damage and NaN show before an hour of work, not after it.
 
@@ -50,97 +84,121 @@ def check_frames(
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
-    to_do = [
-        (volume, frame) for _, volume, members in _windows_to_do(plan, run) for frame in members
-    ]
+    to_do = {frame.file_name: (task.volume, frame) for task in tasks for frame in task.frames}
     hashes = {}
-    for number, (volume, frame) in enumerate(to_do):
+    for number, (name, (volume, frame)) in enumerate(to_do.items()):
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
         read = reader.read(volume, frame)
-        hashes[frame.file_name] = {"density": hash_fields([read.density])}
+        hashes[name] = {"density": hash_fields([read.density])}
         if read.mask is not None:
-            hashes[frame.file_name]["mask"] = hash_fields([read.mask])
+            hashes[name]["mask"] = hash_fields([read.mask])
     return hashes
-
-
-def measure_volume(reader: FrameReader, plan: Plan, volume: VolumePlan) -> "Scene":
-    """Extinction and picture size, from up to three frames of the whole sequence.
-
-    Raises:
-        GridError, NonFiniteError: see ``FrameReader.read``.
-    """
-    from usdsmoke.core.scene import measure_scene
-
-    frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
-    return measure_scene(frames, plan.config, plan.source.up_axis)
 
 
 def stylize_windows(
     job: Job,
     run: RunFolder,
     reader: FrameReader,
-    scenes: Sequence["Scene"],
+    tasks: Sequence[WindowTask],
     source_hashes: Mapping[str, Mapping[str, str]],
     tell: RunProgressCallback,
-) -> float:
-    """Stylize every unfinished window and write its frames.
+    again: bool = False,
+) -> None:
+    """Stylize windows, write their frames and, behind each window, its manifest.
+
+    A window that another process has finished meanwhile is left as it is.
 
     Args:
         job: what was asked for.
-        run: where frames go, and which are finished.
+        run: where frames go; it has begun, and the coarse step is done.
         reader: of the source's frames.
-        scenes: one for each Volume, from ``measure_volume``.
+        tasks: the windows to do.
         source_hashes: from ``check_frames``.
         tell: hears of every iteration and every file.
-
-    Returns:
-        Seconds that it took.
+        again: do them all, also those that are finished.
 
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
+    warm = [bool(place) for task in tasks for place, _ in enumerate(task.frames)]
+    meter, done = WorkMeter(job.config, warm), 0
+    for task in tasks:
+        with hold_work(run, task.window.index):
+            if again or finished_window(run, task.window.index) is None:
+                progress = _Counter(meter, done, len(warm), tell)
+                _stylize_window(job, run, reader, task, source_hashes, progress)
+        done += len(task.frames)
+
+
+@dataclass(frozen=True)
+class _Counter:
+    """The core counts frames within a window; the run counts all of them."""
+
+    meter: WorkMeter
+    first: int
+    n_frames: int
+    tell: RunProgressCallback
+
+    def writing(self, time_code: float, place: int) -> None:
+        frame = self.first + place
+        share = self.meter.share_before(frame + 1)
+        self.tell(RunProgress("write", time_code, frame, self.n_frames, share))
+
+    def translate(self) -> Callable[["Progress"], None]:
+        def report(state: "Progress") -> None:
+            frame = self.first + state.frame
+            self.tell(
+                RunProgress(
+                    step=state.step,
+                    time_code=state.time_code,
+                    frame=frame,
+                    n_frames=self.n_frames,
+                    share=self.meter.share(state, frame),
+                    octave=state.octave,
+                    n_octaves=state.n_octaves,
+                    loss=state.loss,
+                )
+            )
+
+        return report
+
+
+def _stylize_window(
+    job: Job,
+    run: RunFolder,
+    reader: FrameReader,
+    task: WindowTask,
+    source_hashes: Mapping[str, Mapping[str, str]],
+    progress: _Counter,
+) -> None:
     from usdsmoke.core.stylize import stylize_window
 
     plan, started = job.plan, time.monotonic()
-    to_do = _windows_to_do(plan, run)
-    warm = [bool(place) for _, _, members in to_do for place, _ in enumerate(members)]
-    meter, done = WorkMeter(plan.config, warm), 0
-    for number, volume, members in to_do:
-        results = stylize_window(
-            (reader.read(volume, frame) for frame in members),
-            [style.pixels for style in job.styles],
-            scenes[number],
-            plan.config,
-            _translate(meter, done, len(warm), tell),
-            plan.source.time_codes_per_second,
-        )
-        for frame, stylized in zip(members, results, strict=True):
-            share = meter.share_before(done + 1)
-            tell(RunProgress("write", frame.source.time_code, done, len(warm), share))
-            hashes = source_hashes[frame.file_name]
-            write_result(run, volume, frame, stylized, plan.config, hashes)
-            done += 1
-    return time.monotonic() - started
-
-
-def _translate(
-    meter: WorkMeter, first: int, n_frames: int, tell: RunProgressCallback
-) -> Callable[["Progress"], None]:
-    """The core counts frames within a window; the run counts all of them."""
-
-    def report(state: "Progress") -> None:
-        frame = first + state.frame
-        tell(
-            RunProgress(
-                step=state.step,
-                time_code=state.time_code,
-                frame=frame,
-                n_frames=n_frames,
-                share=meter.share(state, frame),
-                octave=state.octave,
-                n_octaves=state.n_octaves,
-                loss=state.loss,
-            )
-        )
-
-    return report
+    options: dict[str, Any] = {}
+    starts = coarse_starts(run, task.volume)
+    if starts is not None:
+        options["starts"] = starts
+    results = stylize_window(
+        (reader.read(task.volume, frame) for frame in task.frames),
+        [style.pixels for style in job.styles],
+        read_scene(run, task.volume_number),
+        plan.config,
+        progress.translate(),
+        plan.source.time_codes_per_second,
+        **options,
+    )
+    records = {}
+    for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
+        progress.writing(frame.source.time_code, place)
+        name, hashes = task.file_name(frame), source_hashes[frame.file_name]
+        records[name] = write_result(run, name, task.volume, frame, stylized, plan.config, hashes)
+    window = WindowRecord(
+        run_id=run.run_id,
+        window=task.window.index,
+        volume=task.volume.source.prim_path,
+        time_codes=list(task.window.time_codes),
+        beyond=list(task.window.beyond),
+        frames=records,
+        seconds=time.monotonic() - started,
+    )
+    finish_window(run, window)

@@ -4,7 +4,6 @@ Only the stage's own values and the headers of VDB files are looked at: no voxel
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from usdsmoke.estimate import (
     available_memory_gib,
     estimate_run,
     free_disk_bytes,
+    grid_size,
 )
 from usdsmoke.frames import (
     MaskSource,
@@ -31,7 +31,7 @@ from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.naming import frame_file_names, volume_stems
 from usdsmoke.needs import Omission, list_needed, list_omitted, optimizes
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
-from usdsmoke.windows import Window, split_windows
+from usdsmoke.windows import Window, coarse_runs, split_windows
 
 __all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan", "result_file_names"]
 
@@ -64,6 +64,19 @@ class VolumePlan:
     stem: str
     frames: tuple[FramePlan, ...]
     windows: tuple[Window, ...]
+    coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes with a coarse step in common
+
+    @property
+    def coarse_frames(self) -> tuple[FramePlan, ...]:
+        """Those that the shared coarse step is for: none where no window follows on another."""
+        codes = {code for run in self.coarse_runs for code in run}
+        return tuple(frame for frame in self.frames if frame.source.time_code in codes)
+
+    @property
+    def twice_frames(self) -> tuple[FramePlan, ...]:
+        """Those that two windows compute, and whose versions are blended."""
+        codes = {code for window in self.windows for code in window.beyond}
+        return tuple(frame for frame in self.frames if frame.source.time_code in codes)
 
 
 @dataclass(frozen=True)
@@ -116,18 +129,20 @@ def make_plan(source: StageSource, config: Config, n_styles: int = 1) -> Plan:
     """
     stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
     headers: dict[str, FileHeader] = {}
-    volumes = tuple(
-        _plan_volume(volume, stem, config, headers)
-        for volume, stem in zip(source.volumes, stems, strict=True)
-    )
-    sizes = [frame.size for volume in volumes for frame in volume.frames]
+    volumes: list[VolumePlan] = []
+    for volume, stem in zip(source.volumes, stems, strict=True):
+        first_index = sum(len(earlier.windows) for earlier in volumes)
+        volumes.append(_plan_volume(volume, stem, config, headers, first_index))
+    sizes = [frame.size for planned in volumes for frame in planned.frames]
+    twice = [frame.size for planned in volumes for frame in planned.twice_frames]
+    coarse = [frame.size for planned in volumes for frame in planned.coarse_frames]
     return Plan(
         source=source,
         config=config,
-        volumes=volumes,
+        volumes=tuple(volumes),
         needed=list_needed(source, config, volumes),
         omitted=list_omitted(source, config, volumes),
-        estimate=estimate_run(sizes, config, n_styles),
+        estimate=estimate_run(sizes, config, n_styles, twice=twice, coarse=coarse),
     )
 
 
@@ -183,10 +198,16 @@ def _all_frames(plan: Plan) -> list[tuple[VolumePlan, FramePlan]]:
 
 
 def _plan_volume(
-    volume: VolumeSource, stem: str, config: Config, headers: dict[str, FileHeader]
+    volume: VolumeSource,
+    stem: str,
+    config: Config,
+    headers: dict[str, FileHeader],
+    first_index: int,
 ) -> VolumePlan:
     time_codes = [frame.time_code for frame in volume.frames]
-    windows = split_windows(time_codes, config.windows)
+    windows = split_windows(time_codes, config.windows, first_index)
+    if not optimizes(config):  # the source is given back: there is nothing to carry or to blend
+        windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
     names = result_file_names(volume, stem)
     window_of = {code: window for window in windows for code in window.time_codes}
     frames = []
@@ -194,7 +215,8 @@ def _plan_volume(
         _read_headers(frame, headers)
         code = frame.time_code
         frames.append(_plan_frame(volume, frame, window_of[code], names[code], config, headers))
-    return VolumePlan(volume, stem, tuple(frames), windows)
+    runs = coarse_runs(windows) if config.windows.shared_octaves else ()
+    return VolumePlan(volume, stem, tuple(frames), windows, runs)
 
 
 def _plan_frame(
@@ -218,7 +240,7 @@ def _plan_frame(
         source=frame,
         size=size if mask is None else replace(size, mask_box=_mask_box(mask)),
         grid=grid,
-        velocity=velocity if len(window.time_codes) > 1 else None,
+        velocity=velocity if window.joined or len(window.time_codes) > 1 else None,
         copied=copied,
         mask=mask,
         file_name=file_name,
@@ -234,23 +256,12 @@ def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
 def _frame_size(
     file_path: str, grid: GridHeader, window_start: bool, copied: VelocitySource | None
 ) -> FrameSize:
-    active, box = _grid_size(file_path, grid)
+    active, box = grid_size(file_path, grid)
     return FrameSize(active, box, window_start, 0 if copied is None else 3)
 
 
 def _mask_box(mask: MaskSource) -> tuple[int, int, int]:
-    return _grid_size(mask.field.file_path, mask.grid)[1]
-
-
-def _grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, int]]:
-    """Active voxels and their box; a file that does not tell is taken to hold only this grid."""
-    active, box = grid.active_voxels, grid.box_shape
-    if active is None:
-        active = max(1, os.path.getsize(file_path) // 2)  # half floats, nothing compressed
-    if box is None and active:
-        side = round(active ** (1 / 3)) + 1
-        box = (side, side, side)
-    return active, box or (0, 0, 0)
+    return grid_size(mask.field.file_path, mask.grid)[1]
 
 
 def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
@@ -264,13 +275,9 @@ def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
         "density_prim": fields[volume.source.density].prim_path,
         "grid": first.grid.label,
         "time_codes": [frame.source.time_code for frame in volume.frames],
-        "largest_box": _largest_box([frame.size.box for frame in volume.frames]),
+        "largest_box": list(max((frame.size.box for frame in volume.frames), key=math.prod)),
         "most_active_voxels": max(frame.size.active_voxels for frame in volume.frames),
     }
-
-
-def _largest_box(boxes: Sequence[tuple[int, int, int]]) -> list[int]:
-    return list(max(boxes, key=math.prod))
 
 
 def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:

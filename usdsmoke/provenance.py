@@ -50,6 +50,8 @@ class RunFacts:
     packages: Mapping[str, str] = field(default_factory=dict)  # usd, torch, ...: version
     timings: Mapping[str, float] = field(default_factory=dict)  # step: seconds
     extinction: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # Volume: see below
+    temporal_error: Mapping[str, float] = field(default_factory=dict)  # by kind, mean of all frames
+    overlap_difference: Mapping[str, float] = field(default_factory=dict)  # by grid, likewise
     omissions: Sequence[str] = ()  # what was left out and why, a sentence each
     run_id: str = ""  # a UUID; empty makes a new one
     created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
@@ -100,6 +102,8 @@ def build_provenance(facts: RunFacts) -> Provenance:
     """The flat record of a run; equal facts with a run id and a time give equal records.
 
     Extinction is that of the two steps, per density, in 1/stage unit, as it was fitted or set.
+    The temporal error is the difference of a frame from its neighbour carried along, relative to
+    the frame; the overlap's that between two windows' versions of a frame before they are blended.
     Pairs such as a file and its hash are texts ``name=value``, sorted by name where their order
     means nothing.
     """
@@ -120,6 +124,10 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "extinction": [
             f"{path}=colour {colour:.9g}, shape {shape:.9g}"
             for path, (colour, shape) in facts.extinction.items()
+        ],
+        "temporalError": [f"{kind}={value:.6g}" for kind, value in facts.temporal_error.items()],
+        "overlapDifference": [
+            f"{grid}={value:.6g}" for grid, value in facts.overlap_difference.items()
         ],
         "omitted": list(facts.omissions),
     }

@@ -11,12 +11,12 @@ import os
 import re
 import socket
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from usdsmoke.errors import WriteFailed
 
-__all__ = ["publish_file", "remove_leftovers"]
+__all__ = ["make_folders", "publish_file", "publish_new", "remove_empty", "remove_leftovers"]
 
 _LEFTOVER = re.compile(r"\..+\.tmp-([0-9a-f]{8})-(\d+)(\.[^.]*)?")
 
@@ -35,6 +35,9 @@ _ADVICE = {
 
 # Answers of file systems that cannot sync a folder; the rename itself has succeeded by then.
 _FOLDER_SYNC_UNSUPPORTED = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
+
+# Answers of file systems without hard links.
+_LINK_UNSUPPORTED = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 
 
 def publish_file(
@@ -67,6 +70,67 @@ def publish_file(
         raise WriteFailed(_refusal(target, error)) from error
     finally:
         _remove_quietly(temporary)
+
+
+def publish_new(target: Path, write: Callable[[Path], None]) -> bool:
+    """Write a file unless there is one already; of several processes at once one succeeds.
+
+    Args:
+        target: where the file shall stand; its folder must exist. An old file stays as it is.
+        write: called with the temporary's path; makes the file.
+
+    Returns:
+        Whether this call put the file there.
+
+    Raises:
+        WriteFailed: the operating system refused.
+    """
+    target = Path(target)
+    temporary = _temporary_path(target)
+    try:
+        write(temporary)
+        _sync(temporary)
+        try:
+            os.link(temporary, target)
+        except FileExistsError:
+            return False
+        except OSError as error:
+            if error.errno not in _LINK_UNSUPPORTED or target.exists():
+                raise
+            os.replace(temporary, target)
+        _sync_folder(target.parent)
+        return True
+    except OSError as error:
+        raise WriteFailed(_refusal(target, error)) from error
+    finally:
+        _remove_quietly(temporary)
+
+
+def make_folders(folder: Path) -> list[Path]:
+    """Make a folder and its parents; those that were missing, the innermost first.
+
+    Raises:
+        WriteFailed: the operating system refused.
+    """
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        remove_empty(missing)
+        raise WriteFailed(
+            f"cannot make the folder {folder}: {error.strerror or error}; "
+            "choose an output folder that may be written to"
+        ) from None
+    return missing
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove those of some folders that are empty, in the order given."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            continue  # not empty, or never made
 
 
 def remove_leftovers(folder: Path) -> list[Path]:

@@ -1,7 +1,10 @@
-"""The folder of one run inside an output folder: what is finished, continued or replaced.
+"""The folder of one run inside an output folder: what it is made of, continued or replaced.
 
-    OUT/vdb/<key>/run.json          what the run is made of, and its finished frames
-    OUT/vdb/<key>/NAME.####.vdb     the frames
+    OUT/vdb/<key>/run.json             settings, inputs, plan, scenes, and the frames when complete
+    OUT/vdb/<key>/NAME.####.vdb        the frames
+    OUT/vdb/<key>/windows/KKKK.json    what a finished window has written: see ``run_windows``
+    OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
+    OUT/vdb/<key>/coarse/, coarse.json what windows start from, where there are several
 
 ``<key>`` is a digest of settings and inputs, so a run that was stopped is found again by the same
 command, and a result that is being replaced keeps its files until the look layer, which is written
@@ -12,25 +15,26 @@ import hashlib
 import json
 import os
 import shutil
-import sys
 from collections.abc import Iterator, Mapping, Sequence, Set
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.errors import OutputExists, WriteFailed
+from usdsmoke.errors import OutputExists
 from usdsmoke.provenance import hash_file, new_run_id, utc_now
-from usdsmoke.publish import publish_file, remove_leftovers
+from usdsmoke.publish import (
+    make_folders,
+    publish_file,
+    publish_new,
+    remove_empty,
+    remove_leftovers,
+)
 
-try:
-    import fcntl
-except ImportError:  # Windows: nothing keeps a second process out there
-    pass
-
-__all__ = ["RunFolder", "find_runs", "list_changes", "lock_output", "open_run"]
+__all__ = ["RunFolder", "find_runs", "list_changes", "open_run", "write_json"]
 
 _RECORD = "run.json"
+_KEPT = ("run_id", "created", "description", "frames", "files", "complete", "plan")
+_KEPT_TOO = ("request", "scenes")
 _KEY_LENGTH = 12
 _MOST_CHANGES = 6  # that a message names
 
@@ -43,11 +47,14 @@ class RunFolder:
     description: Mapping[str, Any]  # settings and inputs, JSON values
     run_id: str = field(default_factory=new_run_id)
     created: str = field(default_factory=utc_now)
-    frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # file name: record
+    frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # of the result, by file name
     files: list[str] = field(default_factory=list)  # outside this folder, relative to the output
     complete: bool = False  # the look points here and nothing is left to do
     plan: Mapping[str, Any] = field(default_factory=dict)  # what was planned, for the record
+    request: Mapping[str, Any] = field(default_factory=dict)  # what it takes to make the job again
+    scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume
     _made: list[Path] = field(default_factory=list)
+    _digests: dict[tuple[str, int, int, int], str] = field(default_factory=dict)
 
     @property
     def output(self) -> Path:
@@ -59,35 +66,77 @@ class RunFolder:
         """SHA-256 of the settings that decide the result."""
         return _digest(self.description["settings"])
 
-    def begin(self, plan: Mapping[str, Any]) -> None:
-        """Make the folders that are missing and write the record.
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is a record on the disk."""
+        return (self.folder / _RECORD).is_file()
+
+    def begin(
+        self,
+        plan: Mapping[str, Any],
+        request: Mapping[str, Any],
+        scenes: Sequence[Mapping[str, Any]],
+    ) -> None:
+        """Make the folders that are missing and the record, all in JSON values.
+
+        Where another process has begun the same run meanwhile, its record counts.
 
         Args:
-            plan: JSON values to keep in the record.
+            plan: to keep in the record.
+            request: what it takes to make the job again.
+            scenes: what was measured, one for each Volume.
 
         Raises:
             WriteFailed: the operating system refused.
         """
-        self.plan = plan
-        self._made = _make_folders(self.folder)
+        self.plan, self.request, self.scenes = plan, request, scenes
+        self._made = make_folders(self.folder)
+        text = self._as_text()
+        if publish_new(self.folder / _RECORD, lambda path: _write_text(path, text)):
+            return
+        for run in find_runs(self.output):
+            if run.folder == self.folder and run.description == self.description:
+                self.run_id, self.created = run.run_id, run.created
+                self.plan, self.request, self.scenes = run.plan, run.request, run.scenes
+                return
+        self.save()
+
+    def tidy(self) -> None:
+        """Remove what processes that were killed have left half-written."""
         remove_leftovers(self.folder)
-        self._save()
+        for folder in self.folder.rglob("*/"):
+            remove_leftovers(folder)
+
+    def is_unchanged(self, file_name: str, digest: str) -> bool:
+        """Whether a file of this folder has this SHA-256.
+
+        Args:
+            file_name: relative to the run's folder.
+            digest: 64 hexadecimal digits.
+        """
+        file_path = self.folder / file_name
+        if not file_path.is_file():
+            return False
+        status = file_path.stat()
+        key = (file_name, status.st_ino, status.st_size, status.st_mtime_ns)
+        if key not in self._digests:
+            self._digests[key] = hash_file(file_path)
+        return self._digests[key] == digest
 
     def finish_frame(self, file_name: str, record: Mapping[str, Any]) -> None:
-        """Note that a frame stands in this folder as it should.
+        """Note that a frame of the result stands in this folder as it should.
 
         Args:
             file_name: of the VDB file.
             record: JSON values to keep with it; the file's own digest is added.
         """
         self.frames[file_name] = {**record, "sha256": hash_file(self.folder / file_name)}
-        self._save()
+        self.save()
 
     def finished(self, file_name: str) -> dict[str, Any] | None:
-        """The record of a frame that is finished and unchanged since; None for any other."""
+        """The record of a frame of the result that is unchanged since; None for any other."""
         record = self.frames.get(file_name)
-        file_path = self.folder / file_name
-        if record is None or not file_path.is_file() or hash_file(file_path) != record["sha256"]:
+        if record is None or not self.is_unchanged(file_name, record["sha256"]):
             return None
         return record
 
@@ -104,52 +153,38 @@ class RunFolder:
                     (self.output / name).unlink(missing_ok=True)
                 run.remove()
         remove_leftovers(self.output)
+        self.tidy()
         self.complete = True
-        self._save()
-
-    def discard_if_useless(self) -> None:
-        """Remove what ``begin`` made when no frame was finished: a refusal leaves nothing."""
-        if not self.frames:
-            (self.folder / _RECORD).unlink(missing_ok=True)
-            _remove_empty([self.folder, *self._made])
+        self.save()
 
     def remove(self) -> None:
         """Remove the whole run: the record first, so that half of it cannot pass for a run."""
         (self.folder / _RECORD).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
+        remove_empty([*self._made, self.folder.parent])
 
-    def _save(self) -> None:
-        record = {
-            "run_id": self.run_id,
-            "created": self.created,
-            "description": self.description,
-            "frames": self.frames,
-            "files": self.files,
-            "complete": self.complete,
-            "plan": self.plan,
-        }
-        text = json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False)
+    def save(self) -> None:
+        """Write the record; only a process that is alone in the output folder may.
+
+        Raises:
+            WriteFailed: the operating system refused.
+        """
+        text = self._as_text()
         publish_file(self.folder / _RECORD, lambda path: _write_text(path, text))
 
+    def _as_text(self) -> str:
+        names = (*_KEPT, *_KEPT_TOO)
+        return _json_text({name: getattr(self, name) for name in names})
 
-@contextmanager
-def lock_output(output: Path) -> Iterator[None]:
-    """Hold an output folder for one process; it is made if missing, and removed if left empty.
 
-    Where the file system knows no locks, nothing is held.
+def write_json(target: Path, value: Any) -> None:
+    """Put JSON values into a file in one step, in a folder that is made if missing.
 
     Raises:
-        OutputExists: another process is writing there.
-        WriteFailed: the folder cannot be made.
+        WriteFailed: the operating system refused.
     """
-    made = _make_folders(output)
-    handle = os.open(output, os.O_RDONLY)
-    try:
-        _lock(handle, output)
-        yield
-    finally:
-        os.close(handle)
-        _remove_empty(made)
+    make_folders(target.parent)
+    publish_file(target, lambda path: _write_text(path, _json_text(value)))
 
 
 def find_runs(output: Path) -> Iterator[RunFolder]:
@@ -157,16 +192,9 @@ def find_runs(output: Path) -> Iterator[RunFolder]:
     for record_path in sorted(output.glob(f"vdb/*/{_RECORD}")):
         try:
             record = json.loads(record_path.read_text(encoding="utf-8"))
-            yield RunFolder(
-                folder=record_path.parent,
-                description=record["description"],
-                run_id=record["run_id"],
-                created=record["created"],
-                frames=record["frames"],
-                files=record["files"],
-                complete=record["complete"],
-                plan=record["plan"],
-            )
+            kept = {name: record[name] for name in _KEPT}
+            later = {name: record[name] for name in _KEPT_TOO if name in record}
+            yield RunFolder(folder=record_path.parent, **kept, **later)
         except (OSError, ValueError, TypeError, KeyError):
             continue  # not a record of ours
 
@@ -230,41 +258,6 @@ def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
     return ", ".join(changes[:_MOST_CHANGES]) + (f" and {more} more" if more > 0 else "")
 
 
-def _lock(handle: int, output: Path) -> None:
-    if "fcntl" not in sys.modules:
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise OutputExists(
-            f"another usdsmoke is writing to {output}; wait for it or choose another folder"
-        ) from None
-    except OSError:
-        return  # a file system without locks
-
-
-def _make_folders(folder: Path) -> list[Path]:
-    """Make a folder and its parents; those that were missing, the innermost first."""
-    missing = [f for f in (folder, *folder.parents) if not f.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        _remove_empty(missing)
-        raise WriteFailed(
-            f"cannot make the folder {folder}: {error.strerror or error}; "
-            "choose an output folder that may be written to"
-        ) from None
-    return missing
-
-
-def _remove_empty(folders: Sequence[Path]) -> None:
-    for folder in folders:
-        try:
-            folder.rmdir()
-        except OSError:
-            continue  # not empty, or never made
-
-
 def _digest(description: Mapping[str, Any]) -> str:
     text = json.dumps(description, sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -273,7 +266,7 @@ def _digest(description: Mapping[str, Any]) -> str:
 def _free_folder(output: Path, key: str) -> Path:
     """The key's folder, or the next one when the result that is being replaced has the same key."""
     folder, number = output / "vdb" / key, 2
-    while folder.exists():
+    while (folder / _RECORD).exists():
         folder, number = output / "vdb" / f"{key}-{number}", number + 1
     return folder
 
@@ -291,6 +284,10 @@ def _shown(values: Mapping[str, Any], name: str) -> str:
         return "absent"
     text = json.dumps(values[name], ensure_ascii=False)
     return text if len(text) <= 40 else f"{text[:12]}..."
+
+
+def _json_text(value: Any) -> str:
+    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False)
 
 
 def _write_text(file_path: Path, text: str) -> None:

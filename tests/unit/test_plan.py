@@ -97,12 +97,15 @@ def test_what_is_needed_is_not_said_to_be_left_out(
     assert reason_for(plan_of(shot.stage, *settings), what) == ""
 
 
-def test_velocity_in_the_density_file_is_planned_for_windows_of_several_frames(
+def test_velocity_in_the_density_file_is_planned_for_frames_that_follow_on_others(
     tmp_path: Path,
 ) -> None:
+    """The third frame has a window of its own, but the coarse step goes on to it."""
     shot = make_shot(tmp_path, names=("density", "vel"))
     frames = plan_of(shot.stage, "windows.size=2").to_dict()["frames"]
-    assert [frame["velocity"] for frame in frames] == [["vel"], ["vel"], []]
+    assert [frame["velocity"] for frame in frames] == [["vel"], ["vel"], ["vel"]]
+    alone = plan_of(shot.stage, "windows.size=1").to_dict()["frames"]
+    assert [frame["velocity"] for frame in alone] == [[], [], []]
 
 
 def test_fields_and_empty_space_and_thin_volumes_are_named(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ FACTS = RunFacts(
     packages={"usd": "26.11", "numpy": "1.26"},
     timings={"shape": 1.23456, "colour": 2.0},
     extinction={"/shot/smoke": (1.5, 0.25)},
+    temporal_error={"displacement": 0.25, "colour": 0.0625},
+    overlap_difference={"density": 0.01234567},
     omissions=["velocity: one frame"],
     run_id="3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34",
     created="2026-01-31T12:00:00Z",
@@ -53,6 +55,8 @@ def test_the_record_holds_every_fact_as_numbers_texts_and_lists_of_texts():
         "packages": ["numpy=1.26", "usd=26.11"],
         "timings": ["shape=1.235", "colour=2.000"],
         "extinction": ["/shot/smoke=colour 1.5, shape 0.25"],
+        "temporalError": ["displacement=0.25", "colour=0.0625"],
+        "overlapDifference": ["density=0.0123457"],
         "omitted": ["velocity: one frame"],
     }
     assert json.loads(record["config"]) == FACTS.config

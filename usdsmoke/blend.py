@@ -1,0 +1,133 @@
+"""Two windows' versions of one frame, blended voxel by voxel on the union of their boxes.
+
+Linear in density and in emission, so that mass and light are the blend of both versions' mass and
+light. Sums are taken in double precision; where both versions agree their bits stay.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from usdsmoke.errors import ShapeError
+from usdsmoke.volume import DenseField
+
+__all__ = ["blend_frames", "relative_difference", "tail_weights"]
+
+
+def tail_weights(n_frames: int) -> list[float]:
+    """Weight of the earlier window in each frame of an overlap; the later one has the rest.
+
+    >>> tail_weights(3)
+    [0.75, 0.5, 0.25]
+
+    Args:
+        n_frames: that overlap.
+    """
+    return [1.0 - (number + 1) / (n_frames + 1) for number in range(n_frames)]
+
+
+def blend_frames(
+    tail: Sequence[DenseField], head: Sequence[DenseField], weight: float
+) -> list[DenseField]:
+    """One frame from two versions of it: density first, then its emission, if any.
+
+    Emission stays where there is smoke: it becomes 0 where the blended density is not above 0.
+
+    Args:
+        tail: fields of the earlier window, [i j k] and [i j k 3].
+        head: of the later window: the same grids; gives names, classes and metadata.
+        weight: of ``tail``, 0 to 1.
+
+    Raises:
+        ShapeError: the versions do not have the same grids on the same lattice.
+    """
+    if len(tail) != len(head):
+        raise ShapeError(
+            f"two versions of a frame have {len(tail)} and {len(head)} grids; wanted the same"
+        )
+    density, *others = [
+        _blend_field(one, other, weight) for one, other in zip(tail, head, strict=True)
+    ]
+    return [density, *(_where_smoke_is(density, emission) for emission in others)]
+
+
+def relative_difference(tail: DenseField, head: DenseField) -> float:
+    """||A - B|| over the mean of ||A|| and ||B||, from 0 (equal) to 2; 0 when both are zero.
+
+    Raises:
+        ShapeError: the fields are not on the same lattice.
+    """
+    one, other, _ = _on_union(tail, head)
+    sizes = np.linalg.norm(one.ravel()) + np.linalg.norm(other.ravel())
+    return float(2 * np.linalg.norm((one - other).ravel()) / sizes) if sizes > 0 else 0.0
+
+
+def _blend_field(tail: DenseField, head: DenseField, weight: float) -> DenseField:
+    one, other, ijk_min = _on_union(tail, head)
+    one -= other
+    one *= weight
+    one += other
+    # The background is a constant of the source that neither version changes.
+    return dataclasses.replace(head, values=one.astype(np.float32), ijk_min=ijk_min)
+
+
+def _where_smoke_is(density: DenseField, emission: DenseField) -> DenseField:
+    """The emission with zeros wherever the density is not above 0."""
+    if density.is_empty or emission.is_empty:
+        return emission
+    low = np.subtract(emission.ijk_min, density.ijk_min)
+    smoke = np.zeros(emission.values.shape[:3], bool)
+    ours, theirs = _overlap(density.values.shape, emission.values.shape, low)
+    smoke[theirs] = density.values[ours] > 0
+    values = np.where(smoke[..., None], emission.values, np.float32(0))
+    return dataclasses.replace(emission, values=values)
+
+
+def _overlap(
+    shape: Sequence[int], other: Sequence[int], low: np.ndarray
+) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """The common part of a box at 0 and another at ``low``, in the indices of each."""
+    ours, theirs = [], []
+    for size, other_size, shift in zip(shape[:3], other[:3], low.tolist(), strict=True):
+        start, stop = max(0, shift), max(0, min(size, shift + other_size))
+        ours.append(slice(start, max(start, stop)))
+        theirs.append(slice(start - shift, max(start, stop) - shift))
+    return tuple(ours), tuple(theirs)
+
+
+def _on_union(
+    tail: DenseField, head: DenseField
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int, int]]:
+    """Both fields' values on the box that holds both, float64, and where it begins."""
+    _check_alike(tail, head)
+    boxes = [field for field in (tail, head) if not field.is_empty]
+    if not boxes:
+        empty = head.values.astype(np.float64)
+        return empty, empty.copy(), head.ijk_min
+    low = np.min([field.ijk_min for field in boxes], axis=0)
+    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in boxes], axis=0)
+    shape = tuple((high - low).tolist()) + boxes[0].values.shape[3:]
+    both = []
+    for field in (tail, head):
+        values = np.empty(shape, np.float64)
+        values[...] = np.asarray(field.background, np.float64)
+        if not field.is_empty:
+            start = np.subtract(field.ijk_min, low)
+            stop = start + field.values.shape[:3]
+            values[tuple(map(slice, start.tolist(), stop.tolist()))] = field.values
+        both.append(values)
+    first, second, third = low.tolist()
+    return both[0], both[1], (first, second, third)
+
+
+def _check_alike(tail: DenseField, head: DenseField) -> None:
+    same_shape = tail.is_empty or head.is_empty or tail.values.ndim == head.values.ndim
+    same_place = np.array_equal(tail.index_to_world, head.index_to_world)
+    same_background = np.array_equal(tail.background, head.background)
+    if tail.name != head.name or not (same_shape and same_place and same_background):
+        raise ShapeError(
+            f'grid "{tail.name}" of one version of a frame and "{head.name}" of the other differ '
+            "in name, components, transform or background; wanted two versions of one grid: run "
+            "both windows again"
+        )

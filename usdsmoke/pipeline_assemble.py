@@ -1,0 +1,289 @@
+"""From finished windows to a result: frames blended, layer authored, sheets drawn."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.blend import blend_frames, relative_difference, tail_weights
+from usdsmoke.contact_sheet import sheet_files
+from usdsmoke.errors import LayerError, UsdSmokeError
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.grids.write import write_frame
+from usdsmoke.layer import author_look
+from usdsmoke.layer.records import EMISSION
+from usdsmoke.pipeline_frames import FrameReader
+from usdsmoke.pipeline_inputs import Job
+from usdsmoke.pipeline_outputs import (
+    collect_volume,
+    frame_metadata,
+    frame_record,
+    make_provenance,
+    result_fields,
+)
+from usdsmoke.pipeline_pictures import write_contact_sheet
+from usdsmoke.pipeline_windows import list_tasks
+from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.run_folder import RunFolder
+from usdsmoke.run_progress import RunProgress, RunProgressCallback
+from usdsmoke.run_windows import (
+    WindowRecord,
+    finished_coarse,
+    finished_window,
+    part_file_name,
+    remove_locks,
+)
+from usdsmoke.time_codes import format_time_codes
+from usdsmoke.volume import DenseField
+
+__all__ = ["StylizeResult", "assemble_run", "collect_windows", "summarize_result"]
+
+
+@dataclass(frozen=True)
+class StylizeResult:
+    """What a run left behind."""
+
+    root_stage: Path  # the stage to open
+    look_layer: Path
+    frames: tuple[Path, ...]  # VDB files, Volume by Volume
+    contact_sheets: tuple[Path, ...]  # one picture for each Volume
+    plan: Plan
+    warnings: tuple[str, ...]  # worth knowing, none of them fatal
+    # How far a frame is from its neighbour carried along, relative to the frame: mean over all
+    # frames that have one, for "displacement" and "colour"; None where no frame has.
+    temporal_error: Mapping[str, float] | None = None
+    # How far two windows' versions of a frame were apart before they were blended, relative to
+    # their size: mean over all such frames, for "density" and "emission"; None where there is none.
+    overlap_difference: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Versions:
+    """A frame that two windows have computed."""
+
+    volume: VolumePlan
+    frame: FramePlan
+    tail: WindowRecord
+    head: WindowRecord
+    weight: float  # of the tail
+
+    def part_of(self, window: WindowRecord) -> str:
+        return part_file_name(window.window, self.frame.file_name)
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Both parts, by file."""
+        names = [(self.part_of(window), window) for window in (self.tail, self.head)]
+        return {name: window.frames[name]["sha256"] for name, window in names}
+
+
+def collect_windows(run: RunFolder, plan: Plan) -> list[WindowRecord]:
+    """The manifests of all windows, in order.
+
+    Raises:
+        LayerError: some windows are not finished; the message lists them.
+    """
+    found = [finished_window(run, task.window.index) for task in list_tasks(plan)]
+    missing = [number for number, record in enumerate(found) if record is None]
+    if missing:
+        raise LayerError(
+            f"window{'' if len(missing) == 1 else 's'} {format_time_codes(map(float, missing))} of "
+            f"{len(found)} (counted from 0) {'is' if len(missing) == 1 else 'are'} not finished in "
+            f"{run.folder}; run 'usdsmoke stylize ... --window K' for each of them first"
+        )
+    return [record for record in found if record is not None]
+
+
+def assemble_run(
+    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
+) -> StylizeResult:
+    """Blend what two windows have computed, author the layer, which makes all of it the result, and
+    draw the sheets.
+
+    Args:
+        job: what was asked for.
+        run: begun for this job; this process is alone in the output folder.
+        reader: of the source's frames.
+        tell: hears of every frame that is blended, and of every sheet.
+
+    Raises:
+        LayerError: a window is not finished, or the result cannot be written.
+        GridError: a file cannot be read.
+    """
+    windows = collect_windows(run, job.plan)
+    _collect_frames(job, run, windows, tell)
+    seconds = sum(window.seconds for window in windows) + finished_coarse(run).seconds
+    volumes = [
+        collect_volume(run, volume, scene["gamma_w"], job.config)
+        for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
+    ]
+    temporal, overlap = _temporal_error(run), _overlap_difference(run)
+    provenance = make_provenance(
+        run, job.plan, job.styles, {"stylize": seconds}, temporal or {}, overlap or {}
+    )
+    source, layer = job.plan.source, job.config.layer
+    files = author_look(job.stage, source, volumes, job.output, layer, provenance)
+    failures = _draw_sheets(job, run, reader, tell)
+    sheets = sheet_files([volume.stem for volume in job.plan.volumes], job.output)
+    run.finish([files.look_layer, files.root_stage, *sheets])
+    remove_locks(run)
+    return summarize_result(job, run, failures)
+
+
+def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> StylizeResult:
+    """What stands in the output folder when a run is complete.
+
+    Args:
+        job: what was asked for.
+        run: complete.
+        more: further warnings.
+    """
+    sheets = sheet_files([volume.stem for volume in job.plan.volumes], job.output)
+    names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
+    return StylizeResult(
+        root_stage=job.targets.root_stage,
+        look_layer=job.targets.look_layer,
+        frames=tuple(run.folder / name for name in names),
+        contact_sheets=tuple(sheet for sheet in sheets if sheet.is_file()),
+        plan=job.plan,
+        warnings=(*_warnings(job.plan, run), *more),
+        temporal_error=_temporal_error(run),
+        overlap_difference=_overlap_difference(run),
+    )
+
+
+def _collect_frames(
+    job: Job, run: RunFolder, windows: Sequence[WindowRecord], tell: RunProgressCallback
+) -> None:
+    """Note every frame of the result in the run's record; blend those that two windows have."""
+    versions = _versions(job.plan, windows)
+    kept = {name: run.frames[name] for name in versions if run.finished(name) is not None}
+    run.frames = {
+        name: record
+        for window in windows
+        for name, record in window.frames.items()
+        if not record["part"]
+    } | kept
+    for number, (name, pair) in enumerate(versions.items()):
+        if name in kept and kept[name].get("parts") == pair.digests:
+            continue
+        tell(RunProgress("blend", pair.frame.source.time_code, number, len(versions), 1.0))
+        run.finish_frame(name, _blend(job, run, pair))
+
+
+def _versions(plan: Plan, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
+    """By file name the frames that two windows have, in order."""
+    found = {}
+    for task, _ in pairwise(list_tasks(plan)):
+        place, beyond = task.window.index, task.window.beyond
+        own = len(task.window.time_codes)
+        weights = zip(task.frames[own:], tail_weights(len(beyond)), strict=True)
+        for frame, weight in weights:
+            tail, head = windows[place], windows[place + 1]
+            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight)
+    return found
+
+
+def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
+    """Write the blend of both versions of a frame; its record."""
+    volume, frame, config = pair.volume, pair.frame, job.config
+    tail, head = (_read_part(job, run, pair, window) for window in (pair.tail, pair.head))
+    names = ("density", "emission")
+    difference = {
+        name: relative_difference(one, other)
+        for name, one, other in zip(names, tail, head, strict=False)
+    }
+    fields = result_fields(blend_frames(tail, head, pair.weight), volume, frame, config)
+    reports = [window.frames[pair.part_of(window)] for window in (pair.tail, pair.head)]
+    hashes = reports[1]["source_hashes"]
+    metadata = frame_metadata(run, volume, frame, hashes)
+    target = run.folder / frame.file_name
+    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
+    report = dict(reports[1]["report"])
+    errors = _blend_errors([item["report"] for item in reports], pair.weight)
+    if errors:
+        report["temporal error"] = errors
+    report["overlap"] = {
+        "windows": [pair.tail.window, pair.head.window],
+        "weight": pair.weight,
+        "difference": difference,
+    }
+    record = frame_record(volume, frame, fields[0], content_hash, hashes)
+    return {**record, "part": False, "parts": pair.digests, "report": report}
+
+
+def _read_part(job: Job, run: RunFolder, pair: _Versions, window: WindowRecord) -> list[DenseField]:
+    """Density and, after a colour step, emission of one version."""
+    names = [pair.volume.source.density]
+    if "colour" in job.config.optimize.steps:
+        names.append(EMISSION)
+    part = run.folder / pair.part_of(window)
+    return read_grids(part, [GridRequest(name) for name in names], job.config.grids)
+
+
+def _blend_errors(reports: Sequence[Mapping[str, Any]], weight: float) -> dict[str, float]:
+    """The temporal errors of both versions, mixed; one's alone where the other has none."""
+    tail, head = (report.get("temporal error") or {} for report in reports)
+    mixed = {}
+    for kind in (*tail, *(kind for kind in head if kind not in tail)):
+        values = [errors[kind] for errors in (tail, head) if errors.get(kind) is not None]
+        if len(values) == 2:
+            mixed[kind] = weight * values[0] + (1 - weight) * values[1]
+        elif values:
+            mixed[kind] = values[0]
+    return mixed
+
+
+def _draw_sheets(
+    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
+) -> tuple[str, ...]:
+    """The contact sheets; what went wrong, as the result is whole without them."""
+    plan, warnings = job.plan, []
+    pixels = [style.pixels for style in job.styles]
+    sheets = sheet_files([volume.stem for volume in plan.volumes], job.output)
+    for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
+        tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
+        scene = run.scenes[number]
+        try:
+            write_contact_sheet(sheet, plan, volume, reader, run.folder, scene, pixels)
+        except UsdSmokeError as error:
+            warnings.append(f"no contact sheet: {error}")
+    return tuple(warnings)
+
+
+def _temporal_error(run: RunFolder) -> dict[str, float] | None:
+    return _means(report.get("temporal error") for report in _reports(run))
+
+
+def _overlap_difference(run: RunFolder) -> dict[str, float] | None:
+    return _means((report.get("overlap") or {}).get("difference") for report in _reports(run))
+
+
+def _reports(run: RunFolder) -> list[dict[str, Any]]:
+    """In the order of names: a sum's last bits must not depend on who ran which window."""
+    return [run.frames[name]["report"] for name in sorted(run.frames)]
+
+
+def _means(found: Iterable[Mapping[str, Any] | None]) -> dict[str, float] | None:
+    """The mean of every entry, over the mappings that have it; None where there is none."""
+    values: dict[str, list[float]] = {}
+    for numbers in found:
+        for name, value in (numbers or {}).items():
+            if value is not None:
+                values.setdefault(name, []).append(float(value))
+    return {name: sum(values[name]) / len(values[name]) for name in sorted(values)} or None
+
+
+def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
+    found = [
+        f"{name}: {warning}"
+        for name, record in sorted(run.frames.items())
+        for warning in record["report"].get("warnings", [])
+    ]
+    codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
+    if any(code != round(code) for code in codes):
+        found.append(
+            "some timeCodes are no whole numbers: Blender's importer cannot follow such sequences"
+        )
+    return tuple(found)

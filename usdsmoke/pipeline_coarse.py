@@ -1,0 +1,175 @@
+"""What all windows of a run share: the measured scenes, and the coarse step that they start from.
+
+The coarse step sees the whole sequence at a low resolution, frame after frame. Its results lie in
+the run's folder, so that whoever computes a window later starts from the same bits.
+"""
+
+import dataclasses
+import importlib
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.errors import FileUnreadable
+from usdsmoke.pipeline_frames import FrameReader
+from usdsmoke.pipeline_inputs import Job
+from usdsmoke.pipeline_outputs import plain_values
+from usdsmoke.pipeline_pictures import sample_frames
+from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.provenance import hash_file
+from usdsmoke.publish import make_folders, publish_file
+from usdsmoke.run_folder import RunFolder
+from usdsmoke.run_progress import RunProgress, RunProgressCallback
+from usdsmoke.run_windows import (
+    CoarseRecord,
+    coarse_file_name,
+    finish_coarse,
+    finished_coarse,
+    hold_work,
+)
+
+if TYPE_CHECKING:
+    from usdsmoke.core.scene import Scene
+
+__all__ = ["coarse_starts", "measure_scenes", "read_scene", "run_coarse_step"]
+
+
+def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
+    """Extinction and picture size of every Volume, from up to three frames of its sequence.
+
+    Returns:
+        JSON values; their numbers come back from a file bit for bit.
+
+    Raises:
+        GridError, NonFiniteError: see ``FrameReader.read``.
+    """
+    from usdsmoke.core.scene import measure_scene
+
+    scenes = []
+    for volume in plan.volumes:
+        frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
+        scene = measure_scene(frames, plan.config, plan.source.up_axis)
+        scenes.append(plain_values(dataclasses.asdict(scene)))
+    return scenes
+
+
+def read_scene(run: RunFolder, volume_number: int) -> "Scene":
+    """The scene of a Volume as it was measured when the run began."""
+    from usdsmoke.core.scene import Scene
+
+    return Scene(**run.scenes[volume_number])
+
+
+def run_coarse_step(
+    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
+) -> bool:
+    """The coarse step of every sequence that several windows share, as far as it is not done.
+
+    A second process waits for the first one's results.
+
+    Args:
+        job: what was asked for.
+        run: where the results go; it has begun.
+        reader: of the source's frames.
+        tell: hears of every frame.
+
+    Returns:
+        Whether there was anything to do.
+
+    Raises:
+        UsdSmokeError: whatever the core or the writing of files raises.
+    """
+    core = _core()
+    if core is None or not _missing(run, job.plan):
+        return False
+    with hold_work(run):
+        to_do = _missing(run, job.plan)  # another process may have done it meanwhile
+        n_frames, done = sum(len(frames) for _, _, frames in to_do), 0
+        for number, volume, frames in to_do:
+            _run_chain(core, job, run, reader, (number, volume, frames), (done, n_frames), tell)
+            done += len(frames)
+    return bool(to_do)
+
+
+def coarse_starts(run: RunFolder, volume: VolumePlan) -> Callable[[float], Any] | None:
+    """What gives a frame's coarse start by its timeCode; None where windows do without.
+
+    Raises:
+        FileUnreadable: by what is returned: a file has vanished or changed since it was written.
+    """
+    core, frames = _core(), volume.coarse_frames
+    if core is None or not frames:
+        return None
+    names = {frame.source.time_code: coarse_file_name(frame.file_name) for frame in frames}
+    record = finished_coarse(run)
+
+    def start(time_code: float) -> Any:
+        name = names.get(time_code)
+        if name is None:
+            return None  # behind a cut, in a sequence of one window
+        known = record.frames.get(name)
+        if known is None or not run.is_unchanged(name, known["sha256"]):
+            raise FileUnreadable(
+                f"the coarse start {run.folder / name} has vanished or was changed; run the same "
+                "command again, which makes it anew"
+            )
+        return core.load_start(run.folder / name)
+
+    return start
+
+
+def _core() -> ModuleType | None:
+    """The module of the coarse step; None as long as the core has none."""
+    try:
+        return importlib.import_module("usdsmoke.core.coarse")
+    except ModuleNotFoundError:
+        return None
+
+
+def _missing(run: RunFolder, plan: Plan) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
+    """Volume number, Volume and frames of every sequence in which a coarse start is missing."""
+    record = finished_coarse(run)
+    to_do = []
+    for number, volume in enumerate(plan.volumes):
+        frames = {frame.source.time_code: frame for frame in volume.frames}
+        for codes in volume.coarse_runs:
+            chain = tuple(frames[code] for code in codes)
+            if any(coarse_file_name(frame.file_name) not in record.frames for frame in chain):
+                to_do.append((number, volume, chain))
+    return to_do
+
+
+def _run_chain(
+    core: ModuleType,
+    job: Job,
+    run: RunFolder,
+    reader: FrameReader,
+    chain: tuple[int, VolumePlan, Sequence[FramePlan]],
+    counted: tuple[int, int],
+    tell: RunProgressCallback,
+) -> None:
+    """One sequence between two cuts, from its first frame to its last."""
+    (number, volume, frames), (done, n_frames) = chain, counted
+    record, started = finished_coarse(run), time.monotonic()
+
+    def report(state: Any) -> None:
+        tell(RunProgress("coarse", state.time_code, done + state.frame, n_frames, 0.0))
+
+    starts = core.coarse_frames(
+        (reader.read(volume, frame) for frame in frames),
+        [style.pixels for style in job.styles],
+        read_scene(run, number),
+        job.config,
+        report,
+        job.plan.source.time_codes_per_second,
+    )
+    make_folders(run.folder / "coarse")
+    for frame, start in zip(frames, starts, strict=True):
+        name = coarse_file_name(frame.file_name)
+        publish_file(run.folder / name, partial(core.save_start, start))
+        digest = hash_file(run.folder / name)
+        record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
+    seconds = record.seconds + time.monotonic() - started
+    finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds))
