@@ -1,6 +1,7 @@
 """The command: exit codes, stdout and stderr, JSON, help, signals, what it loads."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -52,7 +53,8 @@ def test_stylize_prints_where_the_result_is_and_says_the_rest_on_stderr(
 ) -> None:
     assert main(shot.arguments()) == 0
     out, err = capsys.readouterr()
-    assert f"stage to open  {shot.output / 'shot_look.usda'}" in out
+    assert re.search(rf"^stage to open +{shot.output / 'shot_look.usda'}$", out, re.MULTILINE)
+    assert re.search(r"^temporal error +colour 50\.00%, displacement 25\.00%$", out, re.MULTILINE)
     assert "usdsmoke validate" in out
     assert "plan for" in err and "estimate" in err
     assert "check frame 1/3" in err and "plan for" not in out
@@ -204,6 +206,9 @@ def test_relative_paths_mean_the_folder_one_is_in(
         ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--repair", "nan"],
         ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--repair", "nan=inf"],
         ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--seed", "one"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--window", "one"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", "out", "--window", "1", "--coarse"],
+        ["assemble"],
         ["inspect"],
         ["inspect", "a.usda", "b.usda"],
     ],

@@ -18,15 +18,18 @@ if TYPE_CHECKING:
     from usdsmoke.config import Config, resolve_config
     from usdsmoke.errors import UsdSmokeError
     from usdsmoke.inspection import inspect
-    from usdsmoke.pipeline import stylize
+    from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
     from usdsmoke.validators import validate
 
 __all__ = [
     "Config",
     "UsdSmokeError",
     "__version__",
+    "assemble",
     "inspect",
     "resolve_config",
+    "run_coarse",
+    "run_window",
     "stylize",
     "validate",
 ]
@@ -36,8 +39,11 @@ __version__ = "0.1.0"
 _HOME = {
     "Config": "usdsmoke.config",
     "UsdSmokeError": "usdsmoke.errors",
+    "assemble": "usdsmoke.pipeline",
     "inspect": "usdsmoke.inspection",
     "resolve_config": "usdsmoke.config",
+    "run_coarse": "usdsmoke.pipeline",
+    "run_window": "usdsmoke.pipeline",
     "stylize": "usdsmoke.pipeline",
     "validate": "usdsmoke.validators",
 }

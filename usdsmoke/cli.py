@@ -17,21 +17,22 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.cli_arguments import build_parser, options_as_sections
-from usdsmoke.cli_text import inspection_text, plan_text, result_text, validation_text
+from usdsmoke.cli_text import inspection_text, plan_text, result_text, step_text, validation_text
 from usdsmoke.config import Config, config_to_dict, config_to_yaml, read_config, resolve_config
 from usdsmoke.errors import Interrupted, UsdSmokeError
 
 if TYPE_CHECKING:
-    from usdsmoke.pipeline import StylizeResult
-    from usdsmoke.plan import Plan
+    from usdsmoke.pipeline import StepResult, StylizeResult
 
 __all__ = ["main"]
 
 _BROKEN_PIPE = 128 + 13
+_Result = TypeVar("_Result")
 
 
 class _Stopped(KeyboardInterrupt):
@@ -48,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[[argparse.Namespace], int]] = {
         "inspect": _inspect,
         "stylize": _stylize,
+        "assemble": _assemble,
         "validate": _validate,
         "settings": _settings,
     }
@@ -143,37 +145,73 @@ def _stylize(arguments: argparse.Namespace) -> int:
         else:
             print(plan_text(plan))
         return 0
-    result = _stylize_with_progress(arguments, config)
+    if arguments.coarse or arguments.window is not None:
+        step = _with_progress(_step_call(arguments), arguments, config)
+        if arguments.json:
+            _print_json(_step_as_dict(step))
+        else:
+            print(step_text(step))
+        return 0
+    from usdsmoke.pipeline import stylize
+
+    _show_result(_with_progress(stylize, arguments, config), arguments)
+    return 0
+
+
+def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
+    """What does a part of a run: one window or the coarse step."""
+    from usdsmoke.pipeline import run_coarse, run_window
+
+    return run_coarse if arguments.coarse else partial(run_window, window=arguments.window)
+
+
+def _with_progress(
+    call: Callable[..., _Result], arguments: argparse.Namespace, config: Config
+) -> _Result:
+    """Call ``stylize`` or a part of it, telling the plan and the progress on stderr."""
+    from rich.console import Console
+
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        result = call(
+            stage=arguments.stage,
+            style=arguments.style,
+            output=arguments.output,
+            config=config,
+            force=arguments.force,
+            progress=progress,
+            planned=lambda plan: progress.say(plan_text(plan)),
+        )
+        for warning in getattr(result, "warnings", ()):
+            progress.say(f"note: {warning}")
+    return result
+
+
+def _assemble(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from usdsmoke.pipeline import assemble
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        result = assemble(arguments.output, progress)
+        for warning in result.warnings:
+            progress.say(f"note: {warning}")
+    _show_result(result, arguments)
+    return 0
+
+
+def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
     if arguments.json:
         _print_json(_result_as_dict(result))
     else:
         print(result_text(result))
-    return 0
 
 
-def _stylize_with_progress(arguments: argparse.Namespace, config: Config) -> "StylizeResult":
-    from rich.console import Console
-
-    from usdsmoke.pipeline import stylize
-    from usdsmoke.progress import ConsoleProgress
-
-    with ConsoleProgress(Console(stderr=True)) as progress:
-
-        def planned(plan: "Plan") -> None:
-            progress.say(plan_text(plan))
-
-        result = stylize(
-            arguments.stage,
-            arguments.style,
-            arguments.output,
-            config,
-            force=arguments.force,
-            progress=progress,
-            planned=planned,
-        )
-        for warning in result.warnings:
-            progress.say(f"note: {warning}")
-    return result
+def _step_as_dict(step: "StepResult") -> dict[str, Any]:
+    manifest = str(step.manifest) if step.manifest.is_file() else None
+    return {"folder": str(step.folder), "manifest": manifest, "was_done": step.was_done}
 
 
 def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
@@ -183,6 +221,8 @@ def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
         "frames": [str(file_path) for file_path in result.frames],
         "contact_sheets": [str(file_path) for file_path in result.contact_sheets],
         "warnings": list(result.warnings),
+        "temporal_error": result.temporal_error,
+        "overlap_difference": result.overlap_difference,
         "plan": result.plan.to_dict(),
     }
 

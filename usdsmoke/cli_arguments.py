@@ -23,6 +23,8 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_inspect(commands)
     _add_stylize(commands)
+    assemble = _add_command(commands, "assemble", "make the result of windows run one by one")
+    assemble.add_argument("output", metavar="OUT", help="the folder that they were written to")
     validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
@@ -93,6 +95,16 @@ def _add_stylize(commands: Any) -> None:
         type=_repair_value,
         metavar="nan=0",
         help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+    )
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument(
+        "--coarse", action="store_true", help="do only the step that all windows share"
+    )
+    part.add_argument(
+        "--window",
+        type=int,
+        metavar="K",
+        help="do only this window, from 0; the plan lists them; 'usdsmoke assemble OUT' comes last",
     )
     parser.add_argument("--dry-run", action="store_true", help="print the plan and write nothing")
     parser.add_argument(

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 from usdsmoke.progress import format_seconds
 
 if TYPE_CHECKING:
-    from usdsmoke.pipeline import StylizeResult
+    from usdsmoke.pipeline import StepResult, StylizeResult
     from usdsmoke.plan import Plan, VolumePlan
     from usdsmoke.validators import Finding
 
-__all__ = ["inspection_text", "plan_text", "result_text", "validation_text"]
+__all__ = ["inspection_text", "plan_text", "result_text", "step_text", "validation_text"]
 
 
 def plan_text(plan: "Plan") -> str:
@@ -40,8 +40,17 @@ def result_text(result: "StylizeResult") -> str:
         ("look layer", str(result.look_layer)),
         (_count(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
+        *_measured("temporal error", result.temporal_error),
+        *_measured("overlap differs by", result.overlap_difference),
     ]
     return "\n".join([*_columns(rows), "", f"check it with: usdsmoke validate {result.root_stage}"])
+
+
+def step_text(step: "StepResult") -> str:
+    """Where a part of a run has left its files."""
+    what = "nothing was left to do" if step.was_done else "finished"
+    manifest = [("manifest", str(step.manifest))] if step.manifest.is_file() else []
+    return "\n".join(_columns([(what, str(step.folder)), *manifest]))
 
 
 def inspection_text(found: Mapping[str, Any]) -> str:
@@ -78,6 +87,12 @@ def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
         lines.append(f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}")
     summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "nothing to say"
     return "\n".join([*lines, f"{file_path}: {summary}"])
+
+
+def _measured(title: str, values: Mapping[str, float] | None) -> list[tuple[str, str]]:
+    """A row of shares by name, or none."""
+    shares = ", ".join(f"{name} {value:.2%}" for name, value in (values or {}).items())
+    return [(title, shares)] if shares else []
 
 
 def _volume_line(volume: "VolumePlan") -> str:
