@@ -4,6 +4,8 @@ The stand-ins can be put in place of the real modules before those are imported,
 that is only there to be killed starts without torch.
 """
 
+import shutil
+import subprocess
 import sys
 import tempfile
 import types
@@ -16,16 +18,19 @@ import numpy as np
 from PIL import Image
 from pxr import Usd, UsdVol
 
-from tests.grids_fixtures import raw_grid, write_raw
+from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
 from usdsmoke.config import GridsConfig
 from usdsmoke.core.progress import Progress
 from usdsmoke.errors import BindingMissing, GridTooLarge
 from usdsmoke.grids import worker
 from usdsmoke.grids.child import ChildFailure
+from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.volume import DenseField, VolumeFrame
+
+PROJECT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -246,6 +251,35 @@ def shown_files(root_stage: Path, field: str = "density") -> dict[float, str]:
     volume = UsdVol.Volume(stage.GetPrimAtPath("/World/smoke"))
     attribute = stage.GetPrimAtPath(volume.GetFieldPath(field)).GetAttribute("filePath")
     return {code: attribute.Get(code).resolvedPath for code in attribute.GetTimeSamples()}
+
+
+def contents(root_stage: Path) -> dict[float, object]:
+    """The hash of what every timeCode shows, each checked against what the file really holds."""
+    files = shown_files(root_stage)
+    for file_path in files.values():
+        check_content(file_path)
+    return {
+        code: read_header(file_path).metadata["usdsmoke:content_sha256"]
+        for code, file_path in files.items()
+    }
+
+
+def copied(shot: Shot, name: str) -> Shot:
+    """The whole folder once more."""
+    folder = shutil.copytree(shot.folder, shot.folder.with_name(name))
+    return Shot(folder, folder / "in/shot.usda", folder / "in/style.png", folder / "out")
+
+
+def run_until(step: int, *arguments: str) -> tuple[int, list[str]]:
+    """A command with stand-ins, killed at a step; its exit code and, when it lives, its steps."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.run_to_be_killed", str(step), *arguments],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    return done.returncode, done.stderr.splitlines()[-1].split() if done.returncode == 0 else []
 
 
 def values_of(file_path: str | Path, grid: str = "density") -> np.ndarray:

@@ -2,8 +2,8 @@
 
     python -m tests.run_to_be_killed 17 stylize ...
 
-kills itself with SIGKILL in the place of the 17th step that changes the disk (syncing, renaming or
-removing a file); 0 lets it live. What steps there were is the last line on stderr.
+kills itself with SIGKILL in the place of the 17th step that changes the disk (syncing, renaming,
+linking or removing a file); 0 lets it live. What steps there were is the last line on stderr.
 """
 
 import os
@@ -30,7 +30,7 @@ def die_at(count: int) -> list[str]:
 
         return call
 
-    for name in ("fsync", "replace", "unlink", "rmdir"):
+    for name in ("fsync", "replace", "link", "unlink", "rmdir"):
         setattr(os, name, counted(getattr(os, name)))
     return steps
 
