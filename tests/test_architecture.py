@@ -74,6 +74,10 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("inspection", {"*"}, {"pxr", "numpy"}),
+    ("openjd_template", {"errors"}, {"yaml"}),
+    ("cluster_check", {"errors"}, set()),
+    # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
+    ("cluster", {"*"}, {"distributed"}),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
     ("cli*", {"*"}, {"rich"}),
     ("__main__", {"cli"}, set()),
@@ -133,6 +137,11 @@ def test_command_line_loads_nothing_heavy_at_its_top() -> None:
         reached.add(name)
         waiting |= MODULES[name].ours_at_top - reached
     assert not [name for name in reached if MODULES[name].foreign_at_top & {"torch", "pxr"}]
+
+
+def test_packages_of_extras_are_loaded_inside_functions() -> None:
+    extras = {"distributed", "dask", "openjd"}
+    assert not [name for name, module in MODULES.items() if module.foreign_at_top & extras]
 
 
 def test_imports_form_no_cycle() -> None:

@@ -22,7 +22,14 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.cli_arguments import build_parser, options_as_sections
-from usdsmoke.cli_text import inspection_text, plan_text, result_text, step_text, validation_text
+from usdsmoke.cli_text import (
+    inspection_text,
+    job_text,
+    plan_text,
+    result_text,
+    step_text,
+    validation_text,
+)
 from usdsmoke.config import Config, config_to_dict, config_to_yaml, read_config, resolve_config
 from usdsmoke.errors import Interrupted, UsdSmokeError
 
@@ -49,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[[argparse.Namespace], int]] = {
         "inspect": _inspect,
         "stylize": _stylize,
+        "submit": _submit,
         "assemble": _assemble,
         "validate": _validate,
         "settings": _settings,
@@ -136,8 +144,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
 def _stylize(arguments: argparse.Namespace) -> int:
     from usdsmoke.pipeline import plan_stylize
 
-    sections = read_config(arguments.config) if arguments.config else {}
-    config = resolve_config(sections, options_as_sections(arguments), assignments=arguments.set)
+    config = _config(arguments)
     if arguments.dry_run:
         plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config)
         if arguments.json:
@@ -152,10 +159,19 @@ def _stylize(arguments: argparse.Namespace) -> int:
         else:
             print(step_text(step))
         return 0
+    _show_result(_with_progress(_whole_call(arguments), arguments, config), arguments)
+    return 0
+
+
+def _whole_call(arguments: argparse.Namespace) -> Callable[..., "StylizeResult"]:
+    """What does a whole run: this process or a cluster."""
+    if arguments.cluster is not None:
+        from usdsmoke.cluster import stylize_on_cluster
+
+        return partial(stylize_on_cluster, arguments.cluster)
     from usdsmoke.pipeline import stylize
 
-    _show_result(_with_progress(stylize, arguments, config), arguments)
-    return 0
+    return stylize
 
 
 def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
@@ -163,6 +179,11 @@ def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
     from usdsmoke.pipeline import run_coarse, run_window
 
     return run_coarse if arguments.coarse else partial(run_window, window=arguments.window)
+
+
+def _config(arguments: argparse.Namespace) -> Config:
+    sections = read_config(arguments.config) if arguments.config else {}
+    return resolve_config(sections, options_as_sections(arguments), assignments=arguments.set)
 
 
 def _with_progress(
@@ -186,6 +207,31 @@ def _with_progress(
         for warning in getattr(result, "warnings", ()):
             progress.say(f"note: {warning}")
     return result
+
+
+def _submit(arguments: argparse.Namespace) -> int:
+    from usdsmoke.pipeline_submit import submit
+
+    bundle = submit(
+        arguments.stage,
+        arguments.style,
+        arguments.output,
+        _config(arguments),
+        template=arguments.template,
+        command=arguments.program,
+    )
+    if arguments.json:
+        _print_json(
+            {
+                "template": str(bundle.template),
+                "files": [str(file_path) for file_path in bundle.files],
+                "parameters": dict(bundle.parameters),
+                "n_windows": bundle.n_windows,
+            }
+        )
+    else:
+        print(job_text(bundle))
+    return 0
 
 
 def _assemble(arguments: argparse.Namespace) -> int:

@@ -23,6 +23,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_inspect(commands)
     _add_stylize(commands)
+    _add_submit(commands)
     assemble = _add_command(commands, "assemble", "make the result of windows run one by one")
     assemble.add_argument("output", metavar="OUT", help="the folder that they were written to")
     validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
@@ -68,6 +69,47 @@ def _add_inspect(commands: Any) -> None:
 
 def _add_stylize(commands: Any) -> None:
     parser = _add_command(commands, "stylize", "stylize the smoke of a stage")
+    _add_run(parser)
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument(
+        "--coarse", action="store_true", help="do only the step that all windows share"
+    )
+    part.add_argument(
+        "--window",
+        type=int,
+        metavar="K",
+        help="do only this window, from 0; the plan lists them; 'usdsmoke assemble OUT' comes last",
+    )
+    part.add_argument(
+        "--cluster",
+        metavar="tcp://HOST:PORT",
+        help="let the workers of this Dask scheduler do the windows",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="print the plan and write nothing")
+    parser.add_argument(
+        "--force", action="store_true", help="replace a result, or give up an unfinished run"
+    )
+
+
+def _add_submit(commands: Any) -> None:
+    parser = _add_command(commands, "submit", "write a run as a job for a render queue")
+    _add_run(parser)
+    parser.add_argument(
+        "--template",
+        metavar="FILE.yaml",
+        help="the job template (Open Job Description) to write; default: OUT/job/template.yaml",
+    )
+    parser.add_argument(
+        "--command",
+        dest="program",
+        default="usdsmoke",
+        metavar="PROGRAM",
+        help="what the machines of the queue start; default: usdsmoke",
+    )
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    """What a run is made of."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{_EXIT_CODES}\n\n{_settings_summary()}"
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
@@ -95,20 +137,6 @@ def _add_stylize(commands: Any) -> None:
         type=_repair_value,
         metavar="nan=0",
         help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
-    )
-    part = parser.add_mutually_exclusive_group()
-    part.add_argument(
-        "--coarse", action="store_true", help="do only the step that all windows share"
-    )
-    part.add_argument(
-        "--window",
-        type=int,
-        metavar="K",
-        help="do only this window, from 0; the plan lists them; 'usdsmoke assemble OUT' comes last",
-    )
-    parser.add_argument("--dry-run", action="store_true", help="print the plan and write nothing")
-    parser.add_argument(
-        "--force", action="store_true", help="replace a result, or give up an unfinished run"
     )
 
 

@@ -1,5 +1,6 @@
 """What the command line prints for people: plans, results, inspections, findings."""
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,10 +9,18 @@ from usdsmoke.progress import format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.pipeline import StepResult, StylizeResult
+    from usdsmoke.pipeline_submit import JobBundle
     from usdsmoke.plan import Plan, VolumePlan
     from usdsmoke.validators import Finding
 
-__all__ = ["inspection_text", "plan_text", "result_text", "step_text", "validation_text"]
+__all__ = [
+    "inspection_text",
+    "job_text",
+    "plan_text",
+    "result_text",
+    "step_text",
+    "validation_text",
+]
 
 
 def plan_text(plan: "Plan") -> str:
@@ -51,6 +60,22 @@ def step_text(step: "StepResult") -> str:
     what = "nothing was left to do" if step.was_done else "finished"
     manifest = [("manifest", str(step.manifest))] if step.manifest.is_file() else []
     return "\n".join(_columns([(what, str(step.folder)), *manifest]))
+
+
+def job_text(bundle: "JobBundle") -> str:
+    """Where a job for a queue was written, and the commands that take it."""
+    values = [part for pair in bundle.parameters.items() for part in ("-p", "=".join(pair))]
+    run = shlex.join(["openjd", "run", str(bundle.template), *values])
+    rows = [
+        ("job template", str(bundle.template)),
+        (_count(bundle.n_windows, "window"), "each of them a task"),
+        (
+            "Deadline Cloud",
+            shlex.join(["deadline", "bundle", "submit", str(bundle.template.parent)]),
+        ),
+        ("this machine", run),
+    ]
+    return "\n".join(_columns(rows))
 
 
 def inspection_text(found: Mapping[str, Any]) -> str:

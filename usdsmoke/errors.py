@@ -21,6 +21,7 @@
       LayerError          the result cannot be written
         OutputExists
         WriteFailed
+      ClusterError        a Dask cluster cannot be reached or used
       Interrupted         the user stopped the run
 
 A message says what, where, what was found against what was wanted, and what to do.
@@ -29,6 +30,7 @@ A message says what, where, what was found against what was wanted, and what to 
 __all__ = [
     "AssetNotResolved",
     "BindingMissing",
+    "ClusterError",
     "ConfigError",
     "DamagedFile",
     "FeatureError",
@@ -134,6 +136,10 @@ class OutputExists(LayerError):
 
 class WriteFailed(LayerError):
     """A file came back from disk different from what was written, or could not be written."""
+
+
+class ClusterError(UsdSmokeError):
+    """A Dask cluster cannot be reached or used, or lost its workers."""
 
 
 class Interrupted(UsdSmokeError):

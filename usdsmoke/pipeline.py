@@ -60,13 +60,22 @@ def plan_stylize(
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
+    fits: bool = True,
 ) -> Plan:
     """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
+
+    Args:
+        stage: as in ``stylize``, like those that follow it.
+        style: one image file or several.
+        output: the folder of the result.
+        config: settings.
+        settings: further ones, stronger than ``config``.
+        fits: whether memory and disk of this machine must be large enough; not if others work.
 
     Raises:
         UsdSmokeError: everything that can be known before voxels are read.
     """
-    return prepare_job(stage, _paths(style), Path(output), _resolve(config, settings)).plan
+    return prepare_job(stage, _paths(style), Path(output), _resolve(config, settings), fits).plan
 
 
 def stylize(

@@ -57,7 +57,8 @@ class ConsoleProgress:
     def __call__(self, report: RunProgress) -> None:
         """Shows one record of a run."""
         now = self._clock()
-        where = f"{report.step} frame {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
+        noun = "" if report.step == "window" else " frame"
+        where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
         left = ""
         if report.n_octaves:
             where += f" octave {report.octave + 1}/{report.n_octaves} loss {report.loss:.3g}"

@@ -16,9 +16,9 @@ _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 class RunProgress:
     """What is being done just now, and how much of the whole run is done."""
 
-    step: str  # "check", "shape", "colour", "write" or "picture"
+    step: str  # "check", "shape", "colour", "write", "picture", ...; "window": a whole one
     time_code: float
-    frame: int  # 0-based, among the frames to do
+    frame: int  # 0-based, among the frames to do; of a window, among those
     n_frames: int  # that were not finished by an earlier run
     share: float  # of the run's iterations that are done, 0 to 1
     octave: int = 0  # 0-based, coarse to fine

@@ -1,0 +1,180 @@
+"""Windows on a Dask cluster of two worker processes: the bits of a plain run, whoever dies."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline_fixtures import Shot, make_shot, run, write_nan
+from usdsmoke.cluster import stylize_on_cluster
+from usdsmoke.config import GridsConfig
+from usdsmoke.errors import ClusterError, Interrupted, NonFiniteError
+from usdsmoke.grids.content_hash import hash_fields
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.run_progress import RunProgress
+
+pytest.importorskip("distributed", reason="distributed is not installed")
+
+PROJECT = Path(__file__).resolve().parents[1]
+SETTINGS = ("windows.size=2", "windows.overlap=1", "optimize.threads=1")
+N_FRAMES = 8
+N_BEGUN = 8 + 3  # three of the four windows go one frame beyond their own
+PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A scheduler and its workers, as processes of this machine."""
+
+    address: str
+    folder: Path
+    workers: list[subprocess.Popen[bytes]]
+
+    @property
+    def begun(self) -> list[tuple[int, float]]:
+        """Process and timeCode of every frame that a worker began, in order."""
+        log = self.folder / "log"
+        lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+        return [(int(pid), float(code)) for pid, code in map(str.split, lines)]
+
+    def start_worker(self) -> None:
+        """Add a worker process of one thread."""
+        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        options += ["--preload", "tests.cluster_worker", "--local-directory", str(self.folder)]
+        self.workers.append(start(self.folder, "dask_worker", self.address, *options))
+
+
+def start(folder: Path, program: str, *arguments: str) -> subprocess.Popen[bytes]:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(PROJECT),
+        "USDSMOKE_TEST_LOG": str(folder / "log"),
+        "OMP_NUM_THREADS": "1",
+    }
+    with open(folder / f"{program}.txt", "ab") as messages:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{program}", *arguments],
+            env=environment,
+            cwd=folder,
+            stdout=messages,
+            stderr=messages,
+        )
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler with two workers."""
+    folder = tmp_path / "cluster"
+    folder.mkdir()
+    contact = folder / "scheduler.json"
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    scheduler = start(folder, "dask_scheduler", *options, "--scheduler-file", str(contact))
+    workers: list[subprocess.Popen[bytes]] = []
+    try:
+        until = time.monotonic() + PATIENCE_S
+        while not contact.exists() or not contact.read_text(encoding="utf-8").endswith("}"):
+            assert time.monotonic() < until and scheduler.poll() is None
+            time.sleep(0.05)
+        address = json.loads(contact.read_text(encoding="utf-8"))["address"]
+        cluster = Cluster(address, folder, workers)
+        cluster.start_worker()
+        cluster.start_worker()
+        yield cluster
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()
+
+
+def content_hashes(frames: tuple[Path, ...]) -> dict[str, str]:
+    wanted = [GridRequest("density"), GridRequest("emission")]
+    return {path.name: hash_fields(read_grids(path, wanted, GridsConfig())) for path in frames}
+
+
+@pytest.mark.usefixtures("core")
+def test_a_worker_that_is_killed_midway_changes_no_bit(tmp_path: Path, cluster: Cluster) -> None:
+    shot = make_shot(tmp_path, N_FRAMES)
+    expected = content_hashes(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).frames)
+    killed: list[int] = []
+    windows: list[float] = []
+
+    def kill_one(report: RunProgress) -> None:
+        if report.step == "window":
+            windows.append(report.share)
+        if windows and not killed:
+            killed.append(next_to_begin(cluster))
+            os.kill(killed[0], signal.SIGKILL)
+
+    result = stylize_on_cluster(
+        cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=kill_one
+    )
+    assert content_hashes(result.frames) == expected
+    assert windows == [0.25, 0.5, 0.75, 1.0]
+    assert [worker.poll() for worker in cluster.workers].count(-signal.SIGKILL) == 1
+    assert len(cluster.begun) > N_BEGUN, "the killed worker lost no frame"
+
+
+def next_to_begin(cluster: Cluster) -> int:
+    """The process that is the next to begin a frame, as soon as it has begun."""
+    n_before, until = len(cluster.begun), time.monotonic() + PATIENCE_S
+    while len(cluster.begun) == n_before:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    return cluster.begun[-1][0]
+
+
+@pytest.mark.usefixtures("core")
+def test_an_error_of_a_task_is_raised_here_by_its_own_name(
+    tmp_path: Path, cluster: Cluster
+) -> None:
+    shot = make_shot(tmp_path, 2)
+    write_nan(shot.stage.parent / "cache/smoke.0002.vdb")
+    with pytest.raises(NonFiniteError, match=r"smoke\.0002\.vdb"):
+        stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output)
+    assert not list(shot.output.glob("*.usd*"))
+
+
+@pytest.mark.usefixtures("core")
+def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path, cluster: Cluster) -> None:
+    shot = make_shot(tmp_path, N_FRAMES)
+
+    def stop(report: RunProgress) -> None:
+        if report.step == "window":
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted, match=r"stopped with 1 of 4 windows finished.*same command"):
+        stylize_on_cluster(
+            cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=stop
+        )
+    first = run_again(shot, cluster)
+    expected = content_hashes(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).frames)
+    assert first == expected
+
+
+def run_again(shot: Shot, cluster: Cluster) -> dict[str, str]:
+    result = stylize_on_cluster(
+        cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS
+    )
+    return content_hashes(result.frames)
+
+
+def test_a_cluster_that_loses_all_workers_is_given_up(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.cluster._LOST_S", 0.5)
+    monkeypatch.setattr("usdsmoke.cluster._POLL_S", 0.2)
+    shot = make_shot(tmp_path, 2)
+
+    def kill_all(report: RunProgress) -> None:
+        for worker in cluster.workers:
+            worker.kill()
+
+    with pytest.raises(ClusterError, match=r"no workers for .*finished windows are kept"):
+        stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output, progress=kill_all)

@@ -1,0 +1,104 @@
+"""Which workers of a cluster are refused and why; what happens where there is no cluster."""
+
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.pipeline_fixtures import Shot
+from usdsmoke import __version__, cluster, cluster_check
+from usdsmoke.cluster import stylize_on_cluster
+from usdsmoke.cluster_check import check_answer, look_around
+from usdsmoke.errors import ClusterError
+
+
+@pytest.fixture
+def answer(tmp_path: Path) -> dict[str, Any]:
+    """Of a worker that sees what was written."""
+    token_path = tmp_path / "token"
+    token_path.write_text("abc", encoding="utf-8")
+    return look_around(str(token_path), [str(token_path)])
+
+
+def test_a_worker_that_sees_everything_is_taken_without_a_note(answer: dict[str, Any]) -> None:
+    assert check_answer("tcp://w:1", answer, "abc", "/out") == []
+
+
+def test_a_worker_without_the_token_is_refused_for_its_file_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_check, "_TOKEN_S", 0.2)
+    began = time.monotonic()
+    answer = look_around(str(tmp_path / "token"), [])
+    assert 0.2 <= time.monotonic() - began < 2
+    with pytest.raises(ClusterError, match=r"tcp://w:1 does not see .*/out; wanted a file system"):
+        check_answer("tcp://w:1", answer, "abc", "/out")
+
+
+def test_the_token_of_another_run_is_not_taken_for_this_one(answer: dict[str, Any]) -> None:
+    with pytest.raises(ClusterError, match="does not see"):
+        check_answer("tcp://w:1", answer, "xyz", "/out")
+
+
+def test_a_token_that_shows_late_is_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    timer = threading.Timer(0.3, lambda: path.write_text("abc", encoding="utf-8"))
+    timer.start()
+    assert look_around(str(path), [])["token"] == "abc"
+    timer.join()
+
+
+def test_a_worker_of_another_version_is_refused(answer: dict[str, Any]) -> None:
+    with pytest.raises(ClusterError, match=rf"has usdsmoke 0\.0\.1 and this machine {__version__}"):
+        check_answer("tcp://w:1", answer | {"version": "0.0.1"}, "abc", "/out")
+
+
+def test_a_worker_without_usdsmoke_is_refused() -> None:
+    error = ModuleNotFoundError("No module named 'usdsmoke'")
+    with pytest.raises(ClusterError, match=r"cannot load usdsmoke .*No module named"):
+        check_answer("tcp://w:1", error, "abc", "/out")
+
+
+def test_inputs_that_a_worker_does_not_see_are_named(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text("abc", encoding="utf-8")
+    answer = look_around(str(tmp_path / "token"), [str(tmp_path / "shot.usda")])
+    with pytest.raises(ClusterError, match=r"does not see .*shot\.usda; wanted the inputs"):
+        check_answer("tcp://w:1", answer, "abc", "/out")
+
+
+def test_other_packages_are_worth_a_note(answer: dict[str, Any]) -> None:
+    packages = answer["packages"] | {"torch": "0.1"}
+    (note,) = check_answer("tcp://w:1", answer | {"packages": packages}, "abc", "/out")
+    assert "has torch 0.1, this machine" in note
+
+
+def test_without_the_package_the_error_says_how_to_get_it(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterError, match=r'pip install "usdsmoke\[cluster\]"'):
+        stylize_on_cluster("tcp://127.0.0.1:9", shot.stage, shot.style, shot.output)
+    assert not shot.output.exists()
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "", "threads"])
+def test_an_address_without_a_protocol_is_refused(shot: Shot, address: str) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed")
+    with pytest.raises(ClusterError, match="wanted tcp://HOST:PORT"):
+        stylize_on_cluster(address, shot.stage, shot.style, shot.output)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "tcp://", "nonsense://x:1"])
+def test_a_scheduler_that_does_not_answer_is_named_soon(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed")
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    began = time.monotonic()
+    with pytest.raises(ClusterError, match=f"no Dask scheduler answers at {address}"):
+        stylize_on_cluster(address, shot.stage, shot.style, shot.output)
+    assert time.monotonic() - began < 5
+    assert not shot.output.exists()

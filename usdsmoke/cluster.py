@@ -1,0 +1,281 @@
+"""Windows of a run as tasks of an existing Dask cluster, for those without a render farm.
+
+Every task is what a queue would call: it reads the inputs and writes its window into the output
+folder by itself, so nothing but names travels over the network, and a worker that dies takes only
+the window with it that it was at. The scheduler gives that window to another worker.
+"""
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.cluster_check import check_answer, look_around
+from usdsmoke.config import Config
+from usdsmoke.errors import (
+    ClusterError,
+    FileUnreadable,
+    Interrupted,
+    UsdSmokeError,
+    WriteFailed,
+)
+from usdsmoke.pipeline import (
+    Settings,
+    StylizeResult,
+    assemble,
+    plan_stylize,
+    run_coarse,
+    run_window,
+)
+from usdsmoke.plan import Plan
+from usdsmoke.publish import make_folders, remove_empty
+from usdsmoke.run_progress import RunProgress, RunProgressCallback
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+__all__ = ["TaskRequest", "stylize_on_cluster"]
+
+FilePath = str | PathLike[str]
+
+_CONNECT_S = 5.0  # for the scheduler to answer
+_WORKERS_S = 10.0  # for the first worker to appear
+_LOST_S = 60.0  # without any worker, after which the run is given up
+_POLL_S = 2.0
+_RETRIES = 2  # of a task that failed for a reason that may pass
+
+_one_at_a_time = threading.Lock()  # threads and determinism of torch belong to the whole process
+
+
+@dataclass(frozen=True)
+class TaskRequest:
+    """What a worker needs to know; paths are absolute and the same on all machines."""
+
+    stage: str
+    styles: tuple[str, ...]
+    output: str
+    config: Config
+    force: bool = False
+
+
+def stylize_on_cluster(
+    address: str,
+    stage: FilePath,
+    style: FilePath | Sequence[FilePath],
+    output: FilePath,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
+    force: bool = False,
+    progress: RunProgressCallback | None = None,
+    planned: Callable[[Plan], None] | None = None,
+) -> StylizeResult:
+    """``stylize`` with its windows computed by the workers of a Dask cluster; the same bits.
+
+    The coarse step is one task, then every window is one; the result is assembled here. Workers
+    need the same usdsmoke and see the inputs and the output folder under the same paths. A task
+    uses ``optimize.threads`` threads, or as many as its worker was started with.
+
+    Args:
+        address: of the scheduler, ``tcp://HOST:PORT``.
+        stage: as in ``stylize``, like those that follow it.
+        style: one image file or several.
+        output: the folder of the result.
+        config: settings.
+        settings: further ones, stronger than ``config``.
+        force: give up what the folder holds of other settings; a result stays whole until the new
+            one is there.
+        progress: called when a step or a window is finished.
+        planned: called once with the plan, before the cluster is asked.
+
+    Raises:
+        ClusterError: the cluster cannot be reached or used, or lost its workers.
+        UsdSmokeError: what ``stylize`` raises; a task's own error is raised here.
+        Interrupted: by Ctrl-C; workers end the windows they are at.
+    """
+    styles = [style] if isinstance(style, (str, PathLike)) else list(style)
+    plan = plan_stylize(stage, styles, output, config, settings, fits=False)
+    if planned is not None:
+        planned(plan)
+    request = TaskRequest(
+        stage=str(Path(stage).absolute()),
+        styles=tuple(str(Path(image).absolute()) for image in styles),
+        output=str(Path(output).absolute()),
+        config=plan.config,
+        force=force,
+    )
+    with _connected(address) as client:
+        notes = _check_workers(client, request)
+        _compute(client, request, plan, progress or (lambda report: None))
+    result = assemble(output, progress)
+    return replace(result, warnings=(*result.warnings, *notes))
+
+
+@contextmanager
+def _connected(address: str) -> "Iterator[Client]":
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError(
+            "--cluster needs the package distributed, which is not installed; "
+            'install it with: pip install "usdsmoke[cluster]"'
+        ) from None
+    if "://" not in address:
+        raise ClusterError(f"the cluster {address!r} has no protocol; wanted tcp://HOST:PORT")
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ClusterError(
+            f"no Dask scheduler answers at {address} ({' '.join(str(error).split())[:200]}); start "
+            "one with 'dask scheduler', or check host, port and firewall"
+        ) from None
+    with client, client.as_current():
+        yield client
+
+
+def _check_workers(client: "Client", request: TaskRequest) -> list[str]:
+    """Refuse workers that would give another result or none; what is worth knowing otherwise."""
+    try:
+        client.wait_for_workers(1, timeout=_WORKERS_S)
+    except TimeoutError:
+        raise ClusterError(
+            "the Dask scheduler has no workers; start some with 'dask worker --nthreads 1 ADDRESS'"
+        ) from None
+    made = make_folders(Path(request.output))
+    token = uuid.uuid4().hex
+    token_path = Path(request.output) / f".usdsmoke-{token}"
+    try:
+        _write_token(token_path, token)
+        files = [request.stage, *request.styles]
+        answers = client.run(look_around, str(token_path), files, on_error="return")
+    finally:
+        token_path.unlink(missing_ok=True)
+        remove_empty(made)
+    notes = []
+    for worker, answer in sorted(answers.items()):
+        notes += check_answer(worker, answer, token, request.output)
+    several = sorted(worker for worker, threads in client.nthreads().items() if threads > 1)
+    if several:
+        notes.append(
+            f"windows run one after another in a worker process, and {several[0]} has several "
+            "threads; with --nthreads 1 and more workers they are shared out more evenly"
+        )
+    return notes
+
+
+def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgressCallback) -> None:
+    """The coarse step, then all windows; the first error ends the run."""
+    windows = [window for volume in plan.volumes for window in volume.windows]
+    starts = [min(window.time_codes) for window in windows]
+    n_done = 0
+    key = f"usdsmoke-{uuid.uuid4().hex}"
+    futures: list[Future] = []
+    try:
+        coarse = client.submit(_run_task, request, None, key=f"{key}-coarse", retries=_RETRIES)
+        futures.append(coarse)
+        for future in _completed(client, [coarse]):
+            _take_outcome(future, "the coarse step")
+        tell(RunProgress("coarse", starts[0], 0, len(windows), 0.0))
+        numbers = {}
+        for number in range(len(windows)):
+            future = client.submit(
+                _run_task, request, number, key=f"{key}-{number}", retries=_RETRIES
+            )
+            futures.append(future)
+            numbers[future.key] = number
+        for future in _completed(client, futures[1:]):
+            number = numbers[future.key]
+            _take_outcome(future, f"window {number}")
+            n_done += 1
+            share = n_done / len(windows)
+            tell(RunProgress("window", starts[number], n_done - 1, len(windows), share))
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"stopped with {n_done} of {len(windows)} windows finished in {request.output}; "
+            "run the same command again to continue"
+        ) from None
+    finally:
+        client.cancel([future for future in futures if not future.done()])
+
+
+def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
+    """On a worker: one window, or the coarse step; the error that no other try would mend."""
+    from distributed import get_worker
+
+    config = request.config
+    threads = config.optimize.threads or get_worker().state.nthreads
+    config = replace(config, optimize=replace(config.optimize, threads=threads))
+    with _one_at_a_time:
+        try:
+            if window is None:
+                run_coarse(
+                    request.stage, request.styles, request.output, config, force=request.force
+                )
+            else:
+                run_window(request.stage, request.styles, request.output, window, config)
+        except (WriteFailed, FileUnreadable):
+            raise  # a file server may be well again the next time
+        except UsdSmokeError as error:
+            return error
+    return None
+
+
+def _completed(client: "Client", futures: "Sequence[Future]") -> "Iterator[Future]":
+    """Futures as they end; the scheduler's silence and a cluster without workers are errors."""
+    from distributed import wait
+
+    waiting = set(futures)
+    seen = time.monotonic()
+    while waiting:
+        try:
+            done, waiting = wait(waiting, timeout=_POLL_S, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            done = set()
+        except OSError:
+            raise _lost("the Dask scheduler does not answer any more") from None
+        yield from done
+        try:
+            workers = client.nthreads()
+        except OSError:
+            raise _lost("the Dask scheduler does not answer any more") from None
+        if workers or done:
+            seen = time.monotonic()
+        elif time.monotonic() - seen > _LOST_S:
+            raise _lost(f"the Dask cluster has had no workers for {_LOST_S:.0f} s")
+
+
+def _take_outcome(future: "Future", what: str) -> None:
+    """Raise what went wrong in a task."""
+    from concurrent.futures import CancelledError
+
+    from distributed.scheduler import KilledWorker
+
+    try:
+        refusal = future.result()
+    except KilledWorker:
+        raise ClusterError(
+            f"{what} was given up: every worker that took it died; their logs say why, and often "
+            "it is memory: give workers more, or lower views.pool, views.image_size or grids.refine"
+        ) from None
+    except CancelledError:
+        raise _lost(f"the Dask scheduler has dropped {what}") from None
+    if refusal is not None:
+        raise refusal
+
+
+def _lost(what: str) -> ClusterError:
+    return ClusterError(f"{what}; finished windows are kept: run the same command again")
+
+
+def _write_token(token_path: Path, token: str) -> None:
+    try:
+        token_path.write_text(token, encoding="utf-8")
+    except OSError as error:
+        raise WriteFailed(
+            f"cannot write to {token_path.parent}: {error.strerror or error}; "
+            "choose an output folder that may be written to"
+        ) from None
