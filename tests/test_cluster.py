@@ -12,12 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import Shot, make_shot, run, write_nan
+from tests.pipeline_fixtures import make_shot, run, write_nan
+from tests.test_farm import outcome
 from usdsmoke.cluster import stylize_on_cluster
-from usdsmoke.config import GridsConfig
 from usdsmoke.errors import ClusterError, Interrupted, NonFiniteError
-from usdsmoke.grids.content_hash import hash_fields
-from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.run_progress import RunProgress
 
 pytest.importorskip("distributed", reason="distributed is not installed")
@@ -93,15 +91,10 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             process.wait()
 
 
-def content_hashes(frames: tuple[Path, ...]) -> dict[str, str]:
-    wanted = [GridRequest("density"), GridRequest("emission")]
-    return {path.name: hash_fields(read_grids(path, wanted, GridsConfig())) for path in frames}
-
-
 @pytest.mark.usefixtures("core")
 def test_a_worker_that_is_killed_midway_changes_no_bit(tmp_path: Path, cluster: Cluster) -> None:
     shot = make_shot(tmp_path, N_FRAMES)
-    expected = content_hashes(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).frames)
+    expected = outcome(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).root_stage)
     killed: list[int] = []
     windows: list[float] = []
 
@@ -115,7 +108,7 @@ def test_a_worker_that_is_killed_midway_changes_no_bit(tmp_path: Path, cluster: 
     result = stylize_on_cluster(
         cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=kill_one
     )
-    assert content_hashes(result.frames) == expected
+    assert outcome(result.root_stage) == expected
     assert windows == [0.25, 0.5, 0.75, 1.0]
     assert [worker.poll() for worker in cluster.workers].count(-signal.SIGKILL) == 1
     assert len(cluster.begun) > N_BEGUN, "the killed worker lost no frame"
@@ -153,16 +146,11 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path, cluster: Cl
         stylize_on_cluster(
             cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=stop
         )
-    first = run_again(shot, cluster)
-    expected = content_hashes(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).frames)
-    assert first == expected
-
-
-def run_again(shot: Shot, cluster: Cluster) -> dict[str, str]:
     result = stylize_on_cluster(
         cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS
     )
-    return content_hashes(result.frames)
+    expected = outcome(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).root_stage)
+    assert outcome(result.root_stage) == expected
 
 
 def test_a_cluster_that_loses_all_workers_is_given_up(

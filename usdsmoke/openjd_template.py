@@ -70,7 +70,7 @@ def job_template(
             },
             {
                 # Both: job attachments bring the files of the steps that are named, no others.
-                **_step("Assemble", ["assemble", "{{Param.Output}}"]),
+                **_step("Assemble", ["assemble", "{{Param.Output}}"], memory_gib),
                 "dependencies": [{"dependsOn": "Coarse"}, {"dependsOn": "Windows"}],
             },
         ],
@@ -181,7 +181,7 @@ def _path(name: str, object_type: str, data_flow: str, description: str) -> dict
     }
 
 
-def _step(name: str, arguments: Sequence[str], memory_gib: float = 0.0) -> dict[str, Any]:
+def _step(name: str, arguments: Sequence[str], memory_gib: float) -> dict[str, Any]:
     memory = {"name": "amount.worker.memory", "min": math.ceil(memory_gib * 1024)}  # MiB
     run = {
         "command": "{{Param.Command}}",
@@ -190,7 +190,7 @@ def _step(name: str, arguments: Sequence[str], memory_gib: float = 0.0) -> dict[
     }
     return {
         "name": name,
-        **({"hostRequirements": {"amounts": [memory]}} if memory_gib else {}),
+        "hostRequirements": {"amounts": [memory]},
         "script": {"actions": {"onRun": run}},
     }
 

@@ -1,5 +1,6 @@
 """Which workers of a cluster are refused and why; what happens where there is no cluster."""
 
+import json
 import sys
 import threading
 import time
@@ -10,6 +11,7 @@ import pytest
 
 from tests.pipeline_fixtures import Shot
 from usdsmoke import __version__, cluster, cluster_check
+from usdsmoke.cli import main
 from usdsmoke.cluster import stylize_on_cluster
 from usdsmoke.cluster_check import check_answer, look_around
 from usdsmoke.errors import ClusterError
@@ -89,6 +91,20 @@ def test_an_address_without_a_protocol_is_refused(shot: Shot, address: str) -> N
     pytest.importorskip("distributed", reason="distributed is not installed")
     with pytest.raises(ClusterError, match="wanted tcp://HOST:PORT"):
         stylize_on_cluster(address, shot.stage, shot.style, shot.output)
+
+
+def test_the_command_ends_with_1_where_no_cluster_is(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(shot.arguments("--cluster", "tcp://127.0.0.1:9", "--json")) == 1
+    assert json.loads(capsys.readouterr().out)["error"]["type"] == "ClusterError"
+
+
+@pytest.mark.parametrize("other", [["--coarse"], ["--window", "0"]])
+def test_a_cluster_and_a_part_of_a_run_exclude_each_other(shot: Shot, other: list[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(shot.arguments("--cluster", "tcp://127.0.0.1:9", *other))
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "tcp://", "nonsense://x:1"])

@@ -10,6 +10,7 @@ import yaml
 
 from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes
+from usdsmoke.cli import main
 from usdsmoke.config import read_config, resolve_config
 from usdsmoke.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.openjd_template import bundle_text, job_parameters, job_template
@@ -89,11 +90,7 @@ def test_files_that_tasks_read_and_write_are_marked_for_job_attachments() -> Non
 def test_a_task_asks_for_the_memory_that_the_plan_estimates() -> None:
     steps = job_template("shot", 1, 1, 2.0001)["steps"]
     amounts = [{"name": "amount.worker.memory", "min": 2049}]
-    assert [step.get("hostRequirements", {}).get("amounts") for step in steps] == [
-        amounts,
-        amounts,
-        None,
-    ]
+    assert [step["hostRequirements"]["amounts"] for step in steps] == [amounts] * 3
 
 
 @pytest.mark.parametrize("name", ["{{Param.Stage}}", "a\x07b\n", "x" * 300, "烟 fumée", ""])
@@ -154,6 +151,24 @@ def test_the_bundle_holds_all_settings_and_lists_every_file_that_is_read(shot: S
     inputs = read(references)["assetReferences"]["inputs"]["filenames"]
     vdbs = [str(path) for path in (shot.folder / "in/cache").iterdir()]
     assert set(inputs) == {str(shot.stage), str(shot.style), *vdbs}
+
+
+def test_the_command_tells_how_to_run_the_job(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    template = shot.folder / "job/template.yaml"
+    options = ["--template", str(template), "--set", "windows.size=1", "--command", "/opt/smoke"]
+    assert main(["submit", *shot.arguments(*options)[1:]]) == 0
+    out = capsys.readouterr().out
+    assert "3 windows" in out and f"deadline bundle submit {template.parent}" in out
+    assert f"openjd run {template} -p Stage={shot.stage} " in out
+    commands = [d for d in read(template)["parameterDefinitions"] if d["name"] == "Command"]
+    assert [command["default"] for command in commands] == ["/opt/smoke"]
+    assert not shot.output.exists()
+
+
+def test_a_plan_that_this_machine_could_not_run_is_written_all_the_same(shot: Shot) -> None:
+    assert make(shot, "optimize.memory_limit_gib=0.001").template.is_file()
 
 
 def test_a_file_of_somebody_else_is_not_replaced(shot: Shot) -> None:
