@@ -153,7 +153,7 @@ def run_coarse(
     with joined_run(job, force) as (run, lock):
         with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
             reader = FrameReader(job.plan)
-            had_begun = run.has_begun
+            had_begun = bool(run.scenes)
             if not had_begun:
                 check_frames(reader, list_tasks(job.plan), tell)
                 begin_run(job, run, reader)

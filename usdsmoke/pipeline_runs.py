@@ -80,13 +80,13 @@ def joined_run(job: Job, force: bool) -> Iterator[tuple[RunFolder, OutputLock]]:
 
 
 def begin_run(job: Job, run: RunFolder, reader: FrameReader) -> None:
-    """Measure the scenes and make the run's record, or take up what is there.
+    """Measure the scenes and make the run's record, or take up what another process has begun.
 
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
         WriteFailed: the operating system refused.
     """
-    if run.has_begun:
+    if run.scenes or run.adopt():
         run.tidy()
         return
     described = job.plan.to_dict()

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.errors import ConfigError
@@ -122,12 +122,25 @@ def stylize_windows(
     """
     warm = [bool(place) for task in tasks for place, _ in enumerate(task.frames)]
     meter, done = WorkMeter(job.config, warm), 0
+    tell = _never_back(tell)
     for task in tasks:
         with hold_work(run, task.window.index):
             if again or finished_window(run, task.window.index) is None:
                 progress = _Counter(meter, done, len(warm), tell)
                 _stylize_window(job, run, reader, task, source_hashes, progress)
         done += len(task.frames)
+
+
+def _never_back(tell: RunProgressCallback) -> RunProgressCallback:
+    """The share never falls, also where the core goes over its frames more than once."""
+    furthest = 0.0
+
+    def report(state: RunProgress) -> None:
+        nonlocal furthest
+        furthest = max(furthest, state.share)
+        tell(replace(state, share=furthest))
+
+    return report
 
 
 @dataclass(frozen=True)

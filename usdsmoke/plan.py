@@ -4,7 +4,7 @@ Only the stage's own values and the headers of VDB files are looked at: no voxel
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any

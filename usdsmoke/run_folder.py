@@ -66,11 +66,6 @@ class RunFolder:
         """SHA-256 of the settings that decide the result."""
         return _digest(self.description["settings"])
 
-    @property
-    def has_begun(self) -> bool:
-        """Whether there is a record on the disk."""
-        return (self.folder / _RECORD).is_file()
-
     def begin(
         self,
         plan: Mapping[str, Any],
@@ -92,14 +87,18 @@ class RunFolder:
         self.plan, self.request, self.scenes = plan, request, scenes
         self._made = make_folders(self.folder)
         text = self._as_text()
-        if publish_new(self.folder / _RECORD, lambda path: _write_text(path, text)):
-            return
+        if not publish_new(self.folder / _RECORD, lambda path: _write_text(path, text)):
+            if not self.adopt():
+                self.save()
+
+    def adopt(self) -> bool:
+        """Take up the record of this run that is on the disk; whether there is one."""
         for run in find_runs(self.output):
             if run.folder == self.folder and run.description == self.description:
-                self.run_id, self.created = run.run_id, run.created
-                self.plan, self.request, self.scenes = run.plan, run.request, run.scenes
-                return
-        self.save()
+                for name in (*_KEPT, *_KEPT_TOO):
+                    setattr(self, name, getattr(run, name))
+                return True
+        return False
 
     def tidy(self) -> None:
         """Remove what processes that were killed have left half-written."""
