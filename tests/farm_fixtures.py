@@ -1,0 +1,50 @@
+"""A shot for a farm: three windows that overlap, and what one process makes of it."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, make_shot, run
+from usdsmoke import run_window
+
+__all__ = ["OPTIONS", "WINDOWS", "Outcome", "farm", "outcome", "run_folder", "whole", "windows_in"]
+
+WINDOWS = ["windows.size=3", "windows.overlap=2"]  # 1-3 and on to 5, 4-6 and on to 7, 7
+OPTIONS = [part for text in WINDOWS for part in ("--set", text)]
+
+Outcome = tuple[dict[float, object], str]
+
+
+@pytest.fixture
+def farm(tmp_path: Path, core: FakeCore) -> Shot:
+    """Seven frames, three windows."""
+    return make_shot(tmp_path / "shot", n_frames=7)
+
+
+@pytest.fixture
+def whole(farm: Shot) -> Outcome:
+    """What one process makes of the same shot."""
+    return outcome(run(copied(farm, "whole"), *WINDOWS).root_stage)
+
+
+def outcome(root_stage: Path) -> Outcome:
+    """Content hashes by timeCode, and the look layer's text without clock times and run id."""
+    text = (root_stage.parent / "look.usda").read_text()
+    run_id = re.search(r'string run = "([^"]+)"', text)
+    assert run_id is not None
+    for name in (run_id[1], run_id[1].replace("-", "")[:8]):
+        text = text.replace(name, "RUN")
+    text = re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "TIME", text)
+    return contents(root_stage), re.sub(r'"stylize=[\d.]+"', '"stylize=SECONDS"', text)
+
+
+def windows_in(shot: Shot, order: Sequence[int]) -> None:
+    for window in order:
+        run_window(shot.stage, shot.style, shot.output, window, settings=WINDOWS)
+
+
+def run_folder(shot: Shot) -> Path:
+    (record,) = shot.output.glob("vdb/*/run.json")
+    return record.parent
