@@ -12,7 +12,7 @@ import pytest
 
 from usdsmoke import publish
 from usdsmoke.errors import DamagedFile, WriteFailed
-from usdsmoke.publish import publish_file, remove_leftovers
+from usdsmoke.publish import publish_file, publish_new, remove_leftovers
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -204,3 +204,22 @@ def run_python(code: str, *arguments: Path) -> str:
         check=True,
     )
     return done.stdout
+
+
+def test_of_several_new_files_the_first_one_stays(tmp_path: Path) -> None:
+    target = tmp_path / "run.json"
+    assert publish_new(target, lambda path: path.write_text("first"))
+    assert not publish_new(target, lambda path: path.write_text("second"))
+    assert target.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_without_hard_links_a_new_file_is_put_in_place_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*names: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    assert publish_new(tmp_path / "run.json", lambda path: path.write_text("first"))
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]

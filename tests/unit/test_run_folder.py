@@ -1,0 +1,82 @@
+"""A run's record: begun once, whoever comes first, and given back bit for bit."""
+
+import json
+from pathlib import Path
+
+from usdsmoke.run_folder import RunFolder, find_runs
+from usdsmoke.run_windows import (
+    CoarseRecord,
+    WindowRecord,
+    finish_coarse,
+    finish_window,
+    finished_coarse,
+    finished_window,
+    is_useless,
+    manifest_path,
+)
+
+DESCRIPTION = {"settings": {"optimize": {"seed": 0}}, "features_hash": ""}
+SCENES = [{"gamma_w": 0.1 + 0.2, "up_axis": "Z"}]
+
+
+def make_run(folder: Path) -> RunFolder:
+    return RunFolder(folder / "out/vdb/abc", DESCRIPTION)
+
+
+def begin(run: RunFolder, scenes: list[dict[str, object]] = SCENES) -> RunFolder:  # type: ignore[assignment]
+    run.begin({"windows": []}, {"stage": "../shot.usda"}, scenes)
+    return run
+
+
+def test_of_two_that_begin_the_same_run_the_first_ones_record_counts(tmp_path: Path) -> None:
+    first, second = make_run(tmp_path), make_run(tmp_path)
+    assert first.run_id != second.run_id
+    begin(first)
+    begin(second, [{"gamma_w": 7.0}])
+    assert (second.run_id, second.scenes) == (first.run_id, SCENES)
+    assert len(list(find_runs(tmp_path / "out"))) == 1
+
+
+def test_numbers_of_a_scene_come_back_bit_for_bit(tmp_path: Path) -> None:
+    begin(make_run(tmp_path))
+    (found,) = find_runs(tmp_path / "out")
+    assert found.scenes[0]["gamma_w"].hex() == (0.1 + 0.2).hex()
+    assert found.request == {"stage": "../shot.usda"}
+
+
+def window_of(run: RunFolder, file_name: str, sha256: str) -> WindowRecord:
+    frames = {file_name: {"sha256": sha256, "part": False}}
+    return WindowRecord(run.run_id, 0, "/smoke", [1.0], [2.0], frames, 3.5)
+
+
+def test_a_window_is_finished_as_long_as_its_files_are_unchanged(tmp_path: Path) -> None:
+    run = begin(make_run(tmp_path))
+    assert is_useless(run)
+    (run.folder / "a.vdb").write_bytes(b"")
+    empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    record = window_of(run, "a.vdb", empty)
+    finish_window(run, record)
+    assert finished_window(run, 0) == record and finished_window(run, 1) is None
+    assert not is_useless(run)
+    (run.folder / "a.vdb").write_bytes(b"x")
+    assert finished_window(run, 0) is None
+
+
+def test_manifests_of_other_runs_or_of_other_shapes_are_none(tmp_path: Path) -> None:
+    run = begin(make_run(tmp_path))
+    for values in ({"run_id": "another"}, {"run_id": run.run_id, "frames": 3}, [1], "text", None):
+        manifest_path(run, 0).parent.mkdir(exist_ok=True)
+        manifest_path(run, 0).write_text(json.dumps(values))
+        assert finished_window(run, 0) is None
+        (run.folder / "coarse.json").write_text(json.dumps(values))
+        assert finished_coarse(run).frames == {}
+
+
+def test_only_coarse_frames_whose_files_stand_are_finished(tmp_path: Path) -> None:
+    run = begin(make_run(tmp_path))
+    empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    (run.folder / "coarse").mkdir()
+    (run.folder / "coarse/a.npz").write_bytes(b"")
+    frame = {"time_code": 1.0, "sha256": empty}
+    finish_coarse(run, CoarseRecord(run.run_id, {"coarse/a.npz": frame, "coarse/b.npz": frame}))
+    assert finished_coarse(run).frames == {"coarse/a.npz": frame}
