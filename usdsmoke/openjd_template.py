@@ -1,6 +1,6 @@
 """A run as an Open Job Description: the coarse step, one task for each window, the assembly.
 
-The template follows version 2023-09 of the specification without extensions (docs/references.md).
+The template follows version 2023-09 of the specification without extensions (OpenJD2023).
 It names no folder of this machine: files are parameters, and their values stand in a file of their
 own, in the form that AWS Deadline Cloud reads beside a template.
 """
