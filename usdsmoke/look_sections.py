@@ -142,6 +142,18 @@ class ShapeConfig:
     iterations: list[int] = setting(
         [60, 50, 40], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
+    warm_rate: float = setting(
+        0.125,
+        "share of the learning rate for a frame that starts from its neighbour's result",
+        above=0.0,
+        high=1.0,
+    )
+    smoothing: float = setting(
+        0.5,
+        "share of the following frame's result, carried back, in every frame's",
+        low=0.0,
+        high=0.5,
+    )
 
 
 @dataclass(frozen=True)
@@ -156,6 +168,18 @@ class ColourConfig:
     )
     iterations: list[int] = setting(
         [120, 120, 120], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
+    )
+    warm_rate: float = setting(
+        0.25,
+        "share of the learning rate for a frame that starts from its neighbour's result",
+        above=0.0,
+        high=1.0,
+    )
+    smoothing: float = setting(
+        0.25,
+        "share of the following frame's result, carried back, in every frame's",
+        low=0.0,
+        high=0.5,
     )
 
 

@@ -87,13 +87,19 @@ class WindowsConfig:
         8, "frames in one window; within it a frame starts from its neighbour's result", low=1
     )
     overlap: int = setting(
-        3, "frames that a window goes on into the next one, where both are blended; 0: none", low=0
+        4, "frames that a window goes on into the next one, where both are blended; 0: none", low=0
     )
     warm_iterations: float = setting(
         0.4,
         "share of the iterations that a frame needs that starts from its neighbour",
         above=0.0,
         high=1.0,
+    )
+    shared_octaves: int = setting(
+        2, "octaves, the coarsest ones, that are done once for the whole shot", low=0
+    )
+    pattern_speed: float = setting(
+        1.0, "how fast the pattern moves, as a multiple of the smoke's velocity", low=-8.0, high=8.0
     )
 
 

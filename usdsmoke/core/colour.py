@@ -153,6 +153,7 @@ def run_colour_step(
     iterations: Sequence[int],
     watch: Callable[[int, Minimum], None] | None = None,
     mask: EffectMask | None = None,
+    slower: float = 1.0,
 ) -> tuple[Tensor, list[Minimum]]:
     """Colours of one frame, coarse to fine.
 
@@ -164,6 +165,8 @@ def run_colour_step(
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
         mask: voxels where it is 0 are not painted, and only hide what is behind them.
+
+        slower: share of the learning rate, in (0, 1].
 
     Returns:
         Display-encoded colours [N 3] in [0, 1] of the painted voxels, in the smoke's order, and how
@@ -186,7 +189,7 @@ def run_colour_step(
             _colours_on(here, before, colours, config),
             targets.at(factor),
             targets.background,
-            config.colour.learning_rate * (LATER_RATE if number else 1.0),
+            slower * config.colour.learning_rate * (LATER_RATE if number else 1.0),
             n_iterations,
             config.views.count,
             seed,

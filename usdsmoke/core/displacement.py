@@ -126,7 +126,7 @@ def divergence(field: Tensor, spacing: Sequence[float]) -> Tensor:
     return x + y + z
 
 
-def cap_displacement(displacement: Tensor, cap: float) -> Tensor:
+def cap_displacement(displacement: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
     r"""The displacement, smoothly held below a length: u / (1 + (|u| / cap)^4)^(1/4).
 
     Small displacements are kept (0.2 % are lost at 0.3 cap), large ones keep their direction
@@ -135,6 +135,7 @@ def cap_displacement(displacement: Tensor, cap: float) -> Tensor:
     Args:
         displacement: [... 3], world units, finite.
         cap: the length that is not reached, world units, > 0.
+        share: [...] in [0, 1], of the cap that holds at each place; 0 lets nothing pass.
 
     Raises:
         ShapeError: cap is not a positive number.
@@ -145,7 +146,12 @@ def cap_displacement(displacement: Tensor, cap: float) -> Tensor:
         raise ShapeError(f"the displacement's cap is {cap}; wanted a length above 0")
     squared = (displacement / cap).square().sum(dim=-1, keepdim=True)
     # hypot, because the fourth power of a large displacement overflows
-    return displacement / torch.hypot(torch.ones_like(squared), squared).sqrt()
+    if share is None:
+        return displacement / torch.hypot(torch.ones_like(squared), squared).sqrt()
+    room = share[..., None]
+    # with no room and no displacement there is nothing to divide
+    length = torch.hypot(room.clamp_min(1e-6).square(), squared).sqrt()
+    return displacement * (room / length)
 
 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.sample import sample_linear
+from usdsmoke.core.sample import Boundary, sample_linear
 from usdsmoke.core.smoke import ActiveSmoke, densify
 from usdsmoke.errors import PlanError
 from usdsmoke.volume import DenseField
@@ -52,17 +52,30 @@ class Lattice:
         low = torch.as_tensor(self.low, device=ijk.device)
         return (ijk + low).double() @ matrix[:3, :3] + matrix[3, :3]
 
+    def to_stage(self, vectors: Tensor) -> Tensor:
+        """Vectors [... 3] with lengths along the grid's axes, stage units, as stage vectors."""
+        return vectors @ torch.as_tensor(self._axes, dtype=vectors.dtype, device=vectors.device)
+
+    def from_stage(self, vectors: Tensor) -> Tensor:
+        """Stage vectors [... 3] as lengths along the grid's axes; 0 along axes one voxel long."""
+        matrix = np.linalg.inv(self._axes) * (np.array(self.shape) > 1)
+        return vectors @ torch.as_tensor(matrix, dtype=vectors.dtype, device=vectors.device)
+
+    @property
+    def _axes(self) -> np.ndarray:
+        return self.index_to_stage[:3, :3] / np.array(self.spacing)[:, None]
+
     def fill(self, smoke: ActiveSmoke) -> Tensor:
         """The smoke's density as a dense box [I J K]."""
         low = torch.as_tensor(self.low, device=smoke.ijk.device)
         return densify(smoke.ijk, smoke.density[:, None], low, self.shape)[..., 0]
 
-    def sample(self, values: Tensor, positions: Tensor) -> Tensor:
-        """Box values [I J K C] at stage positions [N 3]; the border value continues outside."""
+    def sample(self, values: Tensor, positions: Tensor, beyond: Boundary = "nearest") -> Tensor:
+        """Box values [I J K C] at stage positions [N 3]; ``beyond`` the box see ``core.sample``."""
         matrix = torch.as_tensor(np.linalg.inv(self.index_to_stage), device=positions.device)
         low = torch.as_tensor(self.low, device=positions.device)
         place = positions @ matrix[:3, :3] + matrix[3, :3] - low
-        return sample_linear(values, place.to(values.dtype), boundary="nearest")
+        return sample_linear(values, place.to(values.dtype), boundary=beyond)
 
 
 def surround(smoke: ActiveSmoke, room: int) -> Lattice:

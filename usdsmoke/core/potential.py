@@ -15,23 +15,42 @@ from usdsmoke.core.displacement import (
 )
 from usdsmoke.core.lattice import Lattice
 
-__all__ = ["Potential", "border_mask", "carry_levels", "displacement_from"]
+__all__ = [
+    "Displacement",
+    "Potential",
+    "border_mask",
+    "carry_levels",
+    "displacement_from",
+    "free_displacement",
+    "hold",
+]
 
 BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 
 @dataclass(frozen=True)
 class Potential:
-    """What the displacement is made from, on the voxels of a box: stage unit^2."""
+    """What a displacement is made from, on the voxels of a box: stage unit^2."""
 
     values: Tensor  # [I J K C]: 3 stream, 1 potential, 4 both
     lattice: Lattice
 
-    def on(self, lattice: Lattice, departures: Tensor | None = None) -> Tensor:
-        """The potential on another box, [I J K C], or at the points its voxels' smoke came from."""
-        positions = lattice.positions() if departures is None else departures
-        found = self.lattice.sample(self.values, positions.to(self.values.device))
+    def on(self, lattice: Lattice) -> Tensor:
+        """The potential on another box, [I J K C]."""
+        found = self.lattice.sample(self.values, lattice.positions().to(self.values.device))
         return found.view(*lattice.shape, -1)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far smoke is moved, on the voxels of a box: stage units."""
+
+    values: Tensor  # [I J K 3]
+    lattice: Lattice
+
+    def at(self, positions: Tensor) -> Tensor:
+        """The displacement at points [N 3] float64 of stage space, [N 3]; 0 beyond the box."""
+        return self.lattice.sample(self.values, positions.to(self.values.device), "zero")
 
 
 def carry_levels(
@@ -70,12 +89,38 @@ def border_mask(density: Tensor) -> Tensor:
 
 
 def displacement_from(
-    potential: Tensor, mask: Tensor, kind: str, cap: float, lattice: Lattice
+    potential: Tensor,
+    mask: Tensor,
+    kind: str,
+    cap: float,
+    lattice: Lattice,
+    base: Tensor | None = None,
+    share: Tensor | None = None,
 ) -> Tensor:
     """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
 
+    Arguments as of ``free_displacement`` and ``hold``.
+    """
+    free = free_displacement(potential, mask, kind, lattice, base)
+    held = hold(free, cap, None if base is None else share)
+    return held / held.new_tensor(lattice.spacing)
+
+
+def free_displacement(
+    potential: Tensor, mask: Tensor, kind: str, lattice: Lattice, base: Tensor | None = None
+) -> Tensor:
+    """The displacement before it is held below a length, [I J K 3] along the axes, stage units.
+
     The potential is faded before it is derived, so that a stream function's displacement stays free
     of divergence where the mask falls off; the cap alone disturbs it.
+
+    Args:
+        potential: [I J K C], stage unit^2.
+        mask: [I J K] in [0, 1], the share of the effect.
+        kind: stream, potential or mixed.
+        lattice: the box.
+        base: what the potential's displacement is added to, such as the neighbouring frame's free
+            one, which is faded already.
     """
     faded = potential * mask[..., None]
     if kind == "stream":
@@ -84,4 +129,18 @@ def displacement_from(
         moved = from_potential(faded[..., 0], lattice.spacing)
     else:
         moved = from_mixed(faded[..., :3], faded[..., 3], lattice.spacing, 0.5)
-    return cap_displacement(moved, cap) / moved.new_tensor(lattice.spacing)
+    return moved if base is None else moved + base
+
+
+def hold(free: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
+    """A free displacement [I J K 3] held below the cap, voxel by voxel; stage units.
+
+    What is carried along is faded at no other border than where it was made: smoke near the border
+    keeps its displacement while it moves, and none is added.
+
+    Args:
+        free: stage units.
+        cap: > 0.
+        share: [I J K], of the cap that holds at each voxel: the user's mask.
+    """
+    return cap_displacement(free, cap, share)

@@ -15,9 +15,8 @@ Deviations from the reference, each against a fault seen there:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, cast
 
 import numpy as np
 import torch
@@ -25,37 +24,33 @@ from torch import Tensor
 
 from usdsmoke.config import Config
 from usdsmoke.core.grey import GreyView, look_at
-from usdsmoke.core.lattice import Lattice, field_from_box, grow, surround
+from usdsmoke.core.lattice import Lattice, grow, surround
 from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.move import ROOM, effect_on, shares_on
 from usdsmoke.core.optimize import Adam, Minimum, minimize
 from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.potential import Potential, border_mask, carry_levels, displacement_from
+from usdsmoke.core.potential import (
+    Displacement,
+    Potential,
+    carry_levels,
+    displacement_from,
+    free_displacement,
+)
 from usdsmoke.core.project import column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
 from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.transport import Scheme, correct_mass, warp
+from usdsmoke.core.transport import warp
 from usdsmoke.core.views import draw_views
-from usdsmoke.core.warm import departure_points
-from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["Displaced", "run_shape_step"]
+__all__ = ["Start", "longest_move", "run_shape_step"]
+
+Start = Callable[[Lattice], Tensor]
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 N_LEVELS = 5  # of the coefficient pyramid
-ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
-FAINTEST = 1e-6  # of the largest density
-
-
-@dataclass(frozen=True)
-class Displaced:
-    """The moved density of one frame, and what the next one starts from."""
-
-    density: DenseField
-    potential: Potential
-    report: dict[str, Any]
 
 
 class _Octave:
@@ -71,13 +66,15 @@ class _Octave:
         config: Config,
         seed: int,
         factor: int,
+        start: Start | None,
     ) -> None:
         self.lattice = surround(smoke, ROOM)
         self.density = self.lattice.fill(smoke)
-        self.effect = _effect(self.density, self.lattice, mask)
-        # nothing moves where the effect and its neighbours are 0: no smoke can come to other voxels
-        self.active = torch.nonzero((self.density > 0) | grow(self.effect > 0))
+        self.effect = effect_on(self.density, self.lattice, mask)
+        self._base = None if start is None else start(self.lattice)
+        self._share = None if mask is None else shares_on(self.lattice, mask).to(self.density)
         self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
+        self.active = torch.nonzero(self._reached())
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
         shown = None if mask is None else mask.at(positions)
@@ -91,11 +88,30 @@ class _Octave:
                 look = replace(look, content=content)
             self._views.append(look)
 
+    def _reached(self) -> Tensor:
+        """Voxels that smoke is in or can come to, [I J K] bool.
+
+        A potential moves nothing where the effect and its neighbours are 0; what is carried along
+        may have smoke elsewhere.
+        """
+        reached = (self.density > 0) | grow(self.effect > 0)
+        if self._base is not None:
+            still = self._base.new_zeros(*self.lattice.shape, N_CHANNELS[self._kind])
+            reached |= grow(warp(self.density, self._displacement(still), scheme="linear") > 0)
+        return reached
+
+    @property
+    def _kind(self) -> str:
+        return self._config.shape.displacement
+
+    def _displacement(self, potential: Tensor) -> Tensor:
+        return displacement_from(
+            potential, self.effect, self._kind, self._cap, self.lattice, self._base, self._share
+        )
+
     def moved(self, potential: Tensor) -> Tensor:
         """Moved density at the active voxels, [N]; the cheap scheme."""
-        u = displacement_from(
-            potential, self.effect, self._config.shape.displacement, self._cap, self.lattice
-        )
+        u = self._displacement(potential)
         chosen = u[tuple(self.active.T)]
         return warp(self.density, chosen, active_ijk=self.active, scheme="linear")
 
@@ -114,83 +130,68 @@ class _Octave:
         return sum_terms(self.moved(potential), terms) / n_views
 
 
-def _effect(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
-    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border."""
-    return border_mask(density) * _shares(density, lattice, mask)
-
-
-def _shares(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
-    """The mask's values on a box, [I J K]."""
-    if mask is None:
-        return torch.ones_like(density)
-    share = mask.at(lattice.positions().to(density.device))
-    return share.view(lattice.shape).to(density)
-
-
 def run_shape_step(
-    density: DenseField,
     source: ActiveSmoke,
-    frame: VolumeFrame,
-    before: Displaced | None,
-    seconds: float,
+    start: Start | None,
     targets: StyleTargets,
     scene: Scene,
     config: Config,
     iterations: Sequence[int],
     watch: Callable[[int, Minimum], None] | None = None,
     mask: EffectMask | None = None,
-) -> Displaced:
-    """One frame's density, moved so that its grey pictures take the style's structure.
+    slower: float = 1.0,
+) -> tuple[Displacement, list[Minimum]]:
+    """What moves one frame's smoke so that its grey pictures take the style's structure.
 
     Args:
-        density: the frame's (refined) density; ``source`` holds its active voxels.
-        frame: gives the velocity that carries ``before`` along.
-        before: the neighbouring frame's result to start from.
-        seconds: time since that frame.
+        source: the smoke at full resolution.
+        start: lattice -> displacement [I J K 3] along its axes, stage units, to start from; None
+            starts from rest.
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
         mask: scales the displacement in space.
+        slower: share of the learning rate, in (0, 1].
+
+    Returns:
+        The displacement, before it is held below the cap and before ``optimize.strength``, and how
+        each octave ended.
     """
-    cap = config.shape.reach * _longest_side(source)
+    cap, rate = longest_move(source, config), slower * config.shape.learning_rate
     potential, ends, carried = None, [], None
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
-        octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor)
-        if potential is None:
-            base = _first_potential(octave.lattice, frame, before, seconds, config, octave.density)
-        else:
-            base = potential.on(octave.lattice)
+        octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start)
+        base = _potential_on(octave.lattice, potential, config, octave.density)
         told = partial(watch, number) if watch is not None else None
-        values, adam, end = _optimize_octave(octave, base, cap, config, n_iterations, carried, told)
+        values, adam, end = _optimize_octave(
+            octave, base, cap, config, n_iterations, rate, carried, told
+        )
         potential, carried = Potential(values, octave.lattice), (adam, octave.lattice)
         ends += [end] if end is not None else []
-    if potential is None:
-        lattice = surround(source, ROOM)
-        still = source.density.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
-        potential = Potential(still, lattice)
-    moved, report = _move_finally(density, source, mask, potential, cap, config)
-    return Displaced(moved, potential, {"ends": ends, **report})
+    lattice = surround(source, ROOM)
+    free = free_displacement(
+        _potential_on(lattice, potential, config, source.density),
+        effect_on(lattice.fill(source), lattice, mask),
+        config.shape.displacement,
+        lattice,
+        None if start is None else start(lattice),
+    )
+    return Displacement(lattice.to_stage(free), lattice), ends
 
 
-def _longest_side(smoke: ActiveSmoke) -> float:
-    low, high = smoke.box
-    sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
-    return float(max((high - low + 1) * sides))
+def longest_move(source: ActiveSmoke, config: Config) -> float:
+    """The cap of the displacement, stage units."""
+    low, high = source.box
+    sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)
+    return config.shape.reach * float(max((high - low + 1) * sides))
 
 
-def _first_potential(
-    lattice: Lattice,
-    frame: VolumeFrame,
-    before: Displaced | None,
-    seconds: float,
-    config: Config,
-    like: Tensor,
+def _potential_on(
+    lattice: Lattice, potential: Potential | None, config: Config, like: Tensor
 ) -> Tensor:
-    """Where the first octave starts: nothing moved, or the neighbour's potential carried along."""
-    if before is None:
-        return like.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
-    places = lattice.positions().to(like.device)
-    return before.potential.on(lattice, departure_points(frame, places, seconds))
+    if potential is not None:
+        return potential.on(lattice)
+    return like.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
 
 
 def _optimize_octave(
@@ -199,6 +200,7 @@ def _optimize_octave(
     cap: float,
     config: Config,
     n_iterations: int,
+    rate: float,
     before: tuple[Adam, Lattice] | None,
     watch: Callable[[Minimum], None] | None,
 ) -> tuple[Tensor, Adam, Minimum | None]:
@@ -223,10 +225,9 @@ def _optimize_octave(
         levels = tuple(u * s for u, s in zip(unknowns, scales, strict=True))
         return base + Pyramid(levels, pyramid.method).expand()
 
-    rate, tolerance = config.shape.learning_rate, config.optimize.tolerance
     steps = minimize(
         lambda iteration: octave.loss(potential(), iteration),
-        unknowns, rate, n_iterations, tolerance=tolerance, adam=adam,
+        unknowns, rate, n_iterations, tolerance=config.optimize.tolerance, adam=adam,
     )  # fmt: skip
     state = None
     for state in steps:
@@ -234,36 +235,3 @@ def _optimize_octave(
             watch(state)
     with torch.no_grad():
         return potential(), adam, state
-
-
-def _move_finally(
-    density: DenseField,
-    source: ActiveSmoke,
-    mask: EffectMask | None,
-    potential: Potential,
-    cap: float,
-    config: Config,
-) -> tuple[DenseField, dict[str, Any]]:
-    """The full density moved by the accurate scheme, and how far the cheap one is off."""
-    lattice = surround(source, ROOM)
-    box = lattice.fill(source)
-    effect = _effect(box, lattice, mask)
-    u = config.optimize.strength * displacement_from(
-        potential.on(lattice), effect, config.shape.displacement, cap, lattice
-    )
-    moved = warp(box, u, scheme=cast(Scheme, config.shape.interpolation)).clamp_min(0)
-    # round-off of the spline is no smoke: it would fill the box with active voxels
-    moved = torch.where(moved > FAINTEST * box.max(), moved, torch.zeros_like(moved))
-    sides = u.new_tensor(lattice.spacing)
-    report = {"largest displacement": float((u * sides).norm(dim=-1).max()), "cap": cap}
-    if config.shape.interpolation != "linear":
-        active = torch.nonzero((box > 0) | (moved > 0))
-        cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
-        difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
-        report["cheap scheme differs"] = float(difference)
-    # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
-    here = _shares(box, lattice, mask) > 0
-    corrected, report["mass error"] = correct_mass(moved[here], box[here])
-    result = box.clone()
-    result[here] = corrected if config.shape.mass_correction else moved[here]
-    return field_from_box(density, result.cpu().numpy(), lattice.low), report

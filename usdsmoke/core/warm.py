@@ -9,7 +9,7 @@ from usdsmoke.core.smoke import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.trace import backtrace, choose_substeps
 from usdsmoke.volume import VolumeFrame
 
-__all__ = ["carry_colours", "departure_points"]
+__all__ = ["carry_colours", "departure_points", "fill_colours"]
 
 FILL_LEVELS = 4  # halvings over which smoke that was not there before takes its neighbours' colour
 
@@ -53,16 +53,31 @@ def carry_colours(
 ) -> Tensor:
     """The neighbouring frame's colours at this frame's voxels, [N 3].
 
-    Smoke that has come from nowhere takes the colour of the nearest coarser voxels that had smoke,
-    and white noise where even those had none.
-
     Args:
         before, colours: the neighbour's smoke and its colours.
         frame: this frame, for its velocity.
         smoke: this frame's smoke.
         seconds: time between the two frames; negative when the neighbour is later.
+        seed: see ``fill_colours``.
     """
     departures = departure_points(frame, smoke.positions, seconds)
+    return fill_colours(before, colours, smoke, departures, seed)
+
+
+def fill_colours(
+    before: ActiveSmoke, colours: Tensor, smoke: ActiveSmoke, departures: Tensor, seed: int
+) -> Tensor:
+    """Colours of one smoke for another one's voxels, [N 3], each with some colour.
+
+    Smoke that has come from nowhere takes the colour of the nearest coarser voxels that had smoke,
+    and white noise where even those had none.
+
+    Args:
+        before, colours: where colours are taken from.
+        smoke: what they are for.
+        departures: where in ``before`` each of its voxels comes from, [N 3] float64, stage space.
+        seed: of the noise.
+    """
     carried, near = sample_colours(before, colours, departures)
     level, level_colours = before, colours
     for _ in range(FILL_LEVELS):

@@ -7,7 +7,13 @@ import torch
 from tests.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core.displacement import divergence
 from usdsmoke.core.lattice import Lattice, surround
-from usdsmoke.core.potential import Potential, border_mask, carry_levels, displacement_from
+from usdsmoke.core.potential import (
+    Displacement,
+    Potential,
+    border_mask,
+    carry_levels,
+    displacement_from,
+)
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.smoke import make_octaves
 
@@ -90,13 +96,15 @@ def test_a_potential_is_the_same_in_space_on_another_box():
     assert torch.allclose(potential.on(large)[2:-2, 2:-2, 2:-2], values)
 
 
-def test_a_potential_is_carried_from_where_the_smoke_was():
+def test_a_displacement_is_found_between_voxels_and_ends_with_its_box():
     smoke = smoke_of(puff(12))
     lattice = surround(smoke, 1)
     values = random(*lattice.shape, 3)
-    departures = lattice.positions() - torch.tensor([2.0, 0.0, 0.0]).double()
-    carried = Potential(values, lattice).on(lattice, departures)
-    assert torch.allclose(carried[2:], values[:-2])
+    displacement = Displacement(values, lattice)
+    assert torch.allclose(displacement.at(lattice.positions()).view(values.shape), values)
+    halfway = torch.tensor([[0.5, 0.0, 0.0]]).double() + lattice.positions()[:1]
+    assert torch.allclose(displacement.at(halfway)[0], (values[0, 0, 0] + values[1, 0, 0]) / 2)
+    assert not displacement.at(halfway + 1e6).any()
 
 
 def pyramids(n_levels: int, room: int = 2) -> tuple[list[Lattice], list[list[torch.Tensor]]]:

@@ -84,16 +84,18 @@ def test_progress_counts_over_octaves_and_frames():
     assert [r.time_code for r in warm] == [2.0]
 
 
-def test_frames_are_taken_one_at_a_time():
-    """A generator of frames is pulled when its turn comes, so memory is a frame's."""
+@pytest.mark.parametrize(("steps", "ahead"), [(["colour"], 1), (["shape", "colour"], 2)])
+def test_frames_are_taken_one_at_a_time(steps: list[str], ahead: int):
+    """However long the window: each step waits for one frame more, to average with it."""
     pulled: list[float] = []
 
     def frames() -> Iterator[VolumeFrame]:
-        for k in (1.0, 2.0):
-            pulled.append(k)
-            yield frame_of(DENSITY, k)
+        for k in range(1, 7):
+            pulled.append(float(k))
+            yield frame_of(DENSITY, float(k))
 
-    config = quick_config(**COLOUR)
+    config = quick_config(optimize={"steps": steps, "threads": 1})
     window = stylize_window(frames(), [random_style()], measure_scene([FRAME], config, "Y"), config)
-    next(window)
-    assert pulled == [1.0]
+    for done in range(1, 4):
+        next(window)
+        assert len(pulled) == done + ahead

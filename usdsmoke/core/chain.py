@@ -1,0 +1,247 @@
+"""The frames of a window as a chain: shaped one after another, aligned, painted, aligned.
+
+Four generators stand one behind the other, so that only the frames in flight are held, three of
+them, however long the window is:
+
+    shape      each frame's displacement, starting from its neighbour's
+    settle     averaged with the following frame's; the density is moved
+    paint      each frame's colours, starting from its neighbour's
+    finish     averaged with the following frame's; temporal errors are measured
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from usdsmoke.config import Config
+from usdsmoke.core.coherence import (
+    average_colours,
+    average_displacement,
+    colour_error,
+    displacement_error,
+)
+from usdsmoke.core.colour import run_colour_step
+from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.move import move_density, shares_on
+from usdsmoke.core.optimize import Minimum
+from usdsmoke.core.potential import Displacement, hold
+from usdsmoke.core.scene import Scene
+from usdsmoke.core.schedule import octave_iterations, warm_iterations
+from usdsmoke.core.shape import Start, longest_move, run_shape_step
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.core.start import CoarseStart, start_colours, start_displacement
+from usdsmoke.core.targets import StyleTargets
+from usdsmoke.volume import DenseField, VolumeFrame
+
+__all__ = ["Job", "Link", "Watch", "run_chain"]
+
+Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all frames of a window share."""
+
+    targets: StyleTargets
+    scene: Scene
+    config: Config
+    device: torch.device
+    time_codes_per_second: float
+    starts: Callable[[float], CoarseStart | None]
+    watch: Callable[[float], Watch]  # by timeCode
+
+    def seconds(self, earlier: "Link", later: "Link") -> float:
+        """Time between two frames, in which the pattern goes ``windows.pattern_speed`` as fast."""
+        span = later.frame.time_code - earlier.frame.time_code
+        return span / self.time_codes_per_second * self.config.windows.pattern_speed
+
+
+@dataclass
+class Link:
+    """One frame on its way through the chain."""
+
+    frame: VolumeFrame
+    density: DenseField  # refined, then moved
+    source: ActiveSmoke
+    smoke: ActiveSmoke  # of the moved density
+    mask: EffectMask | None
+    left_out: str  # why nothing is done; "" when there is something to do
+    coarse: CoarseStart | None
+    report: dict[str, Any] = field(default_factory=dict)
+    free: Displacement | None = None  # before it is held below the cap: what is carried along
+    settled: Displacement | None = None  # averaged with the following frame's
+    displacement: Displacement | None = None  # what the density was moved by, at full strength
+    painted: ActiveSmoke | None = None
+    colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
+
+    @property
+    def paint(self) -> tuple[ActiveSmoke, Tensor] | None:
+        """The painted voxels and their colours; None where there are none."""
+        if self.painted is None or self.colours is None or len(self.painted.ijk) == 0:
+            return None
+        return self.painted, self.colours
+
+
+def run_chain(
+    frames: Iterable[VolumeFrame], job: Job, open_frame: Callable[[VolumeFrame, Job], Link]
+) -> Iterator[Link]:
+    """The finished links of a window, in the frames' order.
+
+    Args:
+        frames: ascending time_code; pulled one at a time, up to two ahead of what is yielded.
+        open_frame: checks a frame and makes its link.
+    """
+    links: Iterator[Link] = (open_frame(frame, job) for frame in frames)
+    if "shape" in job.config.optimize.steps:
+        links = _settle(_shape(links, job), job)
+    if "colour" in job.config.optimize.steps:
+        links = _paint(links, job)
+    return _finish(links, job)
+
+
+def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:
+    before: Link | None = None
+    for link in links:
+        if not link.left_out:
+            _shape_one(link, before, job)
+            before = link
+        yield link
+
+
+def _shape_one(link: Link, before: Link | None, job: Job) -> None:
+    started, config = time.perf_counter(), job.config
+    start: Start | None = None
+    if before is not None or (link.coarse is not None and link.coarse.displacement is not None):
+        carried = before.free if before is not None else None
+        seconds = job.seconds(before, link) if before is not None else 0.0
+        start = partial(start_displacement, carried, link.coarse, _mover(before, link), seconds)
+    plan = _plan(config.shape.iterations, link, before is not None, config)
+    link.free, ends = run_shape_step(
+        link.source, start, job.targets, job.scene, config, plan,
+        job.watch(link.frame.time_code)("shape", plan), link.mask,
+        1.0 if before is None else config.shape.warm_rate,
+    )  # fmt: skip
+    seconds = time.perf_counter() - started
+    link.report["shape"] = {**_summarize(ends), "seconds": seconds}
+
+
+def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
+    share = job.config.shape.smoothing
+    for link, later in _with_next(links):
+        free = link.free
+        if free is not None:
+            if later is not None and later.free is not None and share:
+                seconds = job.seconds(link, later)
+                free = average_displacement(free, later.free, link.frame, seconds, share)
+            link.settled = free
+            _move(link, free, job)
+        yield link
+
+
+def _move(link: Link, free: Displacement, job: Job) -> None:
+    """Hold the displacement below the cap and move the density by it."""
+    lattice, cap = free.lattice, longest_move(link.source, job.config)
+    share = None if link.mask is None else shares_on(lattice, link.mask)
+    held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
+    link.displacement = Displacement(held, lattice)
+    link.density, report = move_density(
+        link.density, link.source, link.displacement, job.config, link.mask
+    )
+    link.smoke = activate(link.density, link.frame.density_to_stage, job.device)
+    link.report["shape"] |= {"cap": cap, **report}
+
+
+def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
+    before: Link | None = None
+    for link in links:
+        if not link.left_out:
+            _paint_one(link, before, job)
+            before = link if link.paint is not None else before
+        yield link
+
+
+def _paint_one(link: Link, before: Link | None, job: Job) -> None:
+    started, config = time.perf_counter(), job.config
+    share = None if link.mask is None else link.mask.at(link.smoke.positions)
+    link.painted = link.smoke if share is None else link.smoke.take(share > 0)
+    paint = before.paint if before is not None else None
+    seconds = job.seconds(before, link) if before is not None else 0.0
+    start = start_colours(
+        paint, link.coarse, _mover(before, link), link.painted, seconds, config.optimize.seed
+    )
+    plan = _plan(config.colour.iterations, link, paint is not None, config)
+    link.colours, ends = run_colour_step(
+        link.smoke, start, job.targets, job.scene, config, plan,
+        job.watch(link.frame.time_code)("colour", plan), link.mask,
+        1.0 if paint is None else config.colour.warm_rate,
+    )  # fmt: skip
+    seconds = time.perf_counter() - started
+    link.report["colour"] = {**_summarize(ends), "seconds": seconds}
+
+
+def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
+    share, before = job.config.colour.smoothing, None
+    for link, later in _with_next(links):
+        paint = link.paint
+        if later is not None and paint is not None and later.paint is not None and share:
+            seconds = job.seconds(link, later)
+            link.colours = average_colours(*paint, later.paint, link.frame, seconds, share)
+        if before is not None and not link.left_out:
+            link.report["temporal error"] = _temporal_errors(before, link, job)
+        yield link
+        before = before if link.left_out else link
+
+
+def _temporal_errors(before: Link, link: Link, job: Job) -> dict[str, float]:
+    seconds, errors = job.seconds(before, link), {}
+    if before.displacement is not None and link.displacement is not None:
+        errors["displacement"] = displacement_error(
+            before.displacement, link.displacement, link.source, before.frame, seconds
+        )
+    if before.paint is not None and link.paint is not None:
+        errors["colour"] = colour_error(before.paint, *link.paint, before.frame, seconds)
+    return errors
+
+
+def _mover(before: Link | None, link: Link) -> VolumeFrame:
+    """Whose velocity brings smoke from one frame to the next: the earlier one's."""
+    return link.frame if before is None else before.frame
+
+
+def _with_next(links: Iterator[Link]) -> Iterator[tuple[Link, Link | None]]:
+    """Every link with the next one that is not left out, if that follows at once."""
+    held: Link | None = None
+    for link in links:
+        if held is not None:
+            yield held, None if link.left_out else link
+        held = link
+    if held is not None:
+        yield held, None
+
+
+def _plan(per_octave: Sequence[int], link: Link, warm: bool, config: Config) -> list[int]:
+    """Iterations per octave: a share of the finest one's for a frame that has a neighbour.
+
+    A frame that starts from the shared coarse step leaves out the octaves that were done there.
+    """
+    plan = octave_iterations(per_octave, config.optimize.iterations)
+    if warm:
+        return warm_iterations(plan, config.windows.warm_iterations)
+    n_done = link.coarse.n_octaves(len(plan)) if link.coarse is not None else 0
+    return [0 if number < n_done else n for number, n in enumerate(plan)]
+
+
+def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
+    """How the octaves of a step ended, as plain values."""
+    return {
+        "loss": [end.smoothed for end in ends],
+        "iterations": [end.iteration + 1 for end in ends],
+        "rollbacks": sum(end.rollbacks for end in ends),
+        "restored": sum(end.restored for end in ends),
+        "ended": [end.reason for end in ends],
+    }

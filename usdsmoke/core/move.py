@@ -1,0 +1,67 @@
+"""Density moved by a displacement: with which voxels, how accurately, and with what mass."""
+
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+from usdsmoke.config import Config
+from usdsmoke.core.lattice import Lattice, field_from_box
+from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.potential import Displacement, border_mask
+from usdsmoke.core.smoke import ActiveSmoke
+from usdsmoke.core.transport import Scheme, correct_mass, warp
+from usdsmoke.volume import DenseField
+
+__all__ = ["ROOM", "effect_on", "move_density", "shares_on"]
+
+ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
+FAINTEST = 1e-6  # of the largest density
+
+
+def effect_on(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
+    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border."""
+    inside = border_mask(density)
+    return inside if mask is None else inside * shares_on(lattice, mask).to(inside)
+
+
+def shares_on(lattice: Lattice, mask: EffectMask) -> Tensor:
+    """The mask's values on a box, [I J K]."""
+    return mask.at(lattice.positions()).view(lattice.shape)
+
+
+def move_density(
+    density: DenseField,
+    source: ActiveSmoke,
+    displacement: Displacement,
+    config: Config,
+    mask: EffectMask | None = None,
+) -> tuple[DenseField, dict[str, Any]]:
+    """The full density moved by the accurate scheme, and how far the cheap one is off.
+
+    Args:
+        density: the frame's (refined) density; ``source`` holds its active voxels.
+        displacement: on the box that ``lattice.surround(source, ROOM)`` gives.
+        config: strength, scheme and correction of mass.
+        mask: where it is 0 the source stays bit for bit.
+    """
+    lattice = displacement.lattice
+    box = lattice.fill(source)
+    sides = box.new_tensor(lattice.spacing)
+    lengths = config.optimize.strength * lattice.from_stage(displacement.values)
+    u = lengths / sides
+    moved = warp(box, u, scheme=cast(Scheme, config.shape.interpolation)).clamp_min(0)
+    # round-off of the spline is no smoke: it would fill the box with active voxels
+    moved = torch.where(moved > FAINTEST * box.max(), moved, torch.zeros_like(moved))
+    report = {"largest displacement": float(lengths.norm(dim=-1).max())}
+    if config.shape.interpolation != "linear":
+        active = torch.nonzero((box > 0) | (moved > 0))
+        cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
+        difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
+        report["cheap scheme differs"] = float(difference)
+    # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
+    here = box >= 0 if mask is None else shares_on(lattice, mask).to(box.device) > 0
+    corrected, report["mass error"] = correct_mass(moved[here], box[here])
+    result = box.clone()
+    result[here] = corrected if config.shape.mass_correction else moved[here]
+    return field_from_box(density, result.cpu().numpy(), lattice.low), report

@@ -1,0 +1,153 @@
+"""Where a frame's optimisation starts: its neighbour's result, and the shot's coarse one.
+
+The coarse result is made once for the whole shot, so what windows have in common comes from there:
+where the style sits. The neighbour's result has the detail.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from usdsmoke.core.coherence import carry_displacement
+from usdsmoke.core.lattice import Lattice
+from usdsmoke.core.potential import Displacement
+from usdsmoke.core.smoke import ActiveSmoke, sample_colours
+from usdsmoke.core.warm import carry_colours, fill_colours
+from usdsmoke.volume import VolumeFrame
+
+__all__ = ["CoarseStart", "start_colours", "start_displacement"]
+
+# Share of the difference to the coarse result that a carried one is corrected by. More keeps
+# windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
+PULL_DISPLACEMENT = 0.3
+PULL_COLOUR = 0.7
+
+
+@dataclass(frozen=True)
+class CoarseStart:
+    """One frame's result of the shared coarse step."""
+
+    time_code: float
+    factor: int  # of its voxels over the full resolution's
+    displacement: Displacement | None = None
+    smoke: ActiveSmoke | None = None  # painted voxels
+    colours: Tensor | None = None  # display-encoded [N 3]
+
+    def n_octaves(self, n: int) -> int:
+        """How many of a step's n octaves were done in the coarse step."""
+        return max(0, n - (self.factor.bit_length() - 1))
+
+
+def start_displacement(
+    before: Displacement | None,
+    coarse: CoarseStart | None,
+    frame: VolumeFrame,
+    seconds: float,
+    lattice: Lattice,
+) -> Tensor:
+    """The displacement to start from, [I J K 3] along the lattice's axes, stage units.
+
+    Args:
+        before: the neighbour's.
+        coarse: this frame's.
+        frame: for its velocity.
+        seconds: since the neighbour.
+        lattice: of this frame, at any octave.
+    """
+    shared = coarse.displacement if coarse is not None else None
+    if before is None:
+        if shared is None:
+            return torch.zeros(*lattice.shape, 3)
+        return lattice.from_stage(_on(shared, lattice))
+    carried = carry_displacement(before, frame, lattice, seconds)
+    if shared is None:
+        return carried
+    in_stage = Displacement(lattice.to_stage(carried), lattice)
+    missing = shared.values - _block_means(in_stage, shared.lattice)
+    return carried + PULL_DISPLACEMENT * lattice.from_stage(
+        _on(Displacement(missing, shared.lattice), lattice)
+    )
+
+
+def start_colours(
+    before: tuple[ActiveSmoke, Tensor] | None,
+    coarse: CoarseStart | None,
+    frame: VolumeFrame,
+    painted: ActiveSmoke,
+    seconds: float,
+    seed: int,
+) -> Tensor | None:
+    """The display-encoded colours to start from, [N 3]; None where there is nothing to start from.
+
+    Args:
+        before: the neighbour's painted smoke and its colours.
+        coarse: this frame's.
+        frame: for its velocity.
+        painted: this frame's painted smoke.
+        seconds: since the neighbour.
+        seed: of the noise for smoke that has come from nowhere.
+    """
+    if len(painted.ijk) == 0:
+        return None
+    shared = None
+    if coarse is not None and coarse.smoke is not None and coarse.colours is not None:
+        shared = (coarse.smoke, coarse.colours) if len(coarse.smoke.ijk) else None
+    if before is None:
+        if shared is None:
+            return None
+        return fill_colours(*shared, painted, painted.positions, seed)
+    carried = carry_colours(*before, frame, painted, seconds, seed)
+    if shared is None:
+        return carried
+    missing = _coarse_difference(*shared, painted, carried)
+    return (carried + PULL_COLOUR * missing).clamp(0, 1)
+
+
+def _on(displacement: Displacement, lattice: Lattice) -> Tensor:
+    return displacement.at(lattice.positions()).view(*lattice.shape, 3)
+
+
+def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:
+    """Means over the coarse lattice's voxels, [i j k 3]: what lies beyond the fine box is 0."""
+    places = _index_on(coarse, fine.lattice.positions()).round().long()
+    values = fine.values.reshape(-1, 3)
+    sums, counts = _bin(places, values, coarse.shape)
+    return (sums / counts.clamp_min(1.0)).view(*coarse.shape, 3).to(values)
+
+
+def _coarse_difference(
+    smoke: ActiveSmoke, colours: Tensor, painted: ActiveSmoke, carried: Tensor
+) -> Tensor:
+    """Coarse colours minus the block means of the carried ones, at the painted voxels [N 3]."""
+    low = smoke.ijk.amin(0)
+    shape = tuple(int(n) for n in smoke.ijk.amax(0) - low + 1)
+    lattice = Lattice(low.cpu().numpy(), shape, smoke.index_to_stage)  # type: ignore[arg-type]
+    places = _index_on(lattice, painted.positions).round().long()
+    weighted = torch.cat([carried, torch.ones_like(carried[:, :1])], 1) * painted.density[:, None]
+    sums, _ = _bin(places, weighted, lattice.shape)
+    own = (smoke.ijk - low).T
+    found = sums.view(*shape, 4)[tuple(own)]
+    there = found[:, 3] > 0
+    means = (found[:, :3] / found[:, 3:].clamp_min(1e-300)).to(colours)
+    difference = torch.where(there[:, None], colours - means, torch.zeros_like(colours))
+    return sample_colours(smoke, difference, painted.positions)[0]
+
+
+def _index_on(lattice: Lattice, positions: Tensor) -> Tensor:
+    """Stage positions [N 3] in voxels of the box."""
+    matrix = torch.linalg.inv(torch.as_tensor(lattice.index_to_stage, device=positions.device))
+    low = torch.as_tensor(lattice.low, device=positions.device)
+    return positions @ matrix[:3, :3] + matrix[3, :3] - low
+
+
+def _bin(places: Tensor, values: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Sums [V C] float64 and counts [V 1] of values [N C] by voxel; outside ones are dropped."""
+    limit = torch.tensor(shape, device=places.device)
+    inside = ((places >= 0) & (places < limit)).all(dim=1)
+    places, values = places[inside], values[inside].double()
+    flat = (places[:, 0] * shape[1] + places[:, 1]) * shape[2] + places[:, 2]
+    n_voxels = shape[0] * shape[1] * shape[2]
+    sums = [torch.bincount(flat, channel, minlength=n_voxels) for channel in values.T.contiguous()]
+    counts = torch.bincount(flat, minlength=n_voxels)
+    return torch.stack(sums, 1), counts[:, None].double()
