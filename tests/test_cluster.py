@@ -33,6 +33,7 @@ class Cluster:
 
     address: str
     folder: Path
+    scheduler: subprocess.Popen[bytes]
     workers: list[subprocess.Popen[bytes]]
 
     @property
@@ -81,7 +82,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             assert time.monotonic() < until and scheduler.poll() is None
             time.sleep(0.05)
         address = json.loads(contact.read_text(encoding="utf-8"))["address"]
-        cluster = Cluster(address, folder, workers)
+        cluster = Cluster(address, folder, scheduler, workers)
         cluster.start_worker()
         cluster.start_worker()
         yield cluster
@@ -166,3 +167,21 @@ def test_a_cluster_that_loses_all_workers_is_given_up(
 
     with pytest.raises(ClusterError, match=r"no workers for .*finished windows are kept"):
         stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output, progress=kill_all)
+
+
+@pytest.mark.usefixtures("core")
+def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
+    tmp_path: Path, cluster: Cluster
+) -> None:
+    shot = make_shot(tmp_path, N_FRAMES)
+
+    def kill_scheduler(report: RunProgress) -> None:
+        if report.step == "window":
+            cluster.scheduler.kill()
+
+    with pytest.raises(ClusterError, match="scheduler .*finished windows are kept"):
+        stylize_on_cluster(
+            cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS,
+            progress=kill_scheduler,
+        )  # fmt: skip
+    assert list(shot.output.glob("vdb/*/windows/*.json"))

@@ -15,10 +15,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from usdsmoke.cluster import stylize_on_cluster
     from usdsmoke.config import Config, resolve_config
     from usdsmoke.errors import UsdSmokeError
     from usdsmoke.inspection import inspect
     from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
+    from usdsmoke.pipeline_submit import submit
     from usdsmoke.validators import validate
 
 __all__ = [
@@ -31,6 +33,8 @@ __all__ = [
     "run_coarse",
     "run_window",
     "stylize",
+    "stylize_on_cluster",
+    "submit",
     "validate",
 ]
 
@@ -45,6 +49,8 @@ _HOME = {
     "run_coarse": "usdsmoke.pipeline",
     "run_window": "usdsmoke.pipeline",
     "stylize": "usdsmoke.pipeline",
+    "stylize_on_cluster": "usdsmoke.cluster",
+    "submit": "usdsmoke.pipeline_submit",
     "validate": "usdsmoke.validators",
 }
 
