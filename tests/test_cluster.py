@@ -179,7 +179,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
         if report.step == "window":
             cluster.scheduler.kill()
 
-    with pytest.raises(ClusterError, match="scheduler .*finished windows are kept"):
+    with pytest.raises(ClusterError, match=r"scheduler .*finished windows are kept"):
         stylize_on_cluster(
             cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS,
             progress=kill_scheduler,
