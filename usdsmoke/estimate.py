@@ -12,7 +12,7 @@ resolution as a share of the full one:
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Frames in an overlap of windows cost their time twice, and two more files of 32-bit floats. The
-coarse step, where there is one, costs the work of the octaves up to COARSE of the resolution.
+coarse step, where there is one, costs the work of the octaves up to its share of the resolution.
 
 BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, whose potentials live
 on the whole box. Memory is the largest frame's; frames are held one at a time. The constants of
@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from usdsmoke.config import Config, ViewsConfig
-from usdsmoke.core.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.core.schedule import OCTAVE_SCALE, coarse_factor, octave_iterations, warm_iterations
 from usdsmoke.grids.header import GridHeader
 
 __all__ = [
@@ -61,7 +61,6 @@ PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
 BOX_TIME = 3.0e-7
 VIEW_TIME = 7.0e-7
-COARSE = 0.25  # resolution that all windows start from, as a share of the full one
 COARSE_BYTES = 24  # of a coarse voxel: potential and colours
 GAIN = 0.8  # n threads are n ** GAIN times as quick
 
@@ -109,15 +108,16 @@ def estimate_run(
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
     parts = replace(config, grids=replace(config.grids, half=False))
+    finest = 1.0 / coarse_factor(config) if coarse else 1.0
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return Estimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
         seconds=START
         + sum(_frame_seconds(frame, config, n_styles, speed) for frame in (*frames, *again))
-        + sum(_frame_seconds(frame, config, n_styles, speed, COARSE) for frame in coarse),
+        + sum(_frame_seconds(frame, config, n_styles, speed, finest) for frame in coarse),
         bytes_written=sum(_frame_bytes(frame, config) for frame in frames)
         + sum(2 * _frame_bytes(frame, parts) for frame in again)
-        + sum(_coarse_bytes(frame, config) for frame in coarse),
+        + sum(_coarse_bytes(frame, config, finest) for frame in coarse),
     )
 
 
@@ -241,8 +241,8 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
     return work
 
 
-def _coarse_bytes(frame: FrameSize, config: Config) -> int:
-    return round(COARSE**3 * sum(_refined(frame, config)) * COARSE_BYTES)
+def _coarse_bytes(frame: FrameSize, config: Config, finest: float) -> int:
+    return round(finest**3 * sum(_refined(frame, config)) * COARSE_BYTES)
 
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:

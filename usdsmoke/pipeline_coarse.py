@@ -5,11 +5,9 @@ the run's folder, so that whoever computes a window later starts from the same b
 """
 
 import dataclasses
-import importlib
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.errors import FileUnreadable
@@ -31,6 +29,8 @@ from usdsmoke.run_windows import (
 )
 
 if TYPE_CHECKING:
+    from usdsmoke.core.coarse import CoarseStart
+    from usdsmoke.core.progress import Progress
     from usdsmoke.core.scene import Scene
 
 __all__ = ["coarse_starts", "measure_scenes", "read_scene", "run_coarse_step"]
@@ -81,31 +81,35 @@ def run_coarse_step(
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
-    core = _core()
-    if core is None or not _missing(run, job.plan):
+    if not _missing(run, job.plan):
         return False
     with hold_work(run):
         to_do = _missing(run, job.plan)  # another process may have done it meanwhile
         n_frames, done = sum(len(frames) for _, _, frames in to_do), 0
         for number, volume, frames in to_do:
-            _run_chain(core, job, run, reader, (number, volume, frames), (done, n_frames), tell)
+            _run_chain(job, run, reader, (number, volume, frames), (done, n_frames), tell)
             done += len(frames)
     return bool(to_do)
 
 
-def coarse_starts(run: RunFolder, volume: VolumePlan) -> Callable[[float], Any] | None:
+def coarse_starts(
+    run: RunFolder, volume: VolumePlan
+) -> "Callable[[float], CoarseStart | None] | None":
     """What gives a frame's coarse start by its timeCode; None where windows do without.
 
     Raises:
         FileUnreadable: by what is returned: a file has vanished or changed since it was written.
     """
-    core, frames = _core(), volume.coarse_frames
-    if core is None or not frames:
+    if not volume.coarse_frames:
         return None
-    names = {frame.source.time_code: coarse_file_name(frame.file_name) for frame in frames}
+    from usdsmoke.core.coarse import load_start
+
+    names = {
+        frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
+    }
     record = finished_coarse(run)
 
-    def start(time_code: float) -> Any:
+    def start(time_code: float) -> "CoarseStart | None":
         name = names.get(time_code)
         if name is None:
             return None  # behind a cut, in a sequence of one window
@@ -115,17 +119,9 @@ def coarse_starts(run: RunFolder, volume: VolumePlan) -> Callable[[float], Any] 
                 f"the coarse start {run.folder / name} has vanished or was changed; run the same "
                 "command again, which makes it anew"
             )
-        return core.load_start(run.folder / name)
+        return load_start(run.folder / name)
 
     return start
-
-
-def _core() -> ModuleType | None:
-    """The module of the coarse step; None as long as the core has none."""
-    try:
-        return importlib.import_module("usdsmoke.core.coarse")
-    except ModuleNotFoundError:
-        return None
 
 
 def _missing(run: RunFolder, plan: Plan) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
@@ -142,7 +138,6 @@ def _missing(run: RunFolder, plan: Plan) -> list[tuple[int, VolumePlan, tuple[Fr
 
 
 def _run_chain(
-    core: ModuleType,
     job: Job,
     run: RunFolder,
     reader: FrameReader,
@@ -151,13 +146,15 @@ def _run_chain(
     tell: RunProgressCallback,
 ) -> None:
     """One sequence between two cuts, from its first frame to its last."""
+    from usdsmoke.core.coarse import coarse_frames, save_start
+
     (number, volume, frames), (done, n_frames) = chain, counted
     record, started = finished_coarse(run), time.monotonic()
 
-    def report(state: Any) -> None:
+    def report(state: "Progress") -> None:
         tell(RunProgress("coarse", state.time_code, done + state.frame, n_frames, 0.0))
 
-    starts = core.coarse_frames(
+    starts = coarse_frames(
         (reader.read(volume, frame) for frame in frames),
         [style.pixels for style in job.styles],
         read_scene(run, number),
@@ -168,7 +165,7 @@ def _run_chain(
     make_folders(run.folder / "coarse")
     for frame, start in zip(frames, starts, strict=True):
         name = coarse_file_name(frame.file_name)
-        publish_file(run.folder / name, partial(core.save_start, start))
+        publish_file(run.folder / name, partial(save_start, start))
         digest = hash_file(run.folder / name)
         record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
     seconds = record.seconds + time.monotonic() - started

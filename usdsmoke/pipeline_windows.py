@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from usdsmoke.errors import ConfigError
 from usdsmoke.grids.content_hash import hash_fields
@@ -40,7 +40,7 @@ class WindowTask:
 
     def file_name(self, frame: FramePlan) -> str:
         """Where this window's version of a frame goes, relative to the run's folder."""
-        if frame in self.volume.twice_frames:
+        if any(frame is other for other in self.volume.twice_frames):
             return part_file_name(self.window.index, frame.file_name)
         return frame.file_name
 
@@ -187,10 +187,6 @@ def _stylize_window(
     from usdsmoke.core.stylize import stylize_window
 
     plan, started = job.plan, time.monotonic()
-    options: dict[str, Any] = {}
-    starts = coarse_starts(run, task.volume)
-    if starts is not None:
-        options["starts"] = starts
     results = stylize_window(
         (reader.read(task.volume, frame) for frame in task.frames),
         [style.pixels for style in job.styles],
@@ -198,7 +194,7 @@ def _stylize_window(
         plan.config,
         progress.translate(),
         plan.source.time_codes_per_second,
-        **options,
+        coarse_starts(run, task.volume),
     )
     records = {}
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.config import Config
+from usdsmoke.core.schedule import coarse_factor
 from usdsmoke.errors import PlanError
 from usdsmoke.estimate import (
     Estimate,
@@ -215,7 +216,7 @@ def _plan_volume(
         _read_headers(frame, headers)
         code = frame.time_code
         frames.append(_plan_frame(volume, frame, window_of[code], names[code], config, headers))
-    runs = coarse_runs(windows) if config.windows.shared_octaves else ()
+    runs = coarse_runs(windows) if optimizes(config) and coarse_factor(config) > 1 else ()
     return VolumePlan(volume, stem, tuple(frames), windows, runs)
 
 
