@@ -18,13 +18,16 @@ __all__ = ["blend_frames", "relative_difference", "tail_weights"]
 def tail_weights(n_frames: int) -> list[float]:
     """Weight of the earlier window in each frame of an overlap; the later one has the rest.
 
+    The later one's share rises with the square of the place: its first frame has no neighbour
+    before it and differs most from the earlier window's.
+
     >>> tail_weights(3)
-    [0.75, 0.5, 0.25]
+    [0.9375, 0.75, 0.4375]
 
     Args:
         n_frames: that overlap.
     """
-    return [1.0 - (number + 1) / (n_frames + 1) for number in range(n_frames)]
+    return [1.0 - ((number + 1) / (n_frames + 1)) ** 2 for number in range(n_frames)]
 
 
 def blend_frames(
