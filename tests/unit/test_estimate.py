@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from usdsmoke.config import Config, resolve_config
+from usdsmoke.core.schedule import coarse_factor
 from usdsmoke.estimate import (
     START,
     Estimate,
@@ -127,3 +128,23 @@ def test_the_machine_is_asked_for_memory_and_disk(tmp_path: Path) -> None:
     assert 0 < available_memory_gib() <= math.inf
     here, below = free_disk_bytes(tmp_path), free_disk_bytes(tmp_path / "not/yet/made")
     assert here > 0 and abs(here - below) < 100_000_000
+
+
+def test_a_frame_in_two_windows_costs_its_time_again_and_two_more_files() -> None:
+    config = Config()
+    warm = dataclasses.replace(FRAME, window_start=False)
+    plain, twice = (estimate_run([FRAME], config, 1, 2, t, ()) for t in ((), [FRAME]))
+    again = estimate_run([warm], config, 1, 2).seconds - START
+    assert twice.seconds - plain.seconds == pytest.approx(again)
+    assert twice.bytes_written == 3 * plain.bytes_written
+    half = resolve_config(assignments=["grids.half=true"])
+    plain_half, twice_half = (estimate_run([FRAME], half, 1, 2, t, ()) for t in ((), [FRAME]))
+    assert twice_half.bytes_written - plain_half.bytes_written == 2 * plain.bytes_written
+
+
+def test_the_coarse_step_costs_less_than_the_windows_and_a_small_file_a_frame() -> None:
+    plain, shared = (estimate_run([FRAME], Config(), 1, 2, (), c) for c in ((), [FRAME]))
+    assert 0 < shared.seconds - plain.seconds < 0.5 * plain.seconds
+    voxels = FRAME.active_voxels + math.prod(FRAME.box)
+    wanted = 24 * voxels / coarse_factor(Config()) ** 3
+    assert shared.bytes_written - plain.bytes_written == pytest.approx(wanted, abs=1)
