@@ -41,6 +41,8 @@ def list_needed(
             f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
             "scales the effect"
         )
+    if config.stage.motion == "estimate" and optimizes(config):
+        needed.append("the smoke's motion, estimated from neighbouring frames (stage.motion)")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
         needed.append(f"velocity copied into {n_copied} files, so that a frame is one file")
     if optimizes(config):
@@ -131,8 +133,12 @@ def _omitted_steps(config: Config) -> list[Omission]:
         )
     if config.losses.style == 0:
         omitted.append(Omission("style loss and features", "losses.style is 0"))
-    if config.losses.total_variation == 0:
-        omitted.append(Omission("total variation", "losses.total_variation is 0"))
+    names = ("total_variation", "histogram", "content", "laplacian", "photorealism")
+    omitted += [
+        Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0")
+        for name in names
+        if getattr(config.losses, name) == 0
+    ]
     if network == "embedded":
         omitted.append(Omission("VGG-19 parameters", "the embedded features need no file"))
     else:
@@ -154,11 +160,17 @@ def _why_no_velocity(volumes: Sequence["VolumePlan"], config: Config) -> str:
     frames = _frames(volumes)
     if len(frames) == 1:
         return "there is one frame only"
+    if config.stage.motion == "estimate":
+        return "the motion is estimated instead (stage.motion)"
     if config.windows.size == 1:
         return "windows.size is 1: no frame starts from another"
     if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
         return "no two frames share a window"
-    return "neither the Volumes nor their files have any under the usual names (stage.velocity)"
+    return (
+        "neither the Volumes nor their files have any under the usual names (stage.velocity): "
+        "results keep their places from frame to frame and do not follow the smoke; "
+        "stage.motion=estimate would estimate its motion"
+    )
 
 
 def _why_no_mask(config: Config) -> str:

@@ -232,16 +232,16 @@ def _plan_frame(
     grid = find_density(volume, frame, headers[density.file_path])
     velocity = find_frame_velocity(volume, frame, headers, config)
     copied = velocity if is_copied(velocity, density, config) else None
+    followed = window.joined or len(window.time_codes) > 1
     mask = find_frame_mask(volume, frame, headers, config)
-    is_first = frame.time_code == window.time_codes[0]
-    size = _frame_size(density.file_path, grid, is_first, copied)
+    size = _frame_size(density.file_path, grid, frame.time_code == window.time_codes[0], copied)
     if size.active_voxels == 0 or not optimizes(config):
         mask = None
     return FramePlan(
         source=frame,
         size=size if mask is None else replace(size, mask_box=_mask_box(mask)),
         grid=grid,
-        velocity=velocity if window.joined or len(window.time_codes) > 1 else None,
+        velocity=velocity if followed and config.stage.motion == "velocity" else None,
         copied=copied,
         mask=mask,
         file_name=file_name,

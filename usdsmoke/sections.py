@@ -52,6 +52,12 @@ class StageConfig:
     velocity_unit: str = setting(
         "second", "grid-world units per second or per frame", choices=("second", "frame")
     )
+    motion: str = setting(
+        "velocity",
+        "what results are carried along by: the velocity that is there, or one estimated from the "
+        "densities of neighbouring frames",
+        choices=("velocity", "estimate"),
+    )
     mask: str = setting(
         "",
         "relationship or grid name of a scalar field in [0, 1] that scales the effect in space; "

@@ -72,7 +72,9 @@ def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -
         (["views.azimuth=0", "views.elevation=0"], "further views", "one view is asked for"),
         (["optimize.strength=0"], "the optimisation", "the source is given back"),
         (["losses.style=0"], "style loss and features", "losses.style is 0"),
-        ([], "total variation", "losses.total_variation is 0"),
+        ([], "total variation loss", "losses.total_variation is 0"),
+        ([], "photorealism loss", "losses.photorealism is 0"),
+        (["stage.motion=estimate"], "velocity grids", "estimated instead"),
     ],
 )
 def test_what_a_scene_does_not_need_is_left_out_with_its_reason(
@@ -85,7 +87,8 @@ def test_what_a_scene_does_not_need_is_left_out_with_its_reason(
     ("settings", "what"),
     [
         ([], "RGB emission"),
-        (["losses.total_variation=1"], "total variation"),
+        (["losses.total_variation=1"], "total variation loss"),
+        (["losses.content=1"], "content loss"),
         (["features.network=vgg19"], "VGG-19 parameters"),
         ([], "further views"),
         (["optimize.steps=[colour]"], "transmittance"),

@@ -11,7 +11,7 @@ them, however long the window is:
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -27,6 +27,7 @@ from usdsmoke.core.coherence import (
 )
 from usdsmoke.core.colour import run_colour_step
 from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.motion import estimate_velocity
 from usdsmoke.core.move import move_density, shares_on
 from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.potential import Displacement, hold
@@ -96,12 +97,27 @@ def run_chain(
         frames: ascending time_code; pulled one at a time, up to two ahead of what is yielded.
         open_frame: checks a frame and makes its link.
     """
+    if job.config.stage.motion == "estimate":
+        frames = _with_estimated_motion(iter(frames), job)
     links: Iterator[Link] = (open_frame(frame, job) for frame in frames)
     if "shape" in job.config.optimize.steps:
         links = _settle(_shape(links, job), job)
     if "colour" in job.config.optimize.steps:
         links = _paint(links, job)
     return _finish(links, job)
+
+
+def _with_estimated_motion(frames: Iterator[VolumeFrame], job: Job) -> Iterator[VolumeFrame]:
+    """The frames with the velocity that carries each to the next; the last one has none."""
+    held: VolumeFrame | None = None
+    for frame in frames:
+        if held is not None:
+            seconds = (frame.time_code - held.time_code) / job.time_codes_per_second
+            velocity = estimate_velocity(held, frame, seconds, device=job.device)
+            yield replace(held, velocity=velocity, velocity_to_stage=frame.density_to_stage)
+        held = frame
+    if held is not None:
+        yield replace(held, velocity=None, velocity_to_stage=None)
 
 
 def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:

@@ -1,0 +1,179 @@
+"""Windows of frames as chains: what is carried, averaged, estimated and measured."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import frame_of, puff, random_style
+from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from usdsmoke.core.chain import run_chain
+from usdsmoke.core.coarse import coarse_frames, coarsen_field, load_start, save_start
+from usdsmoke.core.coherence import colour_error
+from usdsmoke.core.scene import measure_scene
+from usdsmoke.core.schedule import coarse_factor
+from usdsmoke.core.stylize import make_job, open_frame, stylize_window
+from usdsmoke.volume import DenseField, VolumeFrame
+
+BOX = (20, 16, 16)
+STEP = 2  # voxels a frame
+
+
+def drifting(number: int, velocity: bool = True) -> VolumeFrame:
+    """A puff that moves along i, two voxels a frame, with the velocity that says so."""
+    density = np.zeros(BOX, np.float32)
+    density[STEP * number : STEP * number + 12, 2:14, 2:14] = puff(12)
+    frame = frame_of(density, float(number))
+    if not velocity:
+        return frame
+    speed = np.zeros((*BOX, 3), np.float32)
+    speed[..., 0] = STEP * 24.0
+    field = DenseField("vel", speed, (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0))
+    return replace(frame, velocity=field, velocity_to_stage=np.eye(4))
+
+
+FRAMES = [drifting(number) for number in range(4)]
+
+
+def errors_of(frames: list[VolumeFrame], **sections: dict) -> list[dict[str, float]]:
+    reports = [frame.report for frame in run_core(frames, quick_config(**sections))]
+    assert "temporal error" not in reports[0]
+    return [report["temporal error"] for report in reports[1:]]
+
+
+STILL = {  # later frames take over what they start from
+    "shape": {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0},
+    "colour": {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0},
+}
+
+
+def test_smoke_that_only_drifts_has_no_temporal_error_when_nothing_is_optimised_any_more():
+    """By whole voxels a frame, so that nothing is interpolated."""
+    for errors in errors_of(FRAMES, **STILL):
+        assert errors["colour"] < 1e-4 and errors["displacement"] < 1e-3
+
+
+def test_the_pattern_stands_still_at_pattern_speed_zero_and_the_error_says_so():
+    config = quick_config(**STILL, windows={"pattern_speed": 0.0})
+    first, second = run_core(FRAMES[:2], config)[:2]
+    emission = [by_voxel(frame.emission) for frame in (first, second)]
+    both = emission[0].keys() & emission[1].keys()
+    density = [by_voxel(frame.density) for frame in (first, second)]
+    colours = [
+        np.array([np.array(e[v]) / d[v][0] for v in sorted(both)])
+        for e, d in zip(emission, density, strict=True)
+    ]
+    assert np.abs(colours[0] - colours[1]).max() < 0.02 * np.abs(colours[0]).max()
+
+
+def test_a_chain_follows_the_smoke_more_closely_than_frames_alone():
+    sections = {
+        "colour": {"iterations": [6, 6]},
+        "optimize": {"steps": ["colour"], "threads": 1, "tolerance": 0.0},
+    }
+    chained = np.mean([error["colour"] for error in errors_of(FRAMES, **sections)])
+    config = quick_config(**sections)
+    scene = measure_scene(FRAMES, config, "Y")
+    links = []
+    for frame in FRAMES:
+        job = make_job([random_style()], scene, config, None, 24.0, None, 1)
+        links += list(run_chain([frame], job, open_frame))
+    alone = [
+        colour_error(before.paint, *link.paint, before.frame, 1 / 24)
+        for before, link in pairwise(links)
+    ]
+    assert chained < 0.5 * np.mean(alone)
+
+
+def test_an_estimated_motion_takes_the_place_of_the_velocity():
+    """The puff's way is found from its densities, and its colours go along."""
+    frames = [drifting(number, velocity=False) for number in range(3)]
+    with_estimate = errors_of(frames, **STILL, stage={"motion": "estimate"})
+    truth = run_core(FRAMES[:3], quick_config(**STILL))
+    found = run_core(frames, quick_config(**STILL, stage={"motion": "estimate"}))
+    still = run_core(frames, quick_config(**STILL))
+
+    def distance(results: list) -> float:
+        wanted, other = (by_voxel(r[2].emission) for r in (truth, results))
+        both = wanted.keys() & other.keys()
+        return float(np.mean([np.abs(np.subtract(wanted[v], other[v])).mean() for v in both]))
+
+    assert distance(found) < 0.5 * distance(still)
+    assert all(error["colour"] < 0.1 for error in with_estimate)
+
+
+def test_windows_that_share_a_coarse_step_start_alike():
+    """The first frame of a window takes the coarse colours and leaves their octave out."""
+    config = quick_config(windows={"shared_octaves": 1})
+    assert coarse_factor(config) == 2
+    scene = measure_scene(FRAMES, config, "Y")
+    starts = {s.time_code: s for s in coarse_frames(FRAMES, [random_style()], scene, config)}
+    assert sorted(starts) == [0.0, 1.0, 2.0, 3.0]
+    (frame,) = stylize_window(
+        FRAMES[2:3], [random_style()], scene, config, starts=lambda code: starts[code]
+    )
+    assert len(frame.report["colour"]["iterations"]) == 1
+    assert len(frame.report["shape"]["iterations"]) == 1
+
+
+def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):
+    config = quick_config(windows={"shared_octaves": 1})
+    scene = measure_scene(FRAMES, config, "Y")
+    (start,) = coarse_frames(FRAMES[:1], [random_style()], scene, config)
+    save_start(start, tmp_path / "start.npz")
+    read = load_start(tmp_path / "start.npz")
+    assert (read.time_code, read.factor) == (start.time_code, start.factor)
+    assert torch.equal(read.displacement.values, start.displacement.values)
+    assert np.array_equal(read.displacement.lattice.low, start.displacement.lattice.low)
+    for name in ("ijk", "density"):
+        assert torch.equal(getattr(read.smoke, name), getattr(start.smoke, name))
+    assert torch.equal(read.colours, start.colours)
+    again = tmp_path / "again.npz"
+    save_start(read, again)
+    assert again.read_bytes() == (tmp_path / "start.npz").read_bytes()
+
+
+def test_the_start_of_an_empty_frame_is_empty(tmp_path):
+    config = quick_config(windows={"shared_octaves": 1})
+    scene = measure_scene(FRAMES, config, "Y")
+    empty = frame_of(np.zeros(BOX, np.float32), 9.0)
+    (start,) = coarse_frames([empty], [random_style()], scene, config)
+    save_start(start, tmp_path / "start.npz")
+    read = load_start(tmp_path / "start.npz")
+    assert read.displacement is None and read.smoke is None and read.colours is None
+
+
+@pytest.mark.parametrize("shape", [(9, 8, 7), (8, 1, 5), (1, 1, 3)])
+@pytest.mark.parametrize("low", [(0, 0, 0), (-3, 5, 2)])
+def test_block_means_keep_the_mass(shape, low):
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    fine = DenseField("density", values, low, np.diag([0.5, 0.25, 2.0, 1.0]))
+    coarse = coarsen_field(fine, 4)
+    masses = [
+        field.values.sum(dtype=float) * abs(np.linalg.det(field.index_to_world[:3, :3]))
+        for field in (fine, coarse)
+    ]
+    assert masses[1] == pytest.approx(masses[0], rel=1e-6)
+
+
+def test_a_block_lies_in_the_middle_of_its_voxels_and_blocks_do_not_depend_on_the_crop():
+    matrix = np.diag([0.5, 0.25, 2.0, 1.0])
+    matrix[3, :3] = [1.0, -2.0, 3.0]
+    values = np.random.default_rng(0).random((12, 8, 8)).astype(np.float32)
+    coarse = coarsen_field(DenseField("density", values, (-4, 8, 0), matrix), 4)
+    assert coarse.ijk_min == (-1, 2, 0)
+    middle = np.array([-2.5, 9.5, 1.5]) @ matrix[:3, :3] + matrix[3, :3]
+    first = np.array(coarse.ijk_min) @ coarse.index_to_world[:3, :3] + coarse.index_to_world[3, :3]
+    assert first == pytest.approx(middle)
+    cropped = coarsen_field(DenseField("density", values[4:], (0, 8, 0), matrix), 4)
+    assert cropped.ijk_min == (0, 2, 0)
+    assert np.array_equal(cropped.values, coarse.values[1:])
+
+
+def test_no_octave_is_shared_that_a_step_has_not():
+    assert coarse_factor(quick_config(windows={"shared_octaves": 0})) == 1
+    assert coarse_factor(quick_config(windows={"shared_octaves": 5})) == 2  # of two octaves one
+    single = quick_config(shape={"iterations": [3]}, windows={"shared_octaves": 2})
+    assert coarse_factor(single) == 1
