@@ -100,6 +100,15 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(
     assert file_hashes(shot.folder) == before
 
 
+def test_the_plan_lists_its_windows_by_number_where_there_are_several(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments("--dry-run", "--set", "windows.size=2")) == 0
+    assert "windows\n  0: 1,2, on to 3 of </World/smoke>\n  1: 3 of" in capsys.readouterr().out
+    assert main(shot.arguments("--dry-run")) == 0
+    assert "windows\n" not in capsys.readouterr().out
+
+
 def test_a_dry_run_reads_no_voxel(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*arguments: object) -> None:
         raise AssertionError("a VDB file was opened by OpenVDB")

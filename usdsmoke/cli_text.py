@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.progress import format_seconds
+from usdsmoke.time_codes import format_time_codes
 
 if TYPE_CHECKING:
     from usdsmoke.pipeline import StepResult, StylizeResult
@@ -30,6 +31,7 @@ def plan_text(plan: "Plan") -> str:
         [
             f"plan for {plan.source.file_path}",
             *(f"  {_volume_line(volume)}" for volume in plan.volumes),
+            *_window_lines(plan),
             "needed",
             *(f"  {sentence}" for sentence in plan.needed),
             "left out",
@@ -128,6 +130,17 @@ def _volume_line(volume: "VolumePlan") -> str:
         f"{_box(largest.size.box)}, written to {volume.frames[0].file_name}"
         f"{' and so on' if len(volume.frames) > 1 else ''}"
     )
+
+
+def _window_lines(plan: "Plan") -> list[str]:
+    """The windows by number, where there are several."""
+    lines = []
+    for volume in plan.volumes:
+        for window in volume.windows:
+            beyond = f", on to {window.beyond[-1]:g}" if window.beyond else ""
+            codes = format_time_codes(window.time_codes)
+            lines.append(f"  {window.index}: {codes}{beyond} of <{volume.source.prim_path}>")
+    return ["windows", *lines] if len(lines) > 1 else []
 
 
 def _inspected_volume(volume: Mapping[str, Any]) -> str:
