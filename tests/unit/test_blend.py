@@ -26,10 +26,10 @@ def field(
     )
 
 
-def random_field(seed: int, low: int = 0) -> DenseField:
+def random_field(seed: int) -> DenseField:
     random = np.random.default_rng(seed)
-    shape = tuple(random.integers(1, 5, 3))
-    first, second, third = (random.integers(-4, 5, 3) + low).tolist()
+    shape = tuple(random.integers(1, 4, 3))
+    first, second, third = random.integers(-2, 3, 3).tolist()
     return field(random.random(shape), (first, second, third))
 
 
@@ -52,15 +52,15 @@ def test_without_an_overlap_there_are_no_weights() -> None:
     assert tail_weights(0) == []
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 10**6), st.floats(0, 1))
 def test_every_voxel_is_the_weighted_mean_of_both_versions(
     one: int, other: int, weight: float
 ) -> None:
     tail, head = random_field(one), random_field(other)
     (blended,) = blend_frames([tail], [head], weight)
-    for ijk in np.ndindex(14, 14, 14):
-        place = (ijk[0] - 5, ijk[1] - 5, ijk[2] - 5)
+    for ijk in np.ndindex(8, 8, 8):
+        place = (ijk[0] - 3, ijk[1] - 3, ijk[2] - 3)
         wanted = weight * at(tail, place) + (1 - weight) * at(head, place)
         assert at(blended, place) == pytest.approx(float(wanted), rel=1e-6, abs=1e-15)
 
