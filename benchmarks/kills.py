@@ -1,147 +1,290 @@
-"""Runs that are killed at random moments, and what the next run makes of what they leave.
+"""Kill -9 at random moments: the next run ends in the same bits, and no half result is ever seen.
 
-    python -m benchmarks.kills [COUNT] [SEED]
+    python -m benchmarks.kills [--kills 200] [--seed 0] [--report benchmarks/results/kills.md]
 
-Each time a shot of seven frames in three windows is stylized by stand-ins for the core and for
-OpenVDB's process, whole, window by window or as an assembly, and killed with SIGKILL: in the place
-of a random step that changes the disk, or after a random time. The same command is then run again,
-and what comes of it must be what an undisturbed run gives: the same content hash for every
-timeCode, and the same layer but for clock times and the run's id. Exits with 1 at the first that
-does not.
+Commands on a tiny shot (`benchmarks/kill_scenes.py`) are killed with all the processes that they
+have started. Half of the moments are drawn evenly over the time that the command still needs, half
+at the coming of a file, which is up to 30 ms after one has begun to be written. A process of
+usdsmoke is a fork of one that has imported everything (`benchmarks/warm_processes.py`); one in
+twelve, and the reference, is a new interpreter in which nothing is replaced.
+
+After a kill nobody tidies up. What can be seen is checked; a copy of the folder is brought to its
+end and compared with the reference; and the next command goes on in the folder itself, to be killed
+again, up to four times. Linux only; four seconds a kill.
 """
 
-import io
-import json
+import argparse
+import itertools
+import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.farm_fixtures import OPTIONS, Outcome, outcome
-from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, copied, make_shot, pose, run_until
-from usdsmoke.cli import main as usdsmoke
+from benchmarks.kill_report import Kill, Length, report
+from benchmarks.kill_scenes import (
+    OTHER_SEED,
+    SCENES,
+    Arguments,
+    Scene,
+    faults_in_sight,
+    is_complete,
+    make_tiny_shot,
+    stylize,
+)
+from benchmarks.warm_processes import (
+    Process,
+    Watch,
+    call_apart,
+    command_line,
+    usdsmoke_apart,
+    warm_up,
+)
+from tests.farm_fixtures import Outcome, outcome
+from tests.pipeline_fixtures import Shot
 
-__all__ = ["main"]
+__all__ = ["Bench", "all_kills", "main"]
 
-_WAYS = ("whole", "coarse", "window", "assemble", "frames", "replace")
-
-
-def main(count: int = 200, seed: int = 0) -> int:
-    """Kill ``count`` runs; 0 when all of them ended well."""
-    pose(FakeCore())
-    chance, seen, started = random.Random(seed), Counter[str](), time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        shot = make_shot(Path(folder) / "shot", n_frames=7)
-        expected = _finish(copied(shot, "whole"), "whole")
-        ready = {way: _prepare(shot, way) for way in _WAYS}
-        n_steps = {way: _count_steps(ready[way], way) for way in _WAYS}
-        for number in range(count):
-            way = _WAYS[number % len(_WAYS)]
-            killed = copied(ready[way], "killed")
-            moment = _kill(killed, way, chance, n_steps[way])
-            wrong = _what_differs(_finish(killed, way), expected, killed)
-            if wrong:
-                print(f"run {number} ({way}, killed at {moment}) ended otherwise: {wrong}")
-                return 1
-            seen[f"{way} {moment.split()[0]}"] += 1
-            shutil.rmtree(killed.folder)
-    for kind, n in sorted(seen.items()):
-        print(f"{kind:<18} {n:>4}")
-    print(f"{count} runs killed, seed {seed}: all ended in the same bits")
-    print(f"{time.monotonic() - started:.0f} s")
-    return 0
+AGAIN = 4  # kills in one folder, at most
+COLD = 1 / 12
+AT_FILES = 0.5  # share of moments drawn at the coming of a file
+AFTER_FILE_S = 0.03
+PATIENCE_S = 120.0  # a run that takes longer is stuck
+POLL_S = 0.002
 
 
-def _command(shot: Shot, way: str) -> list[str]:
-    """What is killed."""
-    more = {"coarse": ["--coarse"], "window": ["--window", "1"], "frames": ["--frames", "5"]}
-    if way == "assemble":
-        return ["assemble", str(shot.output)]
-    return shot.arguments(*OPTIONS, *more.get(way, []), *(["--force"] if way == "replace" else []))
+@dataclass
+class Bench:
+    """The shot, the states that commands begin in, and the result that they must end in."""
+
+    folder: Path
+    shot: Shot
+    cold: float = COLD  # share of processes that are new interpreters; 0 for the reference too
+    keep: Path | None = None  # gets folders in which something was wrong
+    new: Outcome = ({}, "")
+    old: Outcome = ({}, "")
+    warm: Length = field(
+        default_factory=lambda: Length(0.0, 0)
+    )  # of an uninterrupted run, as a fork
+    import_s: float = 0.0  # that a new interpreter takes longer
+    lengths: dict[str, Length] = field(default_factory=dict)  # by scene: see length_of
+
+    def prepare(self) -> None:
+        """Make the reference in a new interpreter, and another seed's result by a fork."""
+        whole, old = self._folder_of("new"), self._folder_of("old")
+        cold = self.run([stylize(self.shot, whole)], whole, apart=self.cold > 0)
+        self.warm = self.run([stylize(self.shot, old, *OTHER_SEED)], old)
+        self.import_s = max(cold.seconds - self.warm.seconds, 0.0)
+        self.new, self.old = (
+            call_apart(outcome, output / "shot_look.usda", scratch=self.folder)
+            for output in (whole, old)
+        )
+        if set(self.old[0].values()) & set(self.new[0].values()):
+            raise RuntimeError("another seed gave the same frames: the comparison is blind")
+
+    def state(self, name: str) -> Path:
+        """The output folder that a scene begins in, to be copied; made when it is first wanted."""
+        folder = self._folder_of(name)
+        if not folder.exists():
+            windows = [stylize(self.shot, folder, "--window", number) for number in "01"]
+            self.run(windows, folder)
+        return folder
+
+    def length_of(self, scene: Scene) -> Length:
+        """What a scene takes from its first state, left alone."""
+        if scene.begins in ("", "old"):
+            return self.warm
+        if scene.name not in self.lengths:
+            output = self.shot.folder / "measured"
+            shutil.copytree(self.state(scene.begins), output)
+            commands = scene.ends(self.shot, output, random.Random(0))
+            self.lengths[scene.name] = self.run(commands, output)
+            shutil.rmtree(output)
+        return self.lengths[scene.name]
+
+    def _folder_of(self, state: str) -> Path:
+        return self.shot.folder / f"state-{state}"
+
+    def start(self, arguments: Arguments, apart: bool = False) -> Process:
+        """Begin a command."""
+        action = usdsmoke_apart(arguments) if apart else command_line(arguments)
+        name = f"log-{time.monotonic_ns()}"
+        return Process(action, self.folder / name)
+
+    def run(self, commands: Sequence[Arguments], output: Path, apart: bool = False) -> Length:
+        """Commands one after the other, left alone.
+
+        Raises:
+            RuntimeError: one fails or is stuck; with what it printed.
+        """
+        watch, began = Watch(output), time.monotonic()
+        for arguments in commands:
+            process, limit = self.start(arguments, apart), time.monotonic() + PATIENCE_S
+            while process.poll() is None:
+                watch.look()
+                time.sleep(POLL_S)
+                if time.monotonic() > limit:
+                    process.kill()
+            if process.code != 0:
+                log = process.log.read_text(errors="replace")[-2000:]
+                raise RuntimeError(f"{arguments[0]} ended with code {process.code}: {log}")
+            process.log.unlink()
+        return Length(time.monotonic() - began, watch.count)
+
+    def faults(self, output: Path, allowed: list[Outcome], must_be_there: bool) -> list[str]:
+        """See ``faults_in_sight``."""
+        found: list[str] = call_apart(
+            faults_in_sight, output, allowed, must_be_there, scratch=self.folder
+        )
+        return found
 
 
-def _prepare(shot: Shot, way: str) -> Shot:
-    """The shot with what must be there before a command of this way."""
-    ready = copied(shot, f"ready_{way}")
-    if way == "assemble":
-        for window in range(3):
-            _call(ready.arguments(*OPTIONS, "--window", str(window)))
-    if way == "frames":
-        _call(ready.arguments(*OPTIONS))
-    if way == "replace":
-        _call(ready.arguments(*OPTIONS, "--seed", "1"))
-    return ready
+def kill_once(
+    bench: Bench, scene: Scene, output: Path, length: Length, rng: random.Random
+) -> Kill | None:
+    """Begin a scene's commands and kill them, at times only one; None if they were quicker.
+
+    Raises:
+        RuntimeError: nothing was killed, and a command has failed.
+    """
+    commands = scene.starts(bench.shot, output, rng)
+    is_cold, lonely = rng.random() < bench.cold, len(commands) > 1 and rng.random() < 0.3
+    at_file, moment = rng.random() < AT_FILES, rng.random()
+    after = rng.uniform(0.0, AFTER_FILE_S)
+    longest = length.seconds + bench.import_s * is_cold
+    watch, began = Watch(output), time.monotonic()
+    processes = [bench.start(arguments, is_cold) for arguments in commands]
+    while any(process.poll() is None for process in processes):
+        if at_file:
+            is_due = watch.look() > moment * length.n_files
+        else:
+            is_due = time.monotonic() - began >= moment * longest
+        if is_due:
+            break
+        time.sleep(POLL_S)
+    if at_file:
+        time.sleep(after)
+    chosen = [rng.choice(processes)] if lonely else processes
+    victims = [process for process in chosen if process.poll() is None]
+    seconds = time.monotonic() - began
+    for victim in victims:
+        victim.kill()
+    kill = None
+    if victims:
+        kill = Kill(scene.name, victims[0].step(), is_cold, seconds)
+        kill.faults = bench.faults(output, _allowed(bench, scene), scene.keeps_result)
+    failures = [_let_end(process) for process in processes if process not in victims]
+    if kill is None and any(failures):
+        raise RuntimeError("; ".join(failures))
+    if kill is not None:
+        kill.faults += [failure for failure in failures if failure]
+        kill.n_half = sum(path.is_file() for path in output.rglob(".*"))
+    return kill
 
 
-def _count_steps(ready: Shot, way: str) -> int:
-    alive = copied(ready, "alive")
-    code, steps = run_until(0, *_command(alive, way))
-    shutil.rmtree(alive.folder)
-    assert code == 0
-    return len(steps)
+def finish_copy(bench: Bench, scene: Scene, output: Path, kill: Kill, rng: random.Random) -> None:
+    """Bring a copy of what a kill has left to its end, and compare; what is found goes to ``kill``.
+
+    The copy stands beside the folder, as what is written there names the source by relative paths.
+    """
+    copy = output.with_name(f"{output.name}-copy")
+    if output.exists():
+        shutil.copytree(output, copy)
+    try:
+        kill.end = bench.run(scene.ends(bench.shot, copy, rng), copy)
+        kill.faults += bench.faults(copy, [bench.new], must_be_there=True)
+        if left := [path.name for path in copy.rglob(".*") if path.is_file()]:
+            kill.faults.append(f"temporaries are left: {', '.join(left)}")
+        if len(folders := list(copy.glob("vdb/*"))) != 1:
+            kill.faults.append(f"{len(folders)} folders of runs are left")
+    except RuntimeError as error:
+        kill.faults.append(str(error))
+    shutil.rmtree(copy, ignore_errors=True)
 
 
-def _kill(shot: Shot, way: str, chance: random.Random, n_steps: int) -> str:
-    """Run a command and kill it; when."""
-    if chance.random() < 0.7:
-        step = chance.randrange(1, n_steps + 1)
-        run_until(step, *_command(shot, way))
-        return f"step {step}"
-    seconds = chance.uniform(0.2, 1.2)
-    command = [sys.executable, "-m", "tests.run_to_be_killed", "0", *_command(shot, way)]
-    process = subprocess.Popen(
-        command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    time.sleep(seconds)
+def kills_in_one_folder(bench: Bench, scene: Scene, rng: random.Random) -> Iterator[Kill]:
+    """Kills until a command comes to its end, ``AGAIN`` at most."""
+    output = bench.shot.folder / "out"
+    shutil.rmtree(output, ignore_errors=True)
+    if scene.begins:
+        shutil.copytree(bench.state(scene.begins), output)
+    length = bench.length_of(scene)
+    for _ in range(rng.randint(1, AGAIN)):
+        kill = kill_once(bench, scene, output, length, rng)
+        if kill is None:
+            if is_complete(output):
+                break
+            continue
+        finish_copy(bench, scene, output, kill, rng)
+        if kill.faults and bench.keep is not None:
+            shutil.copytree(output, bench.keep / f"kill-{time.monotonic_ns()}")
+        yield kill
+        if is_complete(output) and not scene.keeps_result:
+            break  # killed when all was done
+        length = kill.end
+
+
+def all_kills(bench: Bench, n_kills: int, seed: int) -> Iterator[Kill]:
+    """Kills of all scenes in a random order, which the seed decides like every draw."""
+    folder, count = 0, 0
+    while count < n_kills:
+        rng = random.Random(f"{seed}/{folder}")
+        (scene,) = rng.choices(SCENES, [scene.share for scene in SCENES])
+        for kill in itertools.islice(kills_in_one_folder(bench, scene, rng), n_kills - count):
+            count += 1
+            yield kill
+        folder += 1
+
+
+def _allowed(bench: Bench, scene: Scene) -> list[Outcome]:
+    """The results that may be in sight while a scene's command is at work."""
+    return [bench.new, bench.old] if scene.begins == "old" else [bench.new]
+
+
+def _let_end(process: Process) -> str:
+    """Wait for a process that was not killed; what went wrong with it, "" for nothing."""
+    limit = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < limit:
+        time.sleep(POLL_S)
+    if process.code == 0:
+        return ""
     process.kill()
-    process.wait()
-    return f"time {seconds:.3f}"
+    log = process.log.read_text(errors="replace")[-2000:]
+    return f"a process that was not killed ended with code {process.code}: {log}"
 
 
-def _finish(shot: Shot, way: str) -> Outcome:
-    """Go on until there is the result that was asked for, as a user would."""
-    root_stage = shot.output / "shot_look.usda"
-    if way == "frames":
-        _call(_command(shot, way))
-    elif not _is_complete(shot):
-        _call(shot.arguments(*OPTIONS, *(["--force"] if way == "replace" else [])))
-    return outcome(root_stage)
-
-
-def _is_complete(shot: Shot) -> bool:
-    """Whether there is one run, with nothing left to do, and not the one to be replaced."""
-    records = [json.loads(path.read_text()) for path in shot.output.glob("vdb/*/run.json")]
-    seeds = [record["description"]["settings"]["optimize"]["seed"] for record in records]
-    return seeds == [0] and records[0]["complete"]
-
-
-def _what_differs(found: Outcome, expected: Outcome, shot: Shot) -> str:
-    """In words; "" when nothing does."""
-    if found[0] != expected[0]:
-        codes = [code for code in expected[0] if found[0].get(code) != expected[0][code]]
-        return f"content hashes of timeCodes {codes}"
-    if found[1] != expected[1]:
-        lines = zip(found[1].splitlines(), expected[1].splitlines(), strict=False)
-        return "the layer: " + "; ".join(f"{one} / {other}" for one, other in lines if one != other)
-    return ", ".join(str(path) for path in _leftovers(shot))
-
-
-def _leftovers(shot: Shot) -> list[Path]:
-    return [path for path in shot.output.rglob(".*") if path.is_file()]
-
-
-def _call(arguments: list[str]) -> None:
-    told = io.StringIO()
-    with redirect_stdout(told), redirect_stderr(told):
-        code = usdsmoke(arguments)
-    if code:
-        raise RuntimeError(f"usdsmoke {' '.join(arguments)} ended with {code}: {told.getvalue()}")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Kill, print what came of it; 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(prog="benchmarks.kills", description=__doc__.split("\n")[0])
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--report", type=Path, help="Markdown file to write")
+    parser.add_argument("--keep", type=Path, help="folder for states in which something was wrong")
+    parser.add_argument("--warm", action="store_true", help="start no new interpreter: quicker")
+    parsed = parser.parse_args(arguments)
+    os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    warm_up()
+    began, kills = time.monotonic(), []
+    with tempfile.TemporaryDirectory(prefix="kills-") as name:
+        tempfile.tempdir = os.environ["TMPDIR"] = name  # killed processes leave things there
+        bench = Bench(Path(name), make_tiny_shot(Path(name)), COLD * (not parsed.warm), parsed.keep)
+        bench.prepare()
+        for kill in all_kills(bench, parsed.kills, parsed.seed):
+            kills.append(kill)
+            ending = "; ".join(kill.faults) or "same bits"
+            print(f"{len(kills)} {kill.scene}: {kill.step} after {kill.seconds:.2f} s: {ending}")
+            sys.stdout.flush()
+    text = report(kills, bench.warm.seconds, time.monotonic() - began, sys.argv[1:])
+    print(text)
+    if parsed.report is not None:
+        parsed.report.write_text(text, encoding="utf-8")
+    return int(any(kill.faults for kill in kills))
 
 
 if __name__ == "__main__":
-    sys.exit(main(*(int(text) for text in sys.argv[1:])))
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""What `benchmarks.kills` has seen, as tables."""
+
+import datetime
+import os
+import platform
+import statistics
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+__all__ = ["Kill", "Length", "report"]
+
+# In the order in which they happen; "blend" goes on until the layer is there.
+STEPS = {
+    "start": "start: stage, plan, record",
+    "check": "every frame read, scenes measured",
+    "coarse": "coarse step",
+    "shape": "shape step",
+    "colour": "colour step",
+    "write": "frames written",
+    "blend": "frames blended, layer written",
+    "picture": "contact sheet, tidying up",
+}
+
+
+@dataclass(frozen=True)
+class Length:
+    """What a command takes when it is left alone."""
+
+    seconds: float
+    n_files: int  # that came into the folder
+
+
+@dataclass
+class Kill:
+    """What was killed, and what came of it."""
+
+    scene: str
+    step: str  # what was going on
+    is_cold: bool  # a new interpreter
+    seconds: float  # after which it was killed
+    n_half: int = 0  # files left half-written, or whole and not yet in their places
+    end: Length = Length(0.0, 0)  # of the run that followed, to the end
+    faults: list[str] = field(default_factory=list)
+
+
+def report(kills: Sequence[Kill], warm_s: float, total_s: float, arguments: Sequence[str]) -> str:
+    """Markdown: kills by step and by command, and the circumstances.
+
+    Args:
+        kills: all of them.
+        warm_s: what an uninterrupted run takes.
+        total_s: what all took.
+        arguments: of the command.
+    """
+    n_faults = sum(bool(kill.faults) for kill in kills)
+    lines = [
+        "# Kill -9 at random moments",
+        "",
+        f"{len(kills)} kills of commands on a tiny shot, with all the processes they had started;",
+        "after each one what can be seen was checked, and a run from the state that was left was",
+        "compared with an uninterrupted one: content hash of every frame, and the layer's text but",
+        "for clock times and the run's id. See `benchmarks/kills.py`.",
+        "",
+        f"**{n_faults} of {len(kills)} went wrong.** An uninterrupted run takes {warm_s:.1f} s.",
+        "",
+        "By what was going on. *Half-written*: kills that left a temporary file behind. *To the",
+        "end*: seconds of the run that followed.",
+        "",
+        *_table(
+            "going on", kills, lambda kill: STEPS.get(kill.step, kill.step), list(STEPS.values())
+        ),
+        "",
+        "By command.",
+        "",
+        *_table("killed", kills, lambda kill: kill.scene, ()),
+        "",
+        f"{sum(kill.is_cold for kill in kills)} of the kills hit new interpreters, the others",
+        "forks of one that had imported everything.",
+        "",
+    ]
+    lines += [f"- Kill {n}: {'; '.join(k.faults)}" for n, k in enumerate(kills, 1) if k.faults]
+    return "\n".join([*lines, *_circumstances(arguments, total_s)]) + "\n"
+
+
+def _table(
+    title: str, kills: Sequence[Kill], name_of: Callable[[Kill], str], order: Sequence[str]
+) -> list[str]:
+    """One row for each name, in the given order and then in the order of coming."""
+    names = list(dict.fromkeys([*order, *(name_of(kill) for kill in kills)]))
+    rows = [
+        f"| {title} | kills | half-written | killed after s | to the end s | went wrong |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in names:
+        if mine := [kill for kill in kills if name_of(kill) == name]:
+            rows.append(_row(name, mine))
+    return [*rows, _row("all", kills)]
+
+
+def _row(name: str, kills: Sequence[Kill]) -> str:
+    half = sum(kill.n_half > 0 for kill in kills)
+    cells = [
+        name,
+        str(len(kills)),
+        str(half),
+        _span([kill.seconds for kill in kills]),
+        _span([kill.end.seconds for kill in kills]),
+        str(sum(bool(kill.faults) for kill in kills)),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _span(values: Sequence[float]) -> str:
+    return f"{min(values):.2f} to {max(values):.2f}, median {statistics.median(values):.2f}"
+
+
+def _circumstances(arguments: Sequence[str], total_s: float) -> list[str]:
+    """Date, commit, machine and command, so that the table can be made again."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    return [
+        f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
+        f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, "
+        f"Python {platform.python_version()}; {total_s / 60:.0f} minutes.",
+        f"- `{' '.join(['python -m benchmarks.kills', *arguments])}`",
+    ]
