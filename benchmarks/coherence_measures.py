@@ -1,0 +1,159 @@
+"""What a stylized sequence is measured by: temporal errors, and closeness of style of its frames.
+
+All is taken from finished fields, after blending, as they stand in the files.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks.coherence_runs import Outcome, Run, Shot
+from benchmarks.control_scenes import FRAMES_PER_SECOND
+from benchmarks.held_out import held_out_angles
+from usdsmoke.core.coherence import colour_error, displacement_error
+from usdsmoke.core.colour import prepare_views
+from usdsmoke.core.grey import look_at
+from usdsmoke.core.project import column_map
+from usdsmoke.core.scene import fit_view
+from usdsmoke.core.smoke import ActiveSmoke, activate
+from usdsmoke.core.style import decode_srgb, encode_srgb
+from usdsmoke.core.targets import StyleTargets
+from usdsmoke.core.views import View, orbit_view
+from usdsmoke.volume import DenseField
+
+__all__ = [
+    "Distances",
+    "border_ratio",
+    "painted_colours",
+    "style_distances",
+    "temporal_errors",
+    "unmoved_distance",
+]
+
+
+@dataclass(frozen=True)
+class Distances:
+    """The judge's loss of finished pictures, one number a frame."""
+
+    colour: np.ndarray
+    grey: np.ndarray
+
+
+def temporal_errors(run: Run, scene_gamma_w: float) -> dict[str, np.ndarray]:
+    """|F_{t+1} - T(F_t)| / |F_{t+1}| of displacement and colour, one number a step.
+
+    T carries along the earlier frame's velocity, as the run itself does.
+
+    Args:
+        run: at least two frames.
+        scene_gamma_w: extinction per density that the emission was made with.
+    """
+    painted = [painted_colours(item, scene_gamma_w) for item in run.outcomes]
+    moved, coloured = [], []
+    for (before, own), (paint, own_paint) in zip(
+        pairwise(run.outcomes), pairwise(painted), strict=True
+    ):
+        frame = before.source
+        seconds = (own.source.time_code - frame.time_code) / FRAMES_PER_SECOND
+        moved.append(
+            displacement_error(before.displacement, own.displacement, own.still, frame, seconds)
+        )
+        coloured.append(colour_error(paint, *own_paint, frame, seconds))
+    return {"displacement": np.array(moved), "colour": np.array(coloured)}
+
+
+def border_ratio(errors: np.ndarray, touched: Sequence[int]) -> tuple[float, float]:
+    """Mean and maximum of the errors at the borders, over the mean of the others.
+
+    Args:
+        errors: one a step.
+        touched: numbers of the steps at borders.
+
+    Raises:
+        ValueError: all steps are at borders, or none is.
+    """
+    at_border = np.zeros(len(errors), bool)
+    at_border[list(touched)] = True
+    if at_border.all() or not at_border.any():
+        raise ValueError(
+            f"{at_border.sum()} of {len(errors)} steps are at borders; wanted some, but not all"
+        )
+    inside = float(errors[~at_border].mean())
+    return float(errors[at_border].mean()) / inside, float(errors[at_border].max()) / inside
+
+
+def painted_colours(outcome: Outcome, gamma_w: float) -> tuple[ActiveSmoke, Tensor]:
+    """The voxels that hold smoke and their display-encoded colours [N 3], from the fields."""
+    smoke = _activate(outcome, outcome.density)
+    index = smoke.ijk.numpy() - np.asarray(outcome.emission.ijk_min)
+    light = torch.from_numpy(outcome.emission.values[tuple(index.T)])
+    return smoke, encode_srgb(light / (gamma_w * smoke.density)[:, None]).clamp(0, 1)
+
+
+def style_distances(shot: Shot, run: Run, n_views: int = 4) -> Distances:
+    """The judge's loss at full size, mean of views within the range that were never optimised."""
+    targets = StyleTargets([shot.style], shot.scene, shot.config, torch.device("cpu"))
+    views = shot.config.views
+    angles = held_out_angles(n_views, views.azimuth, views.elevation)
+    colour, grey = [], []
+    with torch.no_grad():
+        for outcome in run.outcomes:
+            looks = _views(shot, outcome, angles)
+            colour.append(_colour_distance(shot, outcome, looks, targets))
+            grey.append(_grey_distance(shot, outcome, outcome.density, looks, targets))
+    return Distances(np.array(colour), np.array(grey))
+
+
+def unmoved_distance(shot: Shot, run: Run, n_views: int = 4) -> float:
+    """The grey distance of the sources themselves, mean of all frames: where moving begins."""
+    targets = StyleTargets([shot.style], shot.scene, shot.config, torch.device("cpu"))
+    views = shot.config.views
+    angles = held_out_angles(n_views, views.azimuth, views.elevation)
+    found = [
+        _grey_distance(shot, item, item.source.density, _views(shot, item, angles), targets)
+        for item in run.outcomes
+    ]
+    return float(np.mean(found))
+
+
+def _views(shot: Shot, outcome: Outcome, angles: np.ndarray) -> list[View]:
+    """Just large enough for the source's smoke: the same ones for every version of a frame."""
+    up, size = shot.scene.up_axis, shot.scene.pixel_size
+    return [
+        fit_view(orbit_view(float(a), float(e), up, np.zeros(3), 1, 1, size), outcome.still)
+        for a, e in angles
+    ]
+
+
+def _colour_distance(
+    shot: Shot, outcome: Outcome, views: Sequence[View], targets: StyleTargets
+) -> float:
+    smoke, colours = painted_colours(outcome, shot.scene.gamma_w)
+    looks = prepare_views(smoke, views, shot.scene.gamma_w, shot.scene.exposure)
+    judge, linear = targets.at(1), decode_srgb(colours)
+    found = [judge(look.straight_picture(linear, targets.background), look.guide) for look in looks]
+    return float(torch.stack(found).mean())
+
+
+def _grey_distance(
+    shot: Shot, outcome: Outcome, density: DenseField, views: Sequence[View], targets: StyleTargets
+) -> float:
+    """Of the grey pictures of a density, inside the silhouette of the frame's source."""
+    scene, still, judge = shot.scene, outcome.still, targets.at(1, grey=True)
+    moved = _activate(outcome, density)
+    found = []
+    for view in views:
+        image = column_map(still.positions, still.voxel_volume, view)
+        look = look_at(image, still.density, None, scene.gamma_w_shape, scene.exposure_shape)
+        look = replace(look, image=column_map(moved.positions, moved.voxel_volume, view))
+        picture = look.filled(look.picture(moved.density), scene.grey_mean)
+        found.append(judge(picture, look.guide))
+    return float(torch.stack(found).mean())
+
+
+def _activate(outcome: Outcome, density: DenseField) -> ActiveSmoke:
+    return activate(density, outcome.source.density_to_stage, torch.device("cpu"))

@@ -1,0 +1,94 @@
+"""The coherence benchmark: its measures against closed forms, and a small run of the command."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from benchmarks.coherence import main
+from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
+from benchmarks.coherence_pictures import _round_values
+from benchmarks.coherence_runs import Outcome, Run, _joined
+from usdsmoke.core.lattice import Lattice
+from usdsmoke.core.potential import Displacement
+from usdsmoke.core.smoke import activate
+from usdsmoke.core.style import decode_srgb
+from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.windows import Window
+
+GAMMA_W = 2.0
+
+
+def make_outcome(time_code: float, colour: float, moved: float, density: float = 1.0) -> Outcome:
+    """A cube of smoke of one grey that is displaced along i by one length; nothing flows."""
+    values = np.full((4, 4, 4), density, np.float32)
+    smoke = DenseField("density", values, (0, 0, 0), np.eye(4))
+    light = float(decode_srgb(torch.tensor(colour))) * GAMMA_W * density
+    emission = DenseField(
+        "emission",
+        np.full((4, 4, 4, 3), light, np.float32),
+        (0, 0, 0),
+        np.eye(4),
+        (0.0, 0.0, 0.0),
+    )
+    displacement = torch.zeros(4, 4, 4, 3)
+    displacement[..., 0] = moved
+    frame = VolumeFrame(time_code, smoke, np.eye(4))
+    still = activate(smoke, np.eye(4), torch.device("cpu"))
+    lattice = Lattice(np.zeros(3), (4, 4, 4), np.eye(4))
+    return Outcome(frame, still, Displacement(displacement, lattice), smoke, emission)
+
+
+def test_colours_come_back_from_the_fields() -> None:
+    smoke, colours = painted_colours(make_outcome(1, 0.6, 0, density=3.0), GAMMA_W)
+    assert len(smoke.ijk) == 64
+    np.testing.assert_allclose(colours.numpy(), 0.6, rtol=1e-5)
+
+
+def test_temporal_errors_of_resting_smoke_are_the_relative_changes() -> None:
+    run = Run([make_outcome(1, 0.4, 1.0), make_outcome(2, 0.5, 0.8), make_outcome(3, 0.5, 0.8)], 0)
+    errors = temporal_errors(run, GAMMA_W)
+    np.testing.assert_allclose(errors["displacement"], [0.25, 0], atol=1e-6)
+    np.testing.assert_allclose(errors["colour"], [0.2, 0], atol=1e-5)
+
+
+def test_borders_are_compared_with_all_other_steps() -> None:
+    mean, most = border_ratio(np.array([1.0, 1.0, 2.0, 4.0, 1.0]), [2, 3])
+    assert (mean, most) == (3.0, 4.0)
+    with pytest.raises(ValueError, match="wanted some, but not all"):
+        border_ratio(np.ones(2), [])
+
+
+def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
+    first = [make_outcome(code, 0.2, 1.0) for code in (1, 2, 3, 4)]
+    second = [make_outcome(code, 0.6, 2.0, density=2.0) for code in (3, 4, 5)]
+    windows = [Window(0, (1, 2), (3, 4)), Window(1, (3, 4, 5), joined=True)]
+    run = _joined(windows, [first, second])
+    assert [item.source.time_code for item in run.outcomes] == [1, 2, 3, 4, 5]
+    assert run.starts == (2,)
+    assert run.touched == (1, 2, 3)  # from the frame before the overlap to the one behind it
+    moved = [float(item.displacement.values[0, 0, 0, 0]) for item in run.outcomes]
+    np.testing.assert_allclose(moved, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
+    masses = [float(item.density.values.mean()) for item in run.outcomes]
+    np.testing.assert_allclose(masses, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
+    np.testing.assert_allclose(run.differences, [(2 / 3, run.differences[0][1])] * 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("highest", [0.07, 0.31, 1.2, 6.0])
+def test_axes_have_a_few_round_values(highest: float) -> None:
+    values = _round_values(highest)
+    assert 3 <= len(values) <= 6 and values[0] == 0 and values[-1] <= highest
+
+
+def test_the_command_writes_its_table_and_pictures(tmp_path, capsys) -> None:
+    report = tmp_path / "results" / "coherence.md"
+    code = main(["--quick", "--report", str(report), "--pictures", str(tmp_path / "pictures")])
+    assert code == 0
+    text = report.read_text(encoding="utf-8")
+    assert text in capsys.readouterr().out
+    for words in ("temporal error, displacement", "temporal error, colour", "grey pictures"):
+        assert words in text
+    for name in ("flicker", "coherence_strip"):
+        with Image.open(tmp_path / "pictures" / f"{name}.png") as picture:
+            low, high = picture.convert("L").getextrema()
+            assert min(picture.size) > 200 and high - low > 100
