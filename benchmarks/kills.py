@@ -10,7 +10,7 @@ twelve, and the reference, is a new interpreter in which nothing is replaced.
 
 After a kill nobody tidies up. What can be seen is checked; a copy of the folder is brought to its
 end and compared with the reference; and the next command goes on in the folder itself, to be killed
-again, up to four times. Linux only; four seconds a kill.
+again, up to three times. Linux only; four seconds a kill.
 """
 
 import argparse
@@ -49,7 +49,7 @@ from tests.pipeline_fixtures import Shot
 
 __all__ = ["Bench", "all_kills", "main"]
 
-AGAIN = 4  # kills in one folder, at most
+AGAIN = 3  # kills in one folder, at most
 COLD = 1 / 12
 AT_FILES = 0.5  # share of moments drawn at the coming of a file
 AFTER_FILE_S = 0.03
@@ -197,8 +197,8 @@ def finish_copy(bench: Bench, scene: Scene, output: Path, kill: Kill, rng: rando
     try:
         kill.end = bench.run(scene.ends(bench.shot, copy, rng), copy)
         kill.faults += bench.faults(copy, [bench.new], must_be_there=True)
-        if left := [path.name for path in copy.rglob(".*") if path.is_file()]:
-            kill.faults.append(f"temporaries are left: {', '.join(left)}")
+        if left := [path.name for path in (*copy.rglob(".*"), *copy.rglob("*.lock"))]:
+            kill.faults.append(f"there is no use for what is left: {', '.join(left)}")
         if len(folders := list(copy.glob("vdb/*"))) != 1:
             kill.faults.append(f"{len(folders)} folders of runs are left")
     except RuntimeError as error:
@@ -223,7 +223,7 @@ def kills_in_one_folder(bench: Bench, scene: Scene, rng: random.Random) -> Itera
         if kill.faults and bench.keep is not None:
             shutil.copytree(output, bench.keep / f"kill-{time.monotonic_ns()}")
         yield kill
-        if is_complete(output) and not scene.keeps_result:
+        if is_complete(output) and scene.begins != "new":
             break  # killed when all was done
         length = kill.end
 

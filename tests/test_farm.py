@@ -173,7 +173,13 @@ def test_nothing_is_shared_across_a_cut(farm: Shot, core: FakeCore) -> None:
     assert core.stylized == [1, 2, 3, 3, 6, 7]
 
 
-def test_no_lock_is_left_with_a_result(farm: Shot) -> None:
+def test_no_lock_is_left_with_a_result_even_if_it_is_killed_in_its_last_step(farm: Shot) -> None:
     windows_in(farm, [0, 1, 2])
-    assemble(farm.output)
-    assert not list(farm.output.rglob("*.lock"))
+    assert list(farm.output.rglob("*.lock"))
+    code, steps = run_until(0, "assemble", str(copied(farm, "alive").output))
+    killed = copied(farm, "killed")
+    assert run_until(len(steps), "assemble", str(killed.output))[0] == -9
+    assert code == 0
+    for shot in (farm, killed):
+        assemble(shot.output)
+        assert not list(shot.output.rglob("*.lock"))

@@ -126,8 +126,8 @@ def assemble_run(
     files = author_look(job.stage, source, volumes, job.output, layer, provenance)
     failures = _draw_sheets(job, run, reader, tell)
     sheets = sheet_files([volume.stem for volume in job.plan.volumes], job.output)
+    remove_locks(run)  # before the record says that nothing is left to do
     run.finish([files.look_layer, files.root_stage, *sheets])
-    remove_locks(run)
     return summarize_result(job, run, failures)
 
 
