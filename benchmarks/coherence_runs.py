@@ -61,7 +61,7 @@ def simulate_plume(resolution: int, n_frames: int) -> list[VolumeFrame]:
     """The first frames of the example plume, with the velocity that stands in its files."""
     module = load_example("plume", "solver")
     solver = module.SmokeSolver(resolution, module.PlumeSettings())
-    frames = []
+    frames: list[VolumeFrame] = []
     for step in range(WARM_UP_STEPS + n_frames):
         solver.step(1.0 / FRAMES_PER_SECOND)
         if step < WARM_UP_STEPS:
@@ -156,7 +156,9 @@ def _why(link: Link) -> str:
 def _joined(windows: Sequence[Window], versions: Sequence[Sequence[Outcome]]) -> Run:
     """The windows' own frames in order; those that two windows have are blended."""
     outcomes: list[Outcome] = []
-    starts, touched, differences = [], [], []
+    starts: list[int] = []
+    touched: list[int] = []
+    differences: list[tuple[float, float]] = []
     tail: Sequence[Outcome] = ()
     for window, found in zip(windows, versions, strict=True):
         own = list(found[: len(window.time_codes)])
