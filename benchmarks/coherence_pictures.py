@@ -59,12 +59,12 @@ def _draw_plot(
         pen.rectangle([x, high, x + wide, low], BAND)
     for start in windows.starts:  # a step is drawn between its frames; this one leads to frame 0
         x = LEFT + wide * start
-        for y in range(high, low, 8):
-            pen.line([x - wide / 2, y, x - wide / 2, y + 4], DIM)
+        for dash in range(high, low, 8):
+            pen.line([x - wide / 2, dash, x - wide / 2, dash + 4], DIM)
     for value in _round_values(highest):
-        y = place(0, value)[1]
-        pen.line([LEFT, y, WIDTH - RIGHT, y], DIM if value == 0 else BAND)
-        pen.text((LEFT - 8, y), f"{value:g}", DIM, font, anchor="rm")
+        height = place(0, value)[1]
+        pen.line([LEFT, height, WIDTH - RIGHT, height], DIM if value == 0 else BAND)
+        pen.text((LEFT - 8, height), f"{value:g}", DIM, font, anchor="rm")
     for step in range(0, n, max(1, n // 12)):
         pen.text((place(step, 0)[0], low + 6), f"{step + 1}-{step + 2}", DIM, font, anchor="ma")
     for name, curve in curves.items():
