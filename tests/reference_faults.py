@@ -106,12 +106,13 @@ FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
      "finite: channels and frames stay apart",
      ("tests/unit/core/test_resample.py::test_blur_agrees_with_scipy_and_does_not_mix_channels",
       SAMPLE + "test_channels_are_sampled_as_if_alone",
-      FAULT + "test_a_frame_depends_on_no_frame_after_it")),
+      FAULT + "test_a_frame_depends_on_no_frame_after_it_but_those_it_is_averaged_with")),
     ("W17: a window averages what it has averaged already, an even size counts as one less, and "
      "losses get lost",
-     "finite: each frame starts from the one before, along the smoke's own path in either "
-     "direction of time; windows have the size asked for; every iteration tells its loss",
-     (FAULT + "test_a_frame_depends_on_no_frame_after_it",
+     "finite: each frame starts from the one before and is averaged with the one after as that was "
+     "before its own average, along the smoke's path in either direction of time; windows have the "
+     "size asked for; every iteration tells its loss",
+     (FAULT + "test_a_frame_depends_on_no_frame_after_it_but_those_it_is_averaged_with",
       WARM + "test_the_sign_of_time_follows_the_neighbour",
       "tests/unit/test_windows.py::test_without_gaps_all_but_the_last_window_are_full",
       WINDOW + "test_progress_counts_over_octaves_and_frames")),
