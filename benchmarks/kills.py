@@ -279,7 +279,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ending = "; ".join(kill.faults) or "same bits"
             print(f"{len(kills)} {kill.scene}: {kill.step} after {kill.seconds:.2f} s: {ending}")
             sys.stdout.flush()
-    text = report(kills, bench.warm.seconds, time.monotonic() - began, sys.argv[1:])
+    command = ["--kills", str(parsed.kills), "--seed", str(parsed.seed)]
+    command += ["--warm"] if parsed.warm else []
+    text = report(kills, bench.warm.seconds, time.monotonic() - began, command)
     print(text)
     if parsed.report is not None:
         parsed.report.write_text(text, encoding="utf-8")
