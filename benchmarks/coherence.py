@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from benchmarks.circumstances import circumstances
 from benchmarks.coherence_measures import (
@@ -147,9 +148,8 @@ def main(arguments: list[str] | None = None) -> int:
         draw_flicker(findings.errors, findings.runs["windows"]).save(
             options.pictures / "flicker.png", optimize=True
         )
-        draw_strip(findings.runs, findings.shot).save(
-            options.pictures / "coherence_strip.png", optimize=True
-        )
+        strip = draw_strip(findings.runs, findings.shot).quantize(dither=Image.Dither.NONE)
+        strip.save(options.pictures / "coherence_strip.png", optimize=True)
     except (OSError, ValueError, UsdSmokeError) as error:
         print(f"benchmarks.coherence: {error}", file=sys.stderr)
         return 1

@@ -21,8 +21,8 @@ WIDTH, HEIGHT = 880, 250  # of one plot
 LEFT, RIGHT, TOP, BOTTOM = 64, 20, 40, 40
 SHOWN = 7  # frames in the strip
 SIDE = 150  # pixels of a panel in the strip
-CROP = 0.55  # side of a panel, as a share of the smoke's width
-CROP_TOP = 0.14  # where it begins, as a share of the smoke's height
+CROP = 0.7  # side of a panel, as a share of the smoke's width
+CROP_TOP = 0.1  # where it begins, as a share of the smoke's height
 GAP, LABEL = 6, 92
 
 
