@@ -64,8 +64,8 @@ def report(kills: Sequence[Kill], warm_s: float, total_s: float, arguments: Sequ
         "",
         f"**{n_faults} of {len(kills)} went wrong.** An uninterrupted run takes {warm_s:.1f} s.",
         "",
-        "By what was going on, as the command last told. *Half-written*: kills that left a temporary",
-        "file behind. *To the end*: seconds of the run that followed.",
+        "By what was going on, as the command last told. *Half-written*: kills that left a",
+        "temporary file behind. *To the end*: seconds of the run that followed.",
         "",
         *_table(
             "going on", kills, lambda kill: STEPS.get(kill.step, kill.step), list(STEPS.values())

@@ -2,7 +2,9 @@
 
 Importing torch, USD and OpenVDB takes longer than a tiny run. ``warm_up`` imports them once; every
 process is then a fork that calls the command line. So are the processes that touch VDB files:
-forks of the fork, in the same process group. Linux only.
+forks of the fork, in the same process group. Their disk is slow: whatever puts a file in its place
+or takes it away waits first, so that a kill is as likely between two such steps as during work.
+Linux only.
 """
 
 import ctypes
@@ -21,6 +23,7 @@ __all__ = ["Process", "Watch", "call_apart", "command_line", "usdsmoke_apart", "
 
 _SET_CHILD_SUBREAPER = 36  # of prctl(2): orphans come to this process, which can wait for them
 _FAILED = 70
+_DISK_S = 0.01  # before every change of a folder
 
 
 def warm_up() -> None:
@@ -41,6 +44,8 @@ def warm_up() -> None:
     torch.set_num_threads(1)
     vars(child)["_run"] = _run_forked
     vars(worker)["_limit_memory"] = lambda n_bytes: None  # torch's address space is in the forks
+    for name in ("fsync", "replace", "link", "unlink", "rmdir"):
+        setattr(os, name, _slowed(getattr(os, name)))
     ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
@@ -164,6 +169,17 @@ def call_apart(function: Callable[..., Any], *arguments: Any, scratch: Path) -> 
     if process.code != 0:
         raise RuntimeError(log.read_text())
     return pickle.loads(answer.read_bytes())
+
+
+def _slowed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same after a moment."""
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        if "dir_fd" not in options:  # somebody's temporary folder
+            time.sleep(_DISK_S)
+        return function(*arguments, **options)
+
+    return call
 
 
 def _be_child(action: Callable[[], int], log: Path) -> None:
