@@ -65,7 +65,7 @@ def stylize(shot: Shot, output: Path, *more: str) -> Arguments:
 
 def missing_windows(output: Path) -> list[int]:
     """The windows without a manifest."""
-    done = {int(path.stem) for path in output.glob("vdb/*/windows/*.json")}
+    done = {int(path.stem) for path in output.glob("vdb/*/windows/[0-9]*.json")}
     return sorted(set(range(N_WINDOWS)) - done)
 
 
