@@ -113,7 +113,7 @@ def finished_coarse(run: RunFolder) -> CoarseRecord:
 
 def is_useless(run: RunFolder) -> bool:
     """Whether nothing of a run is finished: neither a window nor a coarse frame nor a result."""
-    manifests = any((run.folder / "windows").glob("*.json"))
+    manifests = any((run.folder / "windows").glob("[0-9]*.json"))  # none that is half-written
     return not (run.frames or manifests or (run.folder / "coarse.json").is_file())
 
 

@@ -51,6 +51,8 @@ def window_of(run: RunFolder, file_name: str, sha256: str) -> WindowRecord:
 
 def test_a_window_is_finished_as_long_as_its_files_are_unchanged(tmp_path: Path) -> None:
     run = begin(make_run(tmp_path))
+    (run.folder / "windows").mkdir(exist_ok=True)
+    (run.folder / "windows/.0001.tmp-0bbfd16a-1316.json").write_text("{")  # killed while writing
     assert is_useless(run)
     (run.folder / "a.vdb").write_bytes(b"")
     empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
