@@ -76,7 +76,7 @@ def report(kills: Sequence[Kill], warm_s: float, total_s: float, arguments: Sequ
         *_table("killed", kills, lambda kill: kill.scene, ()),
         "",
         f"{sum(kill.is_cold for kill in kills)} of the kills hit new interpreters, the others",
-        "forks of one that had imported everything.",
+        "forks of one that had imported everything, with 10 ms before every change of a folder.",
         "",
     ]
     lines += [f"- Kill {n}: {'; '.join(k.faults)}" for n, k in enumerate(kills, 1) if k.faults]
