@@ -6,7 +6,7 @@ from usdsmoke.volume import VolumeFrame
 
 __all__ = ["KEPT_BYTES", "FrameReader"]
 
-KEPT_BYTES = 128 * 2**20  # of voxels, over all frames
+KEPT_BYTES = 32 * 2**20  # of voxels, over all frames: memory must not grow with the shot
 
 
 class FrameReader:
