@@ -21,7 +21,7 @@ __all__ = ["CoarseStart", "start_colours", "start_displacement"]
 # Share of the difference to the coarse result that a carried one is corrected by. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
 PULL_DISPLACEMENT = 0.3
-PULL_COLOUR = 0.7
+PULL_COLOUR = 0.5
 
 
 @dataclass(frozen=True)
