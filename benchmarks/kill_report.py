@@ -1,12 +1,10 @@
 """What `benchmarks.kills` has seen, as tables."""
 
-import datetime
-import os
-import platform
 import statistics
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+
+from benchmarks.circumstances import circumstances
 
 __all__ = ["Kill", "Length", "report"]
 
@@ -116,13 +114,5 @@ def _span(values: Sequence[float]) -> str:
 
 
 def _circumstances(arguments: Sequence[str], total_s: float) -> list[str]:
-    """Date, commit, machine and command, so that the table can be made again."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    return [
-        f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
-        f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, "
-        f"Python {platform.python_version()}; {total_s / 60:.0f} minutes.",
-        f"- `{' '.join(['python -m benchmarks.kills', *arguments])}`",
-    ]
+    made = circumstances(["python -m benchmarks.kills", *arguments])
+    return [*made, f"- It took {total_s / 60:.0f} minutes."]

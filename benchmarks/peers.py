@@ -9,10 +9,8 @@ to --report, benchmarks/results/peers.md.
 
 import argparse
 import dataclasses
-import datetime
 import json
 import os
-import platform
 import subprocess
 import sys
 import textwrap
@@ -22,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.circumstances import circumstances
 from benchmarks.shape_cost import Case, Cost, measure_case
 
 __all__ = ["list_cases", "main", "measure_in_child", "render_report"]
@@ -123,18 +122,8 @@ def _introduction(costs: dict[Case, Cost]) -> list[str]:
 
 
 def _circumstances(arguments: Sequence[str]) -> list[str]:
-    """Date, commit, machine and command, so that the table can be made again."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    return [
-        f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
-        f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, {memory:.0f} GiB, "
-        f"Python {platform.python_version()}, torch {version('torch')}; load average at the end "
-        f"{os.getloadavg()[0]:.1f}.",
-        f"- `{' '.join(['python -m benchmarks.peers', *arguments])}`",
-    ]
+    load = f"- torch {version('torch')}; load average at the end {os.getloadavg()[0]:.1f}."
+    return [*circumstances(["python -m benchmarks.peers", *arguments]), load]
 
 
 def _missed_marks(costs: dict[Case, Cost]) -> list[str]:

@@ -9,10 +9,8 @@ that it wrote, draws held-out views with a renderer of its own and prints the ta
 """
 
 import argparse
-import datetime
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -25,6 +23,7 @@ import numpy as np
 from PIL import Image
 from pxr import Usd
 
+from benchmarks.circumstances import circumstances
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.stages import find_stages
 from usdsmoke.errors import UsdSmokeError
@@ -156,7 +155,7 @@ def _report(runs: Sequence[Run], arguments: Sequence[str]) -> str:
         "|---|---|" + "---|" * (len(MEASURES) + 3),
         *(_row(run) for run in runs),
         "",
-        *_circumstances(arguments),
+        *circumstances(["python -m benchmarks.style_scores", *arguments]),
     ]
     return "\n".join(lines) + "\n"
 
@@ -169,20 +168,6 @@ def _row(run: Run) -> str:
     ]
     cost = [f"{run.wall_s:.0f}", f"{run.cpu_s:.0f}", f"{run.peak_gib:.1f}"]
     return "| " + " | ".join([run.style, run.cameras, *cells, *cost]) + " |"
-
-
-def _circumstances(arguments: Sequence[str]) -> list[str]:
-    """Date, commit, machine and command, so that the table can be made again."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    return [
-        f"- Date {datetime.date.today().isoformat()}, commit {commit or 'unknown'}.",
-        f"- {platform.machine()}, {len(os.sched_getaffinity(0))} cores, {memory:.0f} GiB, "
-        f"Python {platform.python_version()}.",
-        f"- `{' '.join(['python -m benchmarks.style_scores', *arguments])}`",
-    ]
 
 
 if __name__ == "__main__":
