@@ -162,11 +162,11 @@ def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
 def _move(link: Link, free: Displacement, job: Job) -> None:
     """Hold the displacement below the cap and move the density by it."""
     lattice, cap = free.lattice, longest_move(link.source, job.config)
-    share = None if link.mask is None else shares_on(lattice, link.mask)
+    share = shares_on(lattice, link.mask, link.source.density)
     held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
     link.displacement = Displacement(held, lattice)
     link.density, report = move_density(
-        link.density, link.source, link.displacement, job.config, link.mask
+        link.density, link.source, link.displacement, job.config, share
     )
     link.smoke = activate(link.density, link.frame.density_to_stage, job.device)
     link.report["shape"] |= {"cap": cap, **report}

@@ -70,11 +70,15 @@ class Lattice:
         low = torch.as_tensor(self.low, device=smoke.ijk.device)
         return densify(smoke.ijk, smoke.density[:, None], low, self.shape)[..., 0]
 
-    def sample(self, values: Tensor, positions: Tensor, beyond: Boundary = "nearest") -> Tensor:
-        """Box values [I J K C] at stage positions [N 3]; ``beyond`` the box see ``core.sample``."""
+    def index_of(self, positions: Tensor) -> Tensor:
+        """Stage positions [N 3] float64 in voxels of the box, of which the first is (0, 0, 0)."""
         matrix = torch.as_tensor(np.linalg.inv(self.index_to_stage), device=positions.device)
         low = torch.as_tensor(self.low, device=positions.device)
-        place = positions @ matrix[:3, :3] + matrix[3, :3] - low
+        return positions @ matrix[:3, :3] + matrix[3, :3] - low
+
+    def sample(self, values: Tensor, positions: Tensor, beyond: Boundary = "nearest") -> Tensor:
+        """Box values [I J K C] at stage positions [N 3]; ``beyond`` the box see ``core.sample``."""
+        place = self.index_of(positions)
         return sample_linear(values, place.to(values.dtype), boundary=beyond)
 
 

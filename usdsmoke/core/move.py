@@ -19,15 +19,20 @@ ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
 FAINTEST = 1e-6  # of the largest density
 
 
-def effect_on(density: Tensor, lattice: Lattice, mask: EffectMask | None) -> Tensor:
-    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border."""
+def effect_on(density: Tensor, share: Tensor | None) -> Tensor:
+    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border.
+
+    Args:
+        density: [I J K].
+        share: the mask's values there, from ``shares_on``.
+    """
     inside = border_mask(density)
-    return inside if mask is None else inside * shares_on(lattice, mask).to(inside)
+    return inside if share is None else inside * share
 
 
-def shares_on(lattice: Lattice, mask: EffectMask) -> Tensor:
-    """The mask's values on a box, [I J K]."""
-    return mask.at(lattice.positions()).view(lattice.shape)
+def shares_on(lattice: Lattice, mask: EffectMask | None, like: Tensor) -> Tensor | None:
+    """The mask's values on a box, [I J K], with the dtype and device of ``like``; None without."""
+    return None if mask is None else mask.at(lattice.positions()).view(lattice.shape).to(like)
 
 
 def move_density(
@@ -35,7 +40,7 @@ def move_density(
     source: ActiveSmoke,
     displacement: Displacement,
     config: Config,
-    mask: EffectMask | None = None,
+    share: Tensor | None = None,
 ) -> tuple[DenseField, dict[str, Any]]:
     """The full density moved by the accurate scheme, and how far the cheap one is off.
 
@@ -43,7 +48,7 @@ def move_density(
         density: the frame's (refined) density; ``source`` holds its active voxels.
         displacement: on the box that ``lattice.surround(source, ROOM)`` gives.
         config: strength, scheme and correction of mass.
-        mask: where it is 0 the source stays bit for bit.
+        share: the mask's values on that box; where it is 0 the source stays bit for bit.
     """
     lattice = displacement.lattice
     box = lattice.fill(source)
@@ -60,7 +65,7 @@ def move_density(
         difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
         report["cheap scheme differs"] = float(difference)
     # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
-    here = box >= 0 if mask is None else shares_on(lattice, mask).to(box.device) > 0
+    here = box >= 0 if share is None else share > 0
     corrected, report["mass error"] = correct_mass(moved[here], box[here])
     result = box.clone()
     result[here] = corrected if config.shape.mass_correction else moved[here]

@@ -70,14 +70,14 @@ class _Octave:
     ) -> None:
         self.lattice = surround(smoke, ROOM)
         self.density = self.lattice.fill(smoke)
-        self.effect = effect_on(self.density, self.lattice, mask)
-        self._base = None if start is None else start(self.lattice)
-        self._share = None if mask is None else shares_on(self.lattice, mask).to(self.density)
+        self._share = shares_on(self.lattice, mask, self.density)
+        self.effect = effect_on(self.density, self._share)
+        self.base = None if start is None else start(self.lattice)
         self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
         self.active = torch.nonzero(self._reached())
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
-        shown = None if mask is None else mask.at(positions)
+        shown = None if self._share is None else self._share[tuple(self.active.T)]
         still = self.density[tuple(self.active.T)]
         self._views = []
         for view in frame_views(smoke, config, scene, seed, factor):
@@ -95,8 +95,8 @@ class _Octave:
         may have smoke elsewhere.
         """
         reached = (self.density > 0) | grow(self.effect > 0)
-        if self._base is not None:
-            still = self._base.new_zeros(*self.lattice.shape, N_CHANNELS[self._kind])
+        if self.base is not None:
+            still = self.base.new_zeros(*self.lattice.shape, N_CHANNELS[self._kind])
             reached |= grow(warp(self.density, self._displacement(still), scheme="linear") > 0)
         return reached
 
@@ -106,7 +106,7 @@ class _Octave:
 
     def _displacement(self, potential: Tensor) -> Tensor:
         return displacement_from(
-            potential, self.effect, self._kind, self._cap, self.lattice, self._base, self._share
+            potential, self.effect, self._kind, self._cap, self.lattice, self.base, self._share
         )
 
     def moved(self, potential: Tensor) -> Tensor:
@@ -157,25 +157,27 @@ def run_shape_step(
         each octave ended.
     """
     cap, rate = longest_move(source, config), slower * config.shape.learning_rate
-    potential, ends, carried = None, [], None
+    potential, ends, carried, done = None, [], None, None
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
         octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start)
-        base = _potential_on(octave.lattice, potential, config, octave.density)
+        first = _potential_on(octave.lattice, potential, config, octave.density)
         told = partial(watch, number) if watch is not None else None
         values, adam, end = _optimize_octave(
-            octave, base, cap, config, n_iterations, rate, carried, told
+            octave, first, cap, config, n_iterations, rate, carried, told
         )
         potential, carried = Potential(values, octave.lattice), (adam, octave.lattice)
         ends += [end] if end is not None else []
-    lattice = surround(source, ROOM)
-    free = free_displacement(
-        _potential_on(lattice, potential, config, source.density),
-        effect_on(lattice.fill(source), lattice, mask),
-        config.shape.displacement,
-        lattice,
-        None if start is None else start(lattice),
-    )
+        done = octave if smoke is source else None
+    if done is not None:  # the box at full resolution is there
+        lattice, effect, base = done.lattice, done.effect, done.base
+    else:
+        lattice = surround(source, ROOM)
+        density = lattice.fill(source)
+        effect = effect_on(density, shares_on(lattice, mask, density))
+        base = None if start is None else start(lattice)
+    found = _potential_on(lattice, potential, config, source.density)
+    free = free_displacement(found, effect, config.shape.displacement, lattice, base)
     return Displacement(lattice.to_stage(free), lattice), ends
 
 

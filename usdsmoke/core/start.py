@@ -110,7 +110,7 @@ def _on(displacement: Displacement, lattice: Lattice) -> Tensor:
 
 def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:
     """Means over the coarse lattice's voxels, [i j k 3]: what lies beyond the fine box is 0."""
-    places = _index_on(coarse, fine.lattice.positions()).round().long()
+    places = coarse.index_of(fine.lattice.positions()).round().long()
     values = fine.values.reshape(-1, 3)
     sums, counts = _bin(places, values, coarse.shape)
     return (sums / counts.clamp_min(1.0)).view(*coarse.shape, 3).to(values)
@@ -123,7 +123,7 @@ def _coarse_difference(
     low = smoke.ijk.amin(0)
     shape = tuple(int(n) for n in smoke.ijk.amax(0) - low + 1)
     lattice = Lattice(low.cpu().numpy(), shape, smoke.index_to_stage)  # type: ignore[arg-type]
-    places = _index_on(lattice, painted.positions).round().long()
+    places = lattice.index_of(painted.positions).round().long()
     weighted = torch.cat([carried, torch.ones_like(carried[:, :1])], 1) * painted.density[:, None]
     sums, _ = _bin(places, weighted, lattice.shape)
     own = (smoke.ijk - low).T
@@ -132,13 +132,6 @@ def _coarse_difference(
     means = (found[:, :3] / found[:, 3:].clamp_min(1e-300)).to(colours)
     difference = torch.where(there[:, None], colours - means, torch.zeros_like(colours))
     return sample_colours(smoke, difference, painted.positions)[0]
-
-
-def _index_on(lattice: Lattice, positions: Tensor) -> Tensor:
-    """Stage positions [N 3] in voxels of the box."""
-    matrix = torch.linalg.inv(torch.as_tensor(lattice.index_to_stage, device=positions.device))
-    low = torch.as_tensor(lattice.low, device=positions.device)
-    return positions @ matrix[:3, :3] + matrix[3, :3] - low
 
 
 def _bin(places: Tensor, values: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
