@@ -1,5 +1,6 @@
-"""What the command line prints for people: plans, results, inspections, findings."""
+"""What the command line prints: plans, results, inspections, findings, for people or as JSON."""
 
+import json
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,10 +19,16 @@ __all__ = [
     "inspection_text",
     "job_text",
     "plan_text",
+    "print_json",
     "result_text",
     "step_text",
     "validation_text",
 ]
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON value on stdout; NaN and infinity are no JSON and raise ValueError."""
+    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def plan_text(plan: "Plan") -> str:

@@ -15,10 +15,13 @@ from usdsmoke.errors import ShapeError
 
 __all__ = [
     "VELOCITY_NAMES",
+    "CameraSource",
     "DenseField",
     "FieldSource",
+    "FrameControls",
     "FrameSource",
     "StageSource",
+    "StyleRequest",
     "VolumeFrame",
     "VolumeSource",
     "WrittenFrame",
@@ -45,11 +48,46 @@ class FieldSource:
 
 
 @dataclass(frozen=True)
+class CameraSource:
+    """A UsdGeomCamera at one timeCode; lengths of the film and the lens in one unit of their own."""
+
+    prim_path: str
+    camera_to_stage: np.ndarray  # [4 4] local-to-world; the camera looks along its -Z, +Y is up
+    focal_length: float
+    horizontal_aperture: float
+    vertical_aperture: float
+    horizontal_offset: float  # of the aperture's centre
+    vertical_offset: float
+    clipping_range: tuple[float, float]  # near and far, stage units
+    is_orthographic: bool = False  # apertures are then in tenths of a stage unit
+
+
+@dataclass(frozen=True)
+class FrameControls:
+    """Settings that have a value of their own at one timeCode; None leaves the run's."""
+
+    strength: float | None = None  # optimize.strength
+    pattern_speed: float | None = None  # windows.pattern_speed, from this frame to the next
+    gamma: float | None = None  # optics.gamma
+    style_weights: tuple[float, ...] | None = None  # style.weights
+
+
+@dataclass(frozen=True)
+class StyleRequest:
+    """What a Volume prim asks for itself; empty where it says nothing."""
+
+    styles: tuple[str, ...] = ()  # image files, absolute
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by section and key
+
+
+@dataclass(frozen=True)
 class FrameSource:
     """One timeCode of one Volume: its fields by relationship name."""
 
     time_code: float
     fields: Mapping[str, FieldSource]
+    controls: FrameControls = FrameControls()
+    camera: CameraSource | None = None  # None: no shot camera was named
 
 
 @dataclass(frozen=True)
@@ -64,6 +102,7 @@ class VolumeSource:
     velocity: tuple[str, ...] = ()  # relationship names of the velocity: one vector or x, y, z
     mask: str = ""  # relationship name of the mask; "" when it has none, or none is asked for
     other_fields: tuple[str, ...] = ()  # relationship names that are left alone
+    request: StyleRequest = StyleRequest()
 
 
 @dataclass(frozen=True)
@@ -131,6 +170,8 @@ class VolumeFrame:
     # [i j k] as it is in the file: nothing is clamped, and beyond the box its background holds.
     mask: DenseField | None = None
     mask_to_stage: np.ndarray | None = None  # [4 4] mask's grid world to stage space
+    controls: FrameControls = FrameControls()
+    camera: CameraSource | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,43 @@
+"""The commands that look at what is there and change nothing."""
+
+import argparse
+from dataclasses import asdict
+
+from usdsmoke.cli_text import inspection_text, print_json, validation_text
+from usdsmoke.config import Config, config_to_dict, config_to_yaml
+
+__all__ = ["run_inspect", "run_settings", "run_validate"]
+
+
+def run_inspect(arguments: argparse.Namespace) -> int:
+    """``usdsmoke inspect``; the exit code, 1 where there are problems."""
+    from usdsmoke.inspection import inspect
+
+    found = inspect(arguments.stage, arguments.prim, arguments.frames or "")
+    if arguments.json:
+        print_json(found)
+    else:
+        print(inspection_text(found))
+    return 1 if found["problems"] else 0
+
+
+def run_validate(arguments: argparse.Namespace) -> int:
+    """``usdsmoke validate``; the exit code, 1 where there are errors."""
+    from usdsmoke.validators import Severity, validate
+
+    findings = validate(arguments.stage)
+    n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
+    if arguments.json:
+        print_json({"errors": n_errors, "findings": [asdict(finding) for finding in findings]})
+    else:
+        print(validation_text(arguments.stage, findings))
+    return 1 if n_errors else 0
+
+
+def run_settings(arguments: argparse.Namespace) -> int:
+    """``usdsmoke settings``; the exit code."""
+    if arguments.json:
+        print_json(config_to_dict(Config()))
+    else:
+        print(config_to_yaml(Config()), end="")
+    return 0

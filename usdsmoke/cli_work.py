@@ -1,0 +1,152 @@
+"""The commands that make results: ``stylize``, ``submit``, ``assemble``."""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from usdsmoke.cli_arguments import options_as_sections
+from usdsmoke.cli_text import job_text, plan_text, print_json, result_text, step_text
+from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
+
+if TYPE_CHECKING:
+    from usdsmoke.pipeline import StepResult, StylizeResult
+
+__all__ = ["run_assemble", "run_stylize", "run_submit"]
+
+_Result = TypeVar("_Result")
+
+
+def run_stylize(arguments: argparse.Namespace) -> int:
+    """``usdsmoke stylize``; the exit code."""
+    from usdsmoke.pipeline import plan_stylize
+
+    config = _config(arguments)
+    if arguments.dry_run:
+        plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config)
+        if arguments.json:
+            print_json(plan.to_dict() | {"config": config_to_dict(config)})
+        else:
+            print(plan_text(plan))
+        return 0
+    if arguments.coarse or arguments.window is not None:
+        step = _with_progress(_step_call(arguments), arguments, config)
+        if arguments.json:
+            print_json(_step_as_dict(step))
+        else:
+            print(step_text(step))
+        return 0
+    _show_result(_with_progress(_whole_call(arguments), arguments, config), arguments)
+    return 0
+
+
+def run_submit(arguments: argparse.Namespace) -> int:
+    """``usdsmoke submit``; the exit code."""
+    from usdsmoke.pipeline_submit import submit
+
+    bundle = submit(
+        arguments.stage,
+        arguments.style,
+        arguments.output,
+        _config(arguments),
+        template=arguments.template,
+        command=arguments.program,
+    )
+    if arguments.json:
+        print_json(
+            {
+                "template": str(bundle.template),
+                "files": [str(file_path) for file_path in bundle.files],
+                "parameters": dict(bundle.parameters),
+                "n_windows": bundle.n_windows,
+            }
+        )
+    else:
+        print(job_text(bundle))
+    return 0
+
+
+def run_assemble(arguments: argparse.Namespace) -> int:
+    """``usdsmoke assemble``; the exit code."""
+    from rich.console import Console
+
+    from usdsmoke.pipeline import assemble
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        result = assemble(arguments.output, progress)
+        for warning in result.warnings:
+            progress.say(f"note: {warning}")
+    _show_result(result, arguments)
+    return 0
+
+
+def _whole_call(arguments: argparse.Namespace) -> Callable[..., "StylizeResult"]:
+    """What does a whole run: this process or a cluster."""
+    if arguments.cluster is not None:
+        from usdsmoke.cluster import stylize_on_cluster
+
+        return partial(stylize_on_cluster, arguments.cluster)
+    from usdsmoke.pipeline import stylize
+
+    return stylize
+
+
+def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
+    """What does a part of a run: one window or the coarse step."""
+    from usdsmoke.pipeline import run_coarse, run_window
+
+    return run_coarse if arguments.coarse else partial(run_window, window=arguments.window)
+
+
+def _config(arguments: argparse.Namespace) -> Config:
+    sections = read_config(arguments.config) if arguments.config else {}
+    return resolve_config(sections, options_as_sections(arguments), assignments=arguments.set)
+
+
+def _with_progress(
+    call: Callable[..., _Result], arguments: argparse.Namespace, config: Config
+) -> _Result:
+    """Call ``stylize`` or a part of it, telling the plan and the progress on stderr."""
+    from rich.console import Console
+
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        result = call(
+            stage=arguments.stage,
+            style=arguments.style,
+            output=arguments.output,
+            config=config,
+            force=arguments.force,
+            progress=progress,
+            planned=lambda plan: progress.say(plan_text(plan)),
+        )
+        for warning in getattr(result, "warnings", ()):
+            progress.say(f"note: {warning}")
+    return result
+
+
+def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
+    if arguments.json:
+        print_json(_result_as_dict(result))
+    else:
+        print(result_text(result))
+
+
+def _step_as_dict(step: "StepResult") -> dict[str, Any]:
+    manifest = str(step.manifest) if step.manifest.is_file() else None
+    return {"folder": str(step.folder), "manifest": manifest, "was_done": step.was_done}
+
+
+def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
+    return {
+        "root_stage": str(result.root_stage),
+        "look_layer": str(result.look_layer),
+        "frames": [str(file_path) for file_path in result.frames],
+        "contact_sheets": [str(file_path) for file_path in result.contact_sheets],
+        "warnings": list(result.warnings),
+        "temporal_error": result.temporal_error,
+        "overlap_difference": result.overlap_difference,
+        "plan": result.plan.to_dict(),
+    }
