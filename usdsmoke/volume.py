@@ -49,7 +49,7 @@ class FieldSource:
 
 @dataclass(frozen=True)
 class CameraSource:
-    """A UsdGeomCamera at one timeCode; lengths of the film and the lens in one unit of their own."""
+    """A UsdGeomCamera at one timeCode; film and lens are measured in one unit of their own."""
 
     prim_path: str
     camera_to_stage: np.ndarray  # [4 4] local-to-world; the camera looks along its -Z, +Y is up
