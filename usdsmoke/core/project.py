@@ -110,8 +110,8 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
         scale = view.focal / depth
         # the area seen at a slant is smaller by its cosine
         per_area = scale**2 * torch.sqrt(1 + (right**2 + up**2) / depth**2)
-    x = (view.width - 1) / 2 + right * scale
-    y = (view.height - 1) / 2 - up * scale
+    x = (view.width - 1) / 2 + view.shift[0] + right * scale
+    y = (view.height - 1) / 2 + view.shift[1] - up * scale
     x0, y0 = torch.floor(x), torch.floor(y)
     fx, fy = x - x0, y - y0
     pixels, weights = [], []

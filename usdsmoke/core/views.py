@@ -7,8 +7,18 @@ from functools import lru_cache
 import numpy as np
 
 from usdsmoke.config import ViewsConfig
+from usdsmoke.volume import CameraSource
 
-__all__ = ["View", "camera_view", "draw_views", "orbit_view", "sample_angles"]
+__all__ = [
+    "View",
+    "camera_view",
+    "draw_views",
+    "orbit_view",
+    "sample_angles",
+    "view_of_camera",
+]
+
+APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
 
 
 @dataclass(frozen=True)
@@ -16,9 +26,9 @@ class View:
     """A pinhole or parallel camera; rows of the image go down.
 
     ``right``, ``up``, ``forward`` are orthonormal in stage space. A point projects to
-    pixel x = W/2 - 1/2 + s * (p - centre).right and y = H/2 - 1/2 - s * (p - centre).up, where
-    s = 1 / pixel_size (orthographic) or focal / depth (perspective: ``centre`` is the eye and
-    ``focal`` in pixels).
+    pixel x = W/2 - 1/2 + s * (p - centre).right + shift[0] and
+    y = H/2 - 1/2 - s * (p - centre).up + shift[1], where s = 1 / pixel_size (orthographic) or
+    focal / depth (perspective: ``centre`` is the eye and ``focal`` in pixels).
     """
 
     right: np.ndarray
@@ -31,6 +41,7 @@ class View:
     focal: float | None = None  # pixels; None is orthographic
     azimuth: float = 0.0
     elevation: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)  # pixels, right and down: a lens that is off-centre
 
 
 def orbit_view(
@@ -84,6 +95,45 @@ def camera_view(
     eye = np.asarray(camera_to_stage, float)[3, :3]
     focal = focal_length / horizontal_aperture * width
     return View(axes[0], axes[1], -axes[2], eye, height, width, 0.0, focal)
+
+
+def view_of_camera(camera: CameraSource, height: int, width: int) -> View:
+    """What a camera of the stage shows, as ``height`` x ``width`` square pixels.
+
+    The horizontal aperture spans the picture's width, which is hdStorm's and usdrecord's way too
+    (``expandVertically`` or ``crop``): a picture that is higher than the film shows more above and
+    below, a lower one less. As in ``Gf.Camera``, scale in the camera's transform does not count,
+    and a mirrored one is mirrored back. The clipping range is not looked at.
+
+    Args:
+        camera: see ``CameraSource``.
+        height, width: pixels.
+    """
+    place = np.asarray(camera.camera_to_stage, float)
+    right, up, forward = _rigid_axes(place[:3, :3])
+    eye = place[3, :3]
+    per_unit = width / camera.horizontal_aperture  # pixels per unit of film
+    across, above = camera.horizontal_offset, camera.vertical_offset
+    if camera.is_orthographic:
+        centre = eye + APERTURE_UNIT * (across * right + above * up)
+        return View(right, up, forward, centre, height, width, APERTURE_UNIT / per_unit)
+    return View(
+        right, up, forward, eye, height, width, 0.0, camera.focal_length * per_unit,
+        shift=(-across * per_unit, above * per_unit),
+    )  # fmt: skip
+
+
+def _rigid_axes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Right, up and forward of a camera whose x, y, z are the rows of a [3 3] matrix.
+
+    The polar decomposition's rotation: no axis is preferred where the matrix shears.
+    """
+    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    if np.linalg.det(rows) < 0:
+        rows = np.diag([-1.0, 1.0, 1.0]) @ rows
+    u, _, v = np.linalg.svd(rows)
+    right, up, backward = u @ v
+    return right, up, -backward
 
 
 def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:

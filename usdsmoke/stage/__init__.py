@@ -1,11 +1,13 @@
 """USD in: a stage's composed values as plain records. Nothing is read from disk but USD.
 
 `opening` opens a stage, `volumes` chooses the Volumes and their timeCodes, `fields` follows a
-Volume's relationships to its field prims, `assets` says which file and grid those show when.
+Volume's relationships to its field prims, `assets` says which file and grid those show when,
+`cameras` reads a shot's camera.
 """
 
+from usdsmoke.stage.cameras import read_camera
 from usdsmoke.stage.opening import open_stage
 from usdsmoke.stage.volumes import find_volumes
 from usdsmoke.time_codes import parse_frames
 
-__all__ = ["find_volumes", "open_stage", "parse_frames"]
+__all__ = ["find_volumes", "open_stage", "parse_frames", "read_camera"]

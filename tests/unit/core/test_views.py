@@ -4,9 +4,19 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import torch
 
 from usdsmoke.config import ViewsConfig
-from usdsmoke.core.views import View, camera_view, draw_views, orbit_view, sample_angles
+from usdsmoke.core.project import project_voxels
+from usdsmoke.core.views import (
+    View,
+    camera_view,
+    draw_views,
+    orbit_view,
+    sample_angles,
+    view_of_camera,
+)
+from usdsmoke.volume import CameraSource
 
 SAMPLINGS = ["fixed", "uniform", "poisson"]
 RANGES = [(12.0, 6.0), (180.0, 0.0), (180.0, 90.0), (0.0, 6.0), (0.0, 0.0), (1e-3, 90.0)]
@@ -68,6 +78,40 @@ def test_a_camera_looks_along_its_own_minus_z_whatever_its_scale():
     assert view.forward == pytest.approx([0, 0, -1]) and view.up == pytest.approx([0, 1, 0])
     assert view.centre == pytest.approx([1, 2, 3])
     assert view.focal == pytest.approx(320.0)  # twice the width
+
+
+def lens(across=0.0, above=0.0, parallel=False):
+    """At (1, 2, 30), twice as long as its film of 20 x 10 is wide; looks along -Z."""
+    place = np.eye(4)
+    place[3, :3] = [1, 2, 30]
+    return CameraSource("/camera", place, 40.0, 20.0, 10.0, across, above, (1.0, 100.0), parallel)
+
+
+def pixel_of(view, point):
+    """Mean of the pixels that a point is splatted on."""
+    foot = project_voxels(torch.tensor([point], dtype=torch.float64), view)
+    x, y = foot.pixel % view.width, foot.pixel // view.width
+    assert float(foot.weight.sum()) == pytest.approx(1.0)
+    return float((x * foot.weight).sum()), float((y * foot.weight).sum())
+
+
+@pytest.mark.parametrize(
+    ("camera", "shape", "wanted"),
+    [
+        # 10 in front: 1 stage unit is 2/10 of the width, 20 pixels of 100
+        (lens(), (50, 100), (69.5, 4.5)),
+        (lens(), (100, 100), (69.5, 29.5)),  # higher than the film: more above and below
+        (lens(across=2.0), (50, 100), (59.5, 4.5)),  # the film a tenth further to the right
+        (lens(above=1.0), (50, 100), (69.5, 9.5)),  # and a twentieth of the width further up
+        # film of 2 stage units on 100 pixels: 50 pixels a stage unit
+        (lens(across=5.0, parallel=True), (200, 100), (74.5, 49.5)),
+        (lens(across=5.0, above=2.0, parallel=True), (100, 100), (74.5, 9.5)),
+    ],
+)
+def test_a_point_lands_on_the_pixel_that_film_and_lens_give(camera, shape, wanted):
+    """The point lies 1 to the right of, 1 above and 10 in front of the camera."""
+    view = view_of_camera(camera, *shape)
+    assert pixel_of(view, [2.0, 3.0, 20.0]) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)

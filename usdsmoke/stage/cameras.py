@@ -1,0 +1,110 @@
+"""What a stage's Camera shows at one timeCode: its place, its film and its lens."""
+
+import math
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom
+
+from usdsmoke.errors import StageError
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.volume import CameraSource
+
+__all__ = ["list_cameras", "read_camera"]
+
+_NUMBERS = {
+    "focal_length": "focalLength",
+    "horizontal_aperture": "horizontalAperture",
+    "vertical_aperture": "verticalAperture",
+    "horizontal_offset": "horizontalApertureOffset",
+    "vertical_offset": "verticalApertureOffset",
+}
+
+
+def list_cameras(stage: Usd.Stage) -> list[str]:
+    """Paths of the stage's Camera prims, those inside instances included."""
+    predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+    return [
+        str(prim.GetPath())
+        for prim in Usd.PrimRange.Stage(stage, predicate)
+        if prim.IsA(UsdGeom.Camera)
+    ]
+
+
+def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSource:
+    """A Camera's composed values at a timeCode; what is not authored is the schema's.
+
+    Args:
+        stage: from ``open_stage``.
+        prim_path: of a prim of type Camera.
+        time_code: values between time samples are interpolated as USD does it.
+
+    Raises:
+        StageError: there is no Camera at the path (the message lists the stage's cameras), or no
+            picture can be taken with its values.
+    """
+    camera = _find_camera(stage, prim_path)
+    place = UsdGeom.XformCache(time_code).GetLocalToWorldTransform(camera.GetPrim())
+    near, far = camera.GetClippingRangeAttr().Get(time_code)
+    numbers = {
+        key: float(camera.GetPrim().GetAttribute(name).Get(time_code))
+        for key, name in _NUMBERS.items()
+    }
+    projection = camera.GetProjectionAttr().Get(time_code)
+    source = CameraSource(
+        prim_path,
+        np.array(place, dtype=np.float64),
+        clipping_range=(float(near), float(far)),
+        is_orthographic=projection == UsdGeom.Tokens.orthographic,
+        **numbers,
+    )
+    _check_camera(source, time_code)
+    return source
+
+
+def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
+    listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage)) or "none"
+    advice = f"wanted one of the stage's cameras: {listed}"
+    if not (
+        path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
+    ):
+        raise StageError(f"{path!r} is no path of a camera, as /World/camera is; {advice}")
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise StageError(f"no prim <{path}> on the stage; {advice}")
+    if not prim.IsActive():
+        raise StageError(f"the prim <{path}> is inactive; activate it, or {advice}")
+    if not prim.IsA(UsdGeom.Camera):
+        kind = prim.GetTypeName() or "none"
+        raise StageError(f"the prim <{path}> is of type {kind}, no Camera; {advice}")
+    return UsdGeom.Camera(prim)
+
+
+def _check_camera(source: CameraSource, time_code: float) -> None:
+    """Refuse what gives no picture, by the attribute that is to be corrected."""
+    where = f"the camera <{source.prim_path}> at timeCode {format_time_code(time_code)}"
+    sizes = [
+        ("horizontalAperture", source.horizontal_aperture),
+        ("verticalAperture", source.vertical_aperture),
+    ]
+    if not source.is_orthographic:
+        sizes.append(("focalLength", source.focal_length))
+    for name, value in sizes:
+        if not (math.isfinite(value) and value > 0):
+            raise StageError(f"{where} has {name} {value:g}; wanted a number above 0: set it")
+    for name, value in (
+        ("horizontalApertureOffset", source.horizontal_offset),
+        ("verticalApertureOffset", source.vertical_offset),
+    ):
+        if not math.isfinite(value):
+            raise StageError(f"{where} has {name} {value:g}; wanted a finite number: set it")
+    near, far = source.clipping_range
+    if not (math.isfinite(near) and near < far):
+        raise StageError(
+            f"{where} has clippingRange ({near:g}, {far:g}); wanted two ascending numbers: set it"
+        )
+    axes = source.camera_to_stage[:3, :3]
+    if not (np.isfinite(source.camera_to_stage).all() and abs(np.linalg.det(axes)) > 0):
+        raise StageError(
+            f"{where} is placed by a matrix that is singular or not finite; correct the "
+            "transforms of the camera and its parents"
+        )
