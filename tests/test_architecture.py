@@ -43,9 +43,18 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("schema", {"errors"}, {"pxr"}),
     ("diagnostics", {"errors"}, {"pxr"}),
     ("relationships", set(), {"pxr"}),
+    ("request_attributes", set(), set()),
+    ("request_values", set(), {"pxr"}),
+    (
+        "volume_requests",
+        GROUND | {"schema", "relationships", "request_attributes", "request_values"},
+        {"pxr"},
+    ),
     (
         "stage*",
-        GROUND | {"stage*", "schema", "diagnostics", "relationships", "provenance"},
+        GROUND
+        | {"stage*", "schema", "diagnostics", "relationships", "provenance"}
+        | {"request_attributes", "volume_requests"},
         {"pxr", "numpy"},
     ),
     (
@@ -55,7 +64,9 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ),
     (
         "validat*",
-        GROUND | {"validat*", "schema", "diagnostics", "relationships", "provenance", "grids.*"},
+        GROUND
+        | {"validat*", "schema", "diagnostics", "relationships", "provenance", "grids.*"}
+        | {"request_attributes", "volume_requests"},
         {"pxr", "numpy"},
     ),
     ("grids.binding", GROUND | {"grids*"}, {"numpy"} | OPENVDB),

@@ -9,9 +9,12 @@
     usdsmoke.validate("look/look.usda")                               is the result sound
 
 Importing this package loads nothing heavy: each public name is looked up when it is first used.
+It tells USD where its schemas are, so that stages opened afterwards know UsdSmokeStyleAPI.
 """
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -63,3 +66,17 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_HOME})
+
+
+def _announce_schemas() -> None:
+    """Through the environment as long as USD is not loaded, which reads it then."""
+    folder = os.path.join(os.path.dirname(os.path.abspath(__file__)), "plugin")
+    if "pxr.Tf" in sys.modules:
+        importlib.import_module("pxr.Plug").Registry().RegisterPlugins(folder)
+        return
+    folders = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
+    if folder not in folders:
+        os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join([*filter(None, folders), folder])
+
+
+_announce_schemas()

@@ -45,6 +45,7 @@ __all__ = [
     "StyleConfig",
     "ViewsConfig",
     "WindowsConfig",
+    "check_value",
     "config_to_dict",
     "config_to_yaml",
     "read_config",
@@ -139,6 +140,25 @@ def resolve_config(*sources: Mapping[str, Any], assignments: Sequence[str] = ())
     return config
 
 
+def check_value(section: str, key: str, value: Any, where: str) -> Any:
+    """A value for one setting as the type that it wants and within its limits.
+
+    Args:
+        section, key: of the setting.
+        value: as given.
+        where: what to call it in messages.
+
+    Raises:
+        ConfigError: there is no such setting, or it wants another type or range.
+    """
+    section_class: Any = _section_class(section)
+    fields = {item.name: item for item in dataclasses.fields(section_class)}
+    if key not in fields:
+        raise ConfigError(f"unknown setting {section}.{key}{nearest(key, list(fields))}")
+    wanted = typing.get_type_hints(section_class)[key]
+    return check_setting(where, value, wanted, fields[key].metadata)
+
+
 def style_shares(config: StyleConfig, n_styles: int) -> list[float]:
     """What share each style image has, adding up to 1.
 
@@ -221,14 +241,12 @@ def _split_assignment(text: str) -> tuple[str, str, Any]:
 
 
 def _build_section(section: str, section_class: Any, settings: Mapping[str, Any]) -> Any:
-    hints = typing.get_type_hints(section_class)
-    fields = {item.name: item for item in dataclasses.fields(section_class)}
-    checked = {}
-    for key, value in settings.items():
-        if key not in fields:
-            raise ConfigError(f"unknown setting {section}.{key}{nearest(key, list(fields))}")
-        checked[key] = check_setting(f"{section}.{key}", value, hints[key], fields[key].metadata)
-    return section_class(**checked)
+    return section_class(
+        **{
+            key: check_value(section, key, value, f"{section}.{key}")
+            for key, value in settings.items()
+        }
+    )
 
 
 def _check_together(config: Config) -> None:

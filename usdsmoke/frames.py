@@ -202,6 +202,8 @@ def read_frame(
         velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
         mask=None if mask is None else _read_mask(mask, config),
         mask_to_stage=None if mask is None else mask.field.field_to_stage,
+        controls=frame.controls,
+        camera=frame.camera,
     )
 
 

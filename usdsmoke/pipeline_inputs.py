@@ -217,6 +217,7 @@ def _stage_digest(source: StageSource) -> str:
     """Of everything that the stage says about the Volumes, except where it lies on the disk."""
     values = dataclasses.asdict(dataclasses.replace(source, file_path=Path(source.file_path).name))
     for volume in values["volumes"]:
+        del volume["request"]
         for frame in volume["frames"]:
             for field in frame["fields"].values():
                 del field["file_path"]

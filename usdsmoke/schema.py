@@ -1,6 +1,6 @@
-"""The codeless schema UsdSmokeLookAPI: its names, and making it known to USD.
+"""The codeless schemas UsdSmokeLookAPI and UsdSmokeStyleAPI: names, and making them known to USD.
 
-The schema's source is schemas/usdSmoke/schema.usda; ``make schema`` makes the files in
+Their source is schemas/usdSmoke/schema.usda; ``make schema`` makes the files in
 ``usdsmoke/plugin`` from it, which are part of the package.
 """
 
@@ -19,12 +19,15 @@ __all__ = [
     "RUN",
     "SEED",
     "STYLE",
+    "STYLE_API",
+    "late_note",
     "register_schema",
 ]
 
 PLUGIN_FOLDER = Path(__file__).resolve().parent / "plugin"
 
-LOOK_API = "UsdSmokeLookAPI"  # the schema's name, as it stands in apiSchemas
+LOOK_API = "UsdSmokeLookAPI"  # the schemas' names, as they stand in apiSchemas
+STYLE_API = "UsdSmokeStyleAPI"
 
 EXTINCTION_PER_DENSITY = "usdSmoke:extinctionPerDensity"  # float, 1/(stage unit) per density
 EMISSION_MODE = "usdSmoke:emissionMode"  # token
@@ -38,7 +41,9 @@ LIN_REC709 = "lin_rec709"  # COLOR_SPACE: scene-linear, Rec.709 primaries
 
 
 def register_schema() -> bool:
-    """Make the schema known to this process; True when USD knows it afterwards.
+    """Make the schemas known to this process; True when USD knows them afterwards.
+
+    ``import usdsmoke`` does so too, as long as no stage was opened before.
 
     USD reads all schemas once, when the first stage is opened or the schema registry is first
     asked; call this before. When that has happened already without ours (and it was not found
@@ -48,3 +53,15 @@ def register_schema() -> bool:
     """
     Plug.Registry().RegisterPlugins(str(PLUGIN_FOLDER))
     return Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(LOOK_API) is not None
+
+
+def late_note() -> str:
+    """What to do when USD does not know the schemas because they came too late; "" when it does."""
+    if register_schema():
+        return ""
+    return (
+        f"USD does not know {STYLE_API} and {LOOK_API} in this process, because a stage was opened "
+        "before usdsmoke was imported: their attributes are read all the same, but cannot be "
+        "applied here; import usdsmoke first, or set PXR_PLUGINPATH_NAME to "
+        f"{PLUGIN_FOLDER}"
+    )

@@ -78,6 +78,7 @@ class StyleRequest:
 
     styles: tuple[str, ...] = ()  # image files, absolute
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by section and key
+    ignored: tuple[str, ...] = ()  # attributes that do not count: UsdSmokeStyleAPI is not applied
 
 
 @dataclass(frozen=True)

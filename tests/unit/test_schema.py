@@ -3,16 +3,28 @@
 USD reads schemas once in a process, so each case runs in a process of its own.
 """
 
+import dataclasses
 import json
 import os
+import re
 import subprocess
 import sys
+import types
+import typing
 from pathlib import Path
 
 import pytest
 from pxr import Sdf
 
 from usdsmoke import schema
+from usdsmoke.config import Config
+from usdsmoke.request_attributes import (
+    CAMERA,
+    MASK,
+    REQUEST_ATTRIBUTES,
+    REQUEST_PREFIX,
+    STYLE_IMAGES,
+)
 
 PROJECT = Path(__file__).resolve().parents[2]
 SOURCE = PROJECT / "schemas" / "usdSmoke" / "schema.usda"
@@ -26,6 +38,8 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.STYLE: ("string[]", []),
     schema.SEED: ("int64", 0),
 }
+
+REQUESTED = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))
 
 PREPARE = """
 import json
@@ -74,6 +88,58 @@ print(json.dumps({a.GetName(): [str(a.GetTypeName()), value(a)] for a in ours}))
     assert found == {name: list(expected) for name, expected in ATTRIBUTES.items()}
 
 
+def test_a_request_has_no_fallbacks_so_that_applying_it_says_nothing() -> None:
+    found = run_python(
+        PREPARE
+        + """
+from usdsmoke.schema import STYLE_API
+volume.ApplyAPI(STYLE_API)
+ours = [p for p in volume.GetProperties() if p.GetName().startswith("usdSmoke:request:")]
+value = lambda p: p.Get() if hasattr(p, "Get") else list(p.GetTargets()) or None
+print(json.dumps([bool(xform.CanApplyAPI(STYLE_API)), {p.GetName(): value(p) for p in ours}]))
+"""
+    )
+    assert found == [False, dict.fromkeys(REQUESTED)]
+
+
+@pytest.mark.parametrize(
+    "before", ["", "from pxr import Usd, Plug", "import pxr"], ids=["first", "after USD", "pxr"]
+)
+def test_importing_the_package_before_a_stage_is_opened_is_enough(before: str) -> None:
+    code = f"""
+{before}
+import json, usdsmoke
+from pxr import Usd, UsdVol
+stage = Usd.Stage.CreateInMemory()
+volume = UsdVol.Volume.Define(stage, "/volume").GetPrim()
+print(json.dumps(volume.ApplyAPI("UsdSmokeStyleAPI")))
+"""
+    assert run_python(code, PXR_PLUGINPATH_NAME="") is True
+
+
+def test_importing_the_package_keeps_the_plugin_folders_that_are_there() -> None:
+    code = "import json, os, usdsmoke; print(json.dumps(os.environ['PXR_PLUGINPATH_NAME']))"
+    expected = os.pathsep.join(["/studio/plugins", str(schema.PLUGIN_FOLDER)])
+    assert run_python(code, PXR_PLUGINPATH_NAME="/studio/plugins") == expected
+    assert run_python(code, PXR_PLUGINPATH_NAME=expected) == expected
+
+
+def test_registering_too_late_is_told_with_what_to_do() -> None:
+    code = """
+import json
+from pxr import Usd
+stage = Usd.Stage.CreateInMemory()
+Usd.SchemaRegistry()
+import usdsmoke
+from usdsmoke.schema import late_note
+print(json.dumps(late_note()))
+"""
+    note = run_python(code, PXR_PLUGINPATH_NAME="")
+    assert isinstance(note, str)
+    assert "import usdsmoke first" in note and str(schema.PLUGIN_FOLDER) in note
+    assert run_python(code, PXR_PLUGINPATH_NAME=str(schema.PLUGIN_FOLDER)) == ""
+
+
 def test_registering_after_the_first_stage_answers_false() -> None:
     late = """
 import json
@@ -83,7 +149,7 @@ Usd.SchemaRegistry()
 from usdsmoke.schema import register_schema
 print(json.dumps([register_schema(), register_schema()]))
 """
-    assert run_python(late) == [False, False]
+    assert run_python(late, PXR_PLUGINPATH_NAME="") == [False, False]
 
 
 def test_plugin_is_found_through_the_environment_without_registering() -> None:
@@ -140,7 +206,9 @@ def test_every_attribute_tells_its_units_and_range(layer_file: Path) -> None:
     layer = Sdf.Layer.OpenAsAnonymous(str(layer_file))
     attributes = layer.GetPrimAtPath(f"/{schema.LOOK_API}").attributes
     assert {item.name for item in attributes} == set(ATTRIBUTES)
-    for item in attributes:
+    requests = layer.GetPrimAtPath(f"/{schema.STYLE_API}").properties
+    assert {item.name for item in requests} == set(REQUESTED)
+    for item in (*attributes, *requests):
         text = item.customData["userDocBrief"]
         assert "Units: " in text and "Range: " in text, f"{item.name}: {text}"
 
@@ -150,3 +218,25 @@ def test_every_token_is_among_those_that_are_allowed() -> None:
     attributes = layer.GetPrimAtPath(f"/{schema.LOOK_API}").attributes
     for name in (schema.EMISSION_MODE, schema.COLOR_SPACE):
         assert attributes[name].default in attributes[name].allowedTokens
+
+
+def test_every_request_takes_what_its_setting_takes() -> None:
+    """Type, choices and limits stand in the schema and among the settings: they must agree."""
+    layer = Sdf.Layer.OpenAsAnonymous(str(SOURCE))
+    properties = layer.GetPrimAtPath(f"/{schema.STYLE_API}")
+    kinds = {"double": float, "int": int, "int64": int, "token": str}
+    for row in REQUEST_ATTRIBUTES:
+        item = properties.attributes[row.name]
+        section = typing.get_type_hints(Config)[row.section]
+        wanted = typing.get_type_hints(section)[row.key]
+        element = kinds[str(item.typeName).removesuffix("[]")]
+        options = typing.get_args(wanted) if isinstance(wanted, types.UnionType) else (wanted,)
+        assert (list[element] if item.typeName.isArray else element) in options, row.name  # type: ignore[valid-type]
+        (field,) = (field for field in dataclasses.fields(section) if field.name == row.key)
+        limits = field.metadata
+        assert tuple(item.allowedTokens or ()) == tuple(limits.get("choices", ())), row.name
+        text = item.customData["userDocBrief"].partition("Range: ")[2]
+        for limit in ("low", "high", "above"):
+            if limit in limits and row.name != f"{REQUEST_PREFIX}seed":
+                assert re.search(rf"(?<![\d.]){limits[limit]:g}(?![\d.]*\d)", text), row.name
+        assert (item.variability == Sdf.VariabilityVarying) == bool(row.control), row.name

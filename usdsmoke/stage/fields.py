@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.errors import FieldNotFound, StageError
 from usdsmoke.relationships import FIELD_PREFIX, field_targets
+from usdsmoke.request_attributes import MASK
 from usdsmoke.volume import VELOCITY_NAMES
 
 __all__ = [
@@ -58,7 +59,8 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
         volume: a composed Volume prim.
         density: relationship name of the density.
         velocity: relationship name of the velocity; empty means the usual names.
-        mask: relationship name of the mask; empty means none.
+        mask: relationship name of the mask; empty means none. The request's own relationship,
+            ``usdSmoke:request:mask``, may be named too.
 
     Raises:
         FieldNotFound: no relationship of the density's name, or the density's or the mask's leads
@@ -66,6 +68,8 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
         StageError: the density's field prim is an instance proxy.
     """
     relationships = field_targets(volume)
+    if mask == MASK:
+        relationships[mask] = list(volume.GetRelationship(mask).GetForwardedTargets())
     if density not in relationships:
         raise FieldNotFound(
             f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}"; '
@@ -119,7 +123,8 @@ def _wanted_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.Pr
 
 
 def _where(volume: Usd.Prim, name: str) -> str:
-    return f'relationship "{FIELD_PREFIX}{name}" of Volume <{volume.GetPath()}>'
+    prefix = "" if name == MASK else FIELD_PREFIX
+    return f'relationship "{prefix}{name}" of Volume <{volume.GetPath()}>'
 
 
 def _field_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:

@@ -1,7 +1,7 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
@@ -17,6 +17,7 @@ from usdsmoke.time_codes import (
     select_frames,
 )
 from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.volume_requests import read_request, requested_mask
 
 __all__ = ["find_volumes"]
 
@@ -34,7 +35,9 @@ class _Outline:
     animated: bool
 
 
-def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
+def find_volumes(
+    stage: Usd.Stage, config: StageConfig, explicit: Collection[str] = ()
+) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
     A Volume's timeCodes are those at which its density's file or grid changes; other fields are
@@ -44,9 +47,10 @@ def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
     Args:
         stage: from ``open_stage``.
         config: the section ``stage`` of the settings.
+        explicit: dotted names of the settings that are stronger than what a Volume asks for itself.
 
     Raises:
-        ConfigError: ``frames`` cannot be read.
+        ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
         VolumeNotFound: a named prim is missing or no Volume, or the stage has no Volume at all.
         FieldNotFound: the density's relationship or its field prim is missing, or the mask's
             relationship leads to no field prim.
@@ -55,7 +59,7 @@ def find_volumes(stage: Usd.Stage, config: StageConfig) -> StageSource:
     """
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
-    outlines = [_outline_volume(prim, config) for prim in prims]
+    outlines = [_outline_volume(prim, _own_config(prim, config, explicit)) for prim in prims]
     selections = _select_time_codes(outlines, ranges, config.frames)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
@@ -147,6 +151,12 @@ def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd
     return prim
 
 
+def _own_config(prim: Usd.Prim, config: StageConfig, explicit: Collection[str]) -> StageConfig:
+    """The section ``stage`` with what a Volume asks for itself; of this section only the mask."""
+    mask = "" if "stage.mask" in explicit else requested_mask(prim)
+    return replace(config, mask=mask) if mask else config
+
+
 def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
     fields = find_fields(prim, config.density, config.velocity, config.mask)
     density = fields.prims[fields.density]
@@ -193,7 +203,8 @@ def _select_time_codes(
 
 def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
     frames = []
-    for time_code in selected:
+    request, controls = read_request(outline.prim, selected)
+    for time_code, control in zip(selected, controls, strict=True):
         xforms = UsdGeom.XformCache(time_code)
         found = {
             name: field_source(name, prim, time_code, xforms)
@@ -201,7 +212,7 @@ def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
         }
         fields = {name: source for name, source in found.items() if source is not None}
         _check_mask(outline, fields, time_code)
-        frames.append(FrameSource(time_code, fields))
+        frames.append(FrameSource(time_code, fields, control))
     for name, prim in outline.fields.prims.items():
         check_assets(prim, _of_field(frames, name))
     return VolumeSource(
@@ -213,6 +224,7 @@ def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
         velocity=outline.fields.velocity,
         mask=outline.fields.mask,
         other_fields=outline.fields.others,
+        request=request,
     )
 
 

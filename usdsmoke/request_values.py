@@ -1,0 +1,73 @@
+"""A property's composed values as plain ones: over time, of images, of targets, and whose they are.
+
+Composition is USD's; nothing here knows what is asked for.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import PurePath
+from typing import Any
+
+from pxr import Ar, Sdf, Tf, Usd
+
+__all__ = [
+    "authoring_layer",
+    "forwarded_targets",
+    "image_paths",
+    "image_problem",
+    "plain_value",
+    "values_at",
+]
+
+
+def values_at(
+    attribute: Usd.Attribute, time_codes: Sequence[float], plain: Callable[[Any], Any]
+) -> list[Any]:
+    """An attribute's value at each timeCode, interpolated as USD does, made plain by ``plain``."""
+    if not attribute.ValueMightBeTimeVarying():
+        return [plain(attribute.Get(time_codes[0]))] * len(time_codes)
+    return [plain(attribute.Get(code)) for code in time_codes]
+
+
+def plain_value(value: Any) -> Any:
+    """Arrays as lists; a text, a number or None as it is."""
+    return value if value is None or isinstance(value, (str, bool, int, float)) else list(value)
+
+
+def image_paths(value: Any) -> list[tuple[str, str]] | None:
+    """Resolved and authored path of each image; a single asset is a list of one."""
+    if value is None:
+        return None
+    assets = [value] if isinstance(value, Sdf.AssetPath) else value
+    if not all(isinstance(asset, Sdf.AssetPath) for asset in assets):
+        return [("", str(asset)) for asset in assets]
+    return [(str(asset.resolvedPath), str(asset.authoredPath)) for asset in assets]
+
+
+def image_problem(authored: str, resolved: str) -> str:
+    """Why an image cannot be read, and what to do; "" when nothing keeps it from being read."""
+    if not authored:
+        return "wanted the path of an image"
+    if Ar.IsPackageRelativePath(resolved):
+        return "that is inside a package, and images are read from plain files only; unpack it"
+    if not os.path.isfile(resolved):
+        return "no file is found there; check the path, and that the image came along"
+    return ""
+
+
+def forwarded_targets(relationship: Usd.Relationship) -> list[Sdf.Path] | None:
+    """Forwarded targets; None where a layer has an attribute of that name."""
+    try:
+        return list(relationship.GetForwardedTargets())
+    except Tf.ErrorException:
+        return None
+
+
+def authoring_layer(item: Usd.Property) -> str:
+    """The file, or else the identifier, of the layer that holds the strongest opinion."""
+    keys = ("timeSamples", "default", "spline", "targetPaths")
+    for spec in item.GetPropertyStack():
+        if any(spec.HasInfo(key) for key in keys):
+            layer = spec.layer
+            return layer.identifier if layer.anonymous else str(PurePath(layer.realPath))
+    return "no layer"

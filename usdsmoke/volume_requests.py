@@ -1,0 +1,258 @@
+"""What a Volume prim asks for itself: the composed values of UsdSmokeStyleAPI, checked.
+
+An attribute counts where it has an authored value, on a prim with the API applied. The API is
+looked up by its name, so that it does not matter whether this process knows the schema.
+"""
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any
+
+from pxr import Sdf, Usd
+
+from usdsmoke.config import check_value
+from usdsmoke.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
+from usdsmoke.relationships import field_targets
+from usdsmoke.request_attributes import (
+    CAMERA,
+    MASK,
+    REQUEST_ATTRIBUTES,
+    REQUEST_PREFIX,
+    STYLE_IMAGES,
+    RequestAttribute,
+)
+from usdsmoke.request_values import (
+    authoring_layer,
+    forwarded_targets,
+    image_paths,
+    image_problem,
+    plain_value,
+    values_at,
+)
+from usdsmoke.schema import STYLE_API
+from usdsmoke.setting_checks import nearest
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.volume import FrameControls, StyleRequest
+
+__all__ = [
+    "has_request",
+    "ignored_attributes",
+    "read_request",
+    "request_origins",
+    "request_problems",
+    "requested_mask",
+]
+
+_NAMES = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))
+
+
+def has_request(volume: Usd.Prim) -> bool:
+    """Whether UsdSmokeStyleAPI is applied to a prim."""
+    return STYLE_API in volume.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def ignored_attributes(volume: Usd.Prim) -> tuple[str, ...]:
+    """Requests that do not count because the API is not applied."""
+    return () if has_request(volume) else tuple(_authored(volume))
+
+
+def read_request(
+    volume: Usd.Prim, time_codes: Sequence[float]
+) -> tuple[StyleRequest, tuple[FrameControls, ...]]:
+    """What a Volume asks for, and what of it has a value of its own at each timeCode.
+
+    Time samples are interpolated as USD does it. Where an attribute changes over time the request
+    holds its first value, of the strength the largest; one that may not change and does is refused.
+
+    Args:
+        volume: a composed Volume prim.
+        time_codes: those that will be stylized, at least one.
+
+    Raises:
+        ConfigError: an attribute is unknown, of a wrong type, out of range, or changes over time
+            though it may not.
+        AssetNotResolved: a style image is not found.
+        StageError: a relationship does not have exactly one target.
+    """
+    if not has_request(volume):
+        return StyleRequest(ignored=ignored_attributes(volume)), (FrameControls(),) * len(
+            time_codes
+        )
+    _refuse_unknown(volume)
+    settings: dict[str, dict[str, Any]] = {}
+    controls = [FrameControls() for _ in time_codes]
+    for row in _authored_rows(volume):
+        values = _read_values(volume, row, time_codes)
+        known = [value for value in values if value is not None]
+        if not known:
+            continue  # its time samples are blocked
+        chosen = max(known) if row.control == "strength" else known[0]
+        settings.setdefault(row.section, {})[row.key] = chosen
+        if any(value != values[0] for value in values):
+            changes = [tuple(v) if isinstance(v, list) else v for v in values]
+            controls = [
+                _changed(control, row.control, change)
+                for control, change in zip(controls, changes, strict=True)
+            ]
+    if mask := requested_mask(volume):
+        settings.setdefault("stage", {})["mask"] = mask
+    if camera := _target(volume, CAMERA):
+        settings.setdefault("views", {})["camera"] = str(camera)
+    return StyleRequest(_read_styles(volume, time_codes), settings), tuple(controls)
+
+
+def _changed(control: FrameControls, name: str, value: Any) -> FrameControls:
+    return dataclasses.replace(control, **{name: value})
+
+
+def requested_mask(volume: Usd.Prim) -> str:
+    """The relationship that a Volume's request names the mask by; "" when it names none.
+
+    It is the Volume's own ``field:NAME``, as ``NAME``, where that leads to the same field prim, or
+    else the request's relationship itself.
+
+    Raises:
+        StageError: the request has several targets.
+    """
+    target = _target(volume, MASK) if has_request(volume) else None
+    if target is None:
+        return ""
+    for name, targets in field_targets(volume).items():
+        if targets == [target]:
+            return name
+    return MASK
+
+
+def request_origins(volume: Usd.Prim) -> dict[str, dict[str, str]]:
+    """Where each requested setting comes from: ``attribute`` (its path) and ``layer`` (its file).
+
+    Returns:
+        By the setting's dotted name, the style images by ``style``; empty without a request.
+    """
+    if not has_request(volume):
+        return {}
+    settings = {STYLE_IMAGES: "style", CAMERA: "views.camera", MASK: "stage.mask"}
+    settings |= {row.name: row.setting for row in REQUEST_ATTRIBUTES}
+    return {
+        settings[name]: {
+            "attribute": str(volume.GetPath().AppendProperty(name)),
+            "layer": authoring_layer(volume.GetProperty(name)),
+        }
+        for name in _authored(volume)
+        if name in settings
+    }
+
+
+def request_problems(volume: Usd.Prim) -> dict[str, str]:
+    """What is wrong with a Volume's request, by the property's path.
+
+    Time samples are looked at where they stand, all others at the default time.
+    """
+    path, found = volume.GetPath(), {}
+    if not has_request(volume):
+        return {}
+    checks: list[tuple[str, Callable[[], object]]] = [
+        (name, partial(_check_known, volume, name)) for name in _authored(volume)
+    ]
+    checks += [
+        (row.name, partial(_read_values, volume, row, _samples(volume, row.name)))
+        for row in _authored_rows(volume)
+    ]
+    checks += [(name, partial(_target, volume, name)) for name in (MASK, CAMERA)]
+    checks.append((STYLE_IMAGES, partial(_read_styles, volume, _samples(volume, STYLE_IMAGES))))
+    for name, check in checks:
+        try:
+            check()
+        except UsdSmokeError as error:
+            found[str(path.AppendProperty(name))] = str(error)
+    return found
+
+
+def _samples(volume: Usd.Prim, name: str) -> Sequence[float]:
+    return volume.GetAttribute(name).GetTimeSamples() or [0.0]
+
+
+def _authored(volume: Usd.Prim) -> list[str]:
+    """Names of all properties in the request's namespace that say something."""
+    properties = volume.GetAuthoredPropertiesInNamespace(REQUEST_PREFIX.rstrip(":"))
+    return [
+        item.GetName()
+        for item in properties
+        if (isinstance(item, Usd.Attribute) and item.HasAuthoredValue())
+        or (isinstance(item, Usd.Relationship) and forwarded_targets(item) != [])
+    ]
+
+
+def _authored_rows(volume: Usd.Prim) -> Iterable[RequestAttribute]:
+    return [row for row in REQUEST_ATTRIBUTES if volume.GetAttribute(row.name).HasAuthoredValue()]
+
+
+def _refuse_unknown(volume: Usd.Prim) -> None:
+    for name in _authored(volume):
+        _check_known(volume, name)
+
+
+def _check_known(volume: Usd.Prim, name: str) -> None:
+    if name not in _NAMES:
+        raise ConfigError(
+            f"<{volume.GetPath()}> asks for {name}, which {STYLE_API} does not know"
+            f"{nearest(name, _NAMES)}"
+        )
+    relationship = volume.GetRelationship(name)
+    is_relationship = bool(relationship) and forwarded_targets(relationship) is not None
+    if is_relationship != (name in (CAMERA, MASK)):
+        wanted = "an attribute" if is_relationship else "a relationship"
+        raise ConfigError(f"<{volume.GetPath()}.{name}> is of the wrong kind; wanted {wanted}")
+
+
+def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[float]) -> list[Any]:
+    """An attribute's value at each timeCode, checked; None where it is blocked."""
+    where = f"<{volume.GetPath()}.{row.name}>"
+    values = values_at(volume.GetAttribute(row.name), time_codes, plain_value)
+    checked = []
+    for code, value in zip(time_codes, values, strict=True):
+        changes = value != values[0]
+        place = f"{where} at timeCode {format_time_code(code)}" if changes else where
+        if changes and not row.control:
+            raise ConfigError(_may_not_change(place))
+        checked.append(None if value is None else check_value(row.section, row.key, value, place))
+    return checked
+
+
+def _may_not_change(place: str) -> str:
+    varying = [row.name for row in REQUEST_ATTRIBUTES if row.control]
+    return (
+        f"{place} has another value than before; only {', '.join(varying)} may change over time: "
+        "author one value without time samples, or select other frames"
+    )
+
+
+def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ...]:
+    """The style images, absolute."""
+    attribute = volume.GetAttribute(STYLE_IMAGES)
+    if not attribute.HasAuthoredValue():
+        return ()
+    where = f"<{volume.GetPath()}.{STYLE_IMAGES}>"
+    found = values_at(attribute, time_codes, image_paths)
+    for code, images in zip(time_codes, found, strict=True):
+        if images != found[0]:
+            raise ConfigError(_may_not_change(f"{where} at timeCode {format_time_code(code)}"))
+    for resolved, authored in found[0] or ():
+        if problem := image_problem(authored, resolved):
+            layer = authoring_layer(attribute)
+            raise AssetNotResolved(f"{where} names @{authored}@, authored in {layer}: {problem}")
+    return tuple(os.path.abspath(resolved) for resolved, _ in found[0] or ())
+
+
+def _target(volume: Usd.Prim, name: str) -> Sdf.Path | None:
+    """The one target of a relationship; None when it has none."""
+    relationship = volume.GetRelationship(name)
+    targets = (forwarded_targets(relationship) or []) if relationship else []
+    if len(targets) > 1:
+        raise StageError(
+            f"<{volume.GetPath()}.{name}> has {len(targets)} targets "
+            f"({', '.join(f'<{target}>' for target in targets)}); wanted one"
+        )
+    return targets[0] if targets else None
