@@ -8,10 +8,11 @@ import pytest
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads crawl on shared machines
 
+from tests.client_fixtures import plume
 from tests.farm_fixtures import farm, whole
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here
 
-__all__ = ["core", "farm", "quick_grids", "shot", "whole"]
+__all__ = ["core", "farm", "plume", "quick_grids", "shot", "whole"]
 
 
 @pytest.fixture

@@ -39,6 +39,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("provenance", {"errors"}, set()),
     ("windows", {"errors", "config"}, set()),
     ("blend", {"errors", "volume"}, {"numpy"}),
+    ("colour_grids", {"naming", "sections", "volume"}, {"numpy"}),
     ("locks", {"errors", "publish"}, set()),
     ("schema", {"errors"}, {"pxr"}),
     ("diagnostics", {"errors"}, {"pxr"}),

@@ -40,7 +40,7 @@ def write_vdb(
     openvdb = find_binding()
     grids = []
     for name in names:
-        is_vector = name in ("emission", "vel", "velocity", "Cd")
+        is_vector = name in ("emission", "vel", "velocity", "Cd", "color")
         grid = openvdb.Vec3SGrid() if is_vector else openvdb.FloatGrid()
         grid.copyFromArray(np.full((4, 3, 2, 3) if is_vector else (4, 3, 2), value, np.float32))
         grid.transform = openvdb.createLinearTransform(voxelSize=voxel_size)
@@ -137,7 +137,7 @@ def file_hashes(folder: Path) -> dict[str, str]:
 
 def dense_field(name: str, value: float = 1.0) -> DenseField:
     """What ``write_vdb`` makes, for our own writer."""
-    shape = (4, 3, 2, 3) if name in ("emission", "vel", "Cd") else (4, 3, 2)
+    shape = (4, 3, 2, 3) if name in ("emission", "vel", "Cd", "color") else (4, 3, 2)
     return DenseField(
         name=name,
         values=np.full(shape, value, np.float32),

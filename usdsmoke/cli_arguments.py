@@ -38,6 +38,11 @@ def options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, An
         "stage": {"prims": arguments.prim, "frames": arguments.frames},
         "grids": {"half": arguments.half, "repair_nan": arguments.repair},
         "optimize": {"seed": arguments.seed},
+        "layer": {
+            "emission_mode": arguments.emission_mode,
+            "scatter_colour": arguments.alias_cd,
+            "split_rgb": arguments.split_rgb,
+        },
     }
     return {
         section: {key: value for key, value in settings.items() if value is not None}
@@ -132,11 +137,33 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
     parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")
+    _add_client_options(parser)
     parser.add_argument(
         "--repair",
         type=_repair_value,
         metavar="nan=0",
         help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+    )
+
+
+def _add_client_options(parser: argparse.ArgumentParser) -> None:
+    """What particular renderers want; docs/clients.md says which."""
+    parser.add_argument(
+        "--alias-cd",
+        action="store_const",
+        const=["Cd"],
+        help="the same as --set layer.scatter_colour=Cd",
+    )
+    parser.add_argument(
+        "--split-rgb",
+        action="store_const",
+        const=True,
+        help="write colours as three grids of floats too",
+    )
+    parser.add_argument(
+        "--emission-mode",
+        choices=("absolute", "perDensity"),
+        help="perDensity is for renderers that multiply emission by density",
     )
 
 

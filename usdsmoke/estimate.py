@@ -30,6 +30,8 @@ from pathlib import Path
 from usdsmoke.config import Config, ViewsConfig
 from usdsmoke.core.schedule import OCTAVE_SCALE, coarse_factor, octave_iterations, warm_iterations
 from usdsmoke.grids.header import GridHeader
+from usdsmoke.naming import COLOUR_CHANNELS, colour_names
+from usdsmoke.sections import LayerConfig
 
 __all__ = [
     "Estimate",
@@ -46,6 +48,7 @@ GIB = 2**30
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
 BOX_BYTES = 48  # density before and after, RGB, and one array in the making
+BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back
 BOX_BYTES_SHAPE = 250  # potentials on all levels, their gradients, Adam's moments, displacement
 BOX_BYTES_WARM = 150  # velocity, and where every voxel's smoke was before
 MASK_BYTES = 16  # as it was read, checked, within [0, 1] and on the device
@@ -107,7 +110,7 @@ def estimate_run(
         coarse: those frames that the shared coarse step is for.
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
-    parts = replace(config, grids=replace(config.grids, half=False))
+    parts = replace(config, grids=replace(config.grids, half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return Estimate(
@@ -199,7 +202,7 @@ def _is_optimized(frame: FrameSize, config: Config) -> bool:
 
 def _frame_memory(frame: FrameSize, config: Config) -> float:
     active, box = _refined(frame, config)
-    per_box_voxel = BOX_BYTES
+    per_box_voxel = BOX_BYTES + BOX_BYTES_COLOUR * max(_colour_values(config) - 3, 0)
     if "shape" in config.optimize.steps:
         per_box_voxel += BOX_BYTES_SHAPE
     if not frame.window_start:
@@ -247,7 +250,15 @@ def _coarse_bytes(frame: FrameSize, config: Config, finest: float) -> int:
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:
     active, _ = _refined(frame, config)
-    values = 1 + 3 * ("colour" in config.optimize.steps)
+    values = 1 + _colour_values(config)
     per_value = TREE * (2 if config.grids.half else 4)
     copied = frame.n_copied * frame.active_voxels  # never refined
     return round(FILE_BYTES + (active * values + copied) * per_value)
+
+
+def _colour_values(config: Config) -> int:
+    """Numbers that a voxel has in all colour grids of a file."""
+    if "colour" not in config.optimize.steps:
+        return 0
+    names = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
+    return sum(1 if name in COLOUR_CHANNELS else 3 for name in names)

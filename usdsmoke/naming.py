@@ -1,14 +1,61 @@
-"""What the files of a result are called: one stem per Volume, one number per timeCode."""
+"""What a result's files and grids are called: a stem per Volume, a number per timeCode."""
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from usdsmoke.errors import LayerError
 
-__all__ = ["frame_file_names", "volume_stems"]
+__all__ = [
+    "COLOUR_CHANNELS",
+    "COLOUR_VECTORS",
+    "EMISSION",
+    "SCATTER_COLOURS",
+    "channel_names",
+    "colour_names",
+    "frame_file_names",
+    "volume_stems",
+]
+
+# Relationship, field prim and grid of one field are called the same: some renderers look for the
+# one name, some for the other.
+EMISSION = "emission"  # Storm's own shader reads this name
+SCATTER_COLOURS = ("Cd", "color")  # Houdini's, and Arnold's by custom; Blender's and Cycles'
+COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
 
 _DECIMALS = 6  # of a timeCode that is no whole number, at most
+
+
+def channel_names(name: str) -> tuple[str, str, str]:
+    """What the red, green and blue parts of a colour are called.
+
+    Houdini's ``emission.x`` would be no name for a prim or a property of USD.
+
+    >>> channel_names("emission")
+    ('emission_r', 'emission_g', 'emission_b')
+    """
+    return f"{name}_r", f"{name}_g", f"{name}_b"
+
+
+COLOUR_CHANNELS = tuple(part for name in COLOUR_VECTORS for part in channel_names(name))
+
+
+def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> tuple[str, ...]:
+    """The colour grids of a result, in their order in its files.
+
+    >>> colour_names(["Cd"])
+    ('emission', 'Cd')
+    >>> colour_names(split=True)
+    ('emission', 'emission_r', 'emission_g', 'emission_b')
+
+    Args:
+        scatter_colours: some of SCATTER_COLOURS.
+        split: whether each colour has three grids of floats beside its grid of vectors.
+    """
+    vectors = [name for name in COLOUR_VECTORS if name == EMISSION or name in scatter_colours]
+    if not split:
+        return tuple(vectors)
+    return tuple(name for vector in vectors for name in (vector, *channel_names(vector)))
 
 
 def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from usdsmoke.config import Config
 from usdsmoke.core.schedule import octave_iterations
 from usdsmoke.estimate import n_different_views
+from usdsmoke.naming import colour_names
 from usdsmoke.time_codes import format_time_codes
 from usdsmoke.volume import StageSource
 
@@ -60,9 +61,9 @@ def list_needed(
                 f"extinction of the {step} step, measured on up to three frames of the shot"
             )
     kind = "half" if config.grids.half else "float"
-    grids = "density and emission" if "colour" in config.optimize.steps else "density"
     needed.append(
-        f"one VDB file a frame with {grids} ({kind}), and the {config.layer.format} layer"
+        f"one VDB file a frame with {_describe_grids(config)} ({kind}), and the "
+        f"{config.layer.format} layer"
     )
     return tuple(needed)
 
@@ -98,6 +99,17 @@ def _describe_step(step: str, config: Config) -> str:
     return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine"
 
 
+def _describe_grids(config: Config) -> str:
+    """The grids of a result's file, as the end of a sentence."""
+    if "colour" not in config.optimize.steps:
+        return "density"
+    emission, *others = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
+    if config.layer.emission_mode == "perDensity":
+        emission += " per density"
+    names = ["density", emission, *others]
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def _describe_windows(volumes: Sequence["VolumePlan"]) -> list[str]:
     """What windows have in common: nothing where none follows on another."""
     sentences = []
@@ -115,7 +127,10 @@ def _omitted_steps(config: Config) -> list[Omission]:
     steps, network = config.optimize.steps, config.features.network
     omitted = []
     if "colour" not in steps:
-        omitted.append(Omission("RGB emission", "no colour step is asked for (optimize.steps)"))
+        what = "RGB emission"
+        if config.layer.scatter_colour or config.layer.split_rgb:
+            what += " and all that is made from it (layer.scatter_colour, layer.split_rgb)"
+        omitted.append(Omission(what, "no colour step is asked for (optimize.steps)"))
     if "shape" not in steps:
         omitted.append(
             Omission("displacement of the density", "no shape step is asked for (optimize.steps)")

@@ -67,6 +67,7 @@ class _Versions:
     tail: WindowRecord
     head: WindowRecord
     weight: float  # of the tail
+    gamma_w: float  # extinction per density, 1/stage unit
 
     def part_of(self, window: WindowRecord) -> str:
         return part_file_name(window.window, self.frame.file_name)
@@ -157,7 +158,7 @@ def _collect_frames(
     job: Job, run: RunFolder, windows: Sequence[WindowRecord], tell: RunProgressCallback
 ) -> None:
     """Note every frame of the result in the run's record; blend those that two windows have."""
-    versions = _versions(job.plan, windows)
+    versions = _versions(job.plan, run, windows)
     kept = {name: run.frames[name] for name in versions if run.finished(name) is not None}
     run.frames = {
         name: record
@@ -172,16 +173,17 @@ def _collect_frames(
         run.finish_frame(name, _blend(job, run, pair))
 
 
-def _versions(plan: Plan, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
+def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
     """By file name the frames that two windows have, in order."""
     found = {}
     for task, _ in pairwise(list_tasks(plan)):
         place, beyond = task.window.index, task.window.beyond
         own = len(task.window.time_codes)
+        gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
         weights = zip(task.frames[own:], tail_weights(len(beyond)), strict=True)
         for frame, weight in weights:
             tail, head = windows[place], windows[place + 1]
-            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight)
+            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight, gamma_w)
     return found
 
 
@@ -194,7 +196,8 @@ def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
         name: relative_difference(one, other)
         for name, one, other in zip(names, tail, head, strict=False)
     }
-    fields = result_fields(blend_frames(tail, head, pair.weight), volume, frame, config)
+    blended = blend_frames(tail, head, pair.weight)
+    fields = result_fields(blended, volume, frame, pair.gamma_w, config)
     reports = [window.frames[pair.part_of(window)] for window in (pair.tail, pair.head)]
     hashes = reports[1]["source_hashes"]
     metadata = frame_metadata(run, volume, frame, hashes)

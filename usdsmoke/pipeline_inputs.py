@@ -17,9 +17,10 @@ from usdsmoke import __version__
 from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import ImageError, LayerError
+from usdsmoke.errors import ConfigError, ImageError, LayerError
 from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, look_files
+from usdsmoke.naming import colour_names
 from usdsmoke.plan import Plan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
 from usdsmoke.stage import find_volumes, open_stage
@@ -83,6 +84,7 @@ def prepare_job(
     output = Path(output).absolute()
     stage = open_stage(stage_path)
     source = find_volumes(stage, config.stage)
+    _check_names(source, config)
     styles = tuple(read_style_image(style_path) for style_path in style_paths)
     plan = make_plan(source, config, len(styles))
     targets = look_files(source, output, config.layer)
@@ -103,6 +105,24 @@ def published_runs(job: Job) -> frozenset[str]:
         if file_path.exists():
             found.add(_named_run(file_path))
     return frozenset(found)
+
+
+def _check_names(source: StageSource, config: Config) -> None:
+    """Refuse to write a colour under a name that the Volume uses for something else."""
+    if "colour" not in config.optimize.steps:
+        return
+    colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
+    for volume in source.volumes:
+        uses = {volume.density: "density", volume.mask: "mask"}
+        uses |= dict.fromkeys(volume.velocity, "velocity")
+        for name in colours:
+            if name in uses:
+                raise ConfigError(
+                    f"the colour field {name} of the result would take the place of the "
+                    f"{uses[name]} of <{volume.prim_path}>, which is called the same; wanted "
+                    "another name for it: rename the field on the stage, or change "
+                    "optimize.steps, layer.scatter_colour or layer.split_rgb"
+                )
 
 
 def _input_files(stage: Usd.Stage, source: StageSource, styles: Iterable[Path]) -> list[Path]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke import __version__
+from usdsmoke.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.config import Config, config_to_dict
 from usdsmoke.frames import read_velocity_grids
 from usdsmoke.grids.header import read_header
@@ -16,6 +17,7 @@ from usdsmoke.grids.transform import field_extent
 from usdsmoke.grids.write import write_frame
 from usdsmoke.images import StyleImage
 from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.naming import colour_names
 from usdsmoke.plan import FramePlan, Plan, VolumePlan, result_file_names
 from usdsmoke.provenance import Provenance, RunFacts, build_provenance, hash_file
 from usdsmoke.publish import make_folders
@@ -39,20 +41,30 @@ _PACKAGES = ("usd-core", "torch", "numpy")
 
 
 def result_fields(
-    fields: Sequence[DenseField], volume: VolumePlan, frame: FramePlan, config: Config
+    fields: Sequence[DenseField],
+    volume: VolumePlan,
+    frame: FramePlan,
+    gamma_w: float,
+    config: Config,
 ) -> list[DenseField]:
-    """The grids of a result's file: density and emission, pruned, and the velocity when it is asked
-    for.
+    """The grids of a result's file: density and emission, pruned, the other colours that are asked
+    for, and the velocity when it is asked for.
 
     Args:
         fields: density and, after a colour step, emission.
         volume, frame: what they are the result of.
+        gamma_w: extinction per density, 1/stage unit.
         config: the resolved settings.
     """
     fields, density = list(fields), fields[0]
     if config.grids.prune > 0 and not density.is_empty:
         smoke = density.values > config.grids.prune
         fields = [_keep_where(smoke, field) for field in fields]
+    fields[1:] = [
+        grid
+        for emission in fields[1:]
+        for grid in make_colour_grids(fields[0], emission, gamma_w, config.layer)
+    ]
     if frame.copied is not None:
         source = frame.source.fields[volume.source.density]
         fields += read_velocity_grids(frame.copied, source, config)
@@ -65,6 +77,7 @@ def write_result(
     volume: VolumePlan,
     frame: FramePlan,
     stylized: "StylizedFrame",
+    gamma_w: float,
     config: Config,
     source_hashes: Mapping[str, str],
 ) -> dict[str, Any]:
@@ -79,6 +92,7 @@ def write_result(
         name: of the file, relative to the run's folder; another one than the frame's for a part.
         volume, frame: what it is the result of.
         stylized: the result.
+        gamma_w: extinction per density, 1/stage unit.
         config: the resolved settings.
         source_hashes: content hashes of the ``density`` and, if any, the ``mask`` that were read.
 
@@ -94,7 +108,7 @@ def write_result(
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
     is_part = name != frame.file_name
     if not is_part:
-        fields = result_fields(fields, volume, frame, config)
+        fields = result_fields(fields, volume, frame, gamma_w, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
     half = config.grids.half and not is_part
@@ -143,7 +157,7 @@ def collect_volume(
 ) -> StylizedVolume:
     """What the layer has to know of one Volume's finished frames.
 
-    When only a part of a sequence was stylized, a file with an empty emission is written for the
+    When only a part of a sequence was stylized, a file with empty colours is written for the
     timeCodes that go on showing the source.
 
     Raises:
@@ -163,7 +177,8 @@ def collect_volume(
         )
     grids = {volume.source.density: volume.source.density}
     if "colour" in config.optimize.steps:
-        grids[EMISSION] = EMISSION
+        colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
+        grids |= {name: name for name in colours}
     grids |= _copied_velocity(volume)
     return StylizedVolume(
         source=volume.source,
@@ -171,6 +186,7 @@ def collect_volume(
         extinction_per_density=extinction_per_density,
         grids=grids,
         empty_file=_write_empty(run, volume, config) if EMISSION in grids else "",
+        emission_mode=config.layer.emission_mode,
     )
 
 
@@ -241,16 +257,9 @@ def _write_empty(run: RunFolder, volume: VolumePlan, config: Config) -> str:
         return ""
     name = result_file_names(volume.source, volume.stem)[rest[0]]
     matrix = volume.frames[0].grid.index_to_world
-    empty = DenseField(
-        name=EMISSION,
-        values=np.zeros((0, 0, 0, 3), np.float32),
-        ijk_min=(0, 0, 0),
-        index_to_world=np.eye(4) if matrix is None else matrix,
-        background=(0.0, 0.0, 0.0),
-        grid_class="unknown",
-    )
+    colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config.layer)
     metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
-    write_frame(run.folder / name, [empty], metadata, config.grids.half, config.grids)
+    write_frame(run.folder / name, colours, metadata, config.grids.half, config.grids)
     return str(run.folder / name)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from usdsmoke.colour_grids import absolute_emission
 from usdsmoke.config import Config
 from usdsmoke.contact_sheet import compose_sheet
 from usdsmoke.grids.read import GridRequest, read_grids
@@ -68,11 +69,13 @@ def write_contact_sheet(
 
 
 def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[DenseField]:
-    """Density and, after a colour step, emission."""
+    """Density and, after a colour step, emission; absolute, whatever the file holds."""
     names = [volume.source.density]
     if "colour" in config.optimize.steps:
         names.append(EMISSION)
-    return read_grids(file_path, [GridRequest(name) for name in names], config.grids)
+    fields = read_grids(file_path, [GridRequest(name) for name in names], config.grids)
+    mode = config.layer.emission_mode
+    return [fields[0], *(absolute_emission(fields[0], emission, mode) for emission in fields[1:])]
 
 
 def _frame_pictures(

@@ -187,6 +187,7 @@ def _stylize_window(
     from usdsmoke.core.stylize import stylize_window
 
     plan, started = job.plan, time.monotonic()
+    gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
     results = stylize_window(
         (reader.read(task.volume, frame) for frame in task.frames),
         [style.pixels for style in job.styles],
@@ -200,7 +201,9 @@ def _stylize_window(
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
         progress.writing(frame.source.time_code, place)
         name, hashes = task.file_name(frame), source_hashes[frame.file_name]
-        records[name] = write_result(run, name, task.volume, frame, stylized, plan.config, hashes)
+        records[name] = write_result(
+            run, name, task.volume, frame, stylized, gamma_w, plan.config, hashes
+        )
     window = WindowRecord(
         run_id=run.run_id,
         window=task.window.index,

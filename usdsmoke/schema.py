@@ -12,6 +12,7 @@ __all__ = [
     "COLOR_SPACE",
     "EMISSION_ABSOLUTE",
     "EMISSION_MODE",
+    "EMISSION_PER_DENSITY",
     "EXTINCTION_PER_DENSITY",
     "LIN_REC709",
     "LOOK_API",
@@ -37,6 +38,7 @@ STYLE = "usdSmoke:style"  # string[], "name sha256" each
 SEED = "usdSmoke:seed"  # int64
 
 EMISSION_ABSOLUTE = "absolute"  # EMISSION_MODE: radiance per stage unit of length
+EMISSION_PER_DENSITY = "perDensity"  # EMISSION_MODE: the same, divided by density
 LIN_REC709 = "lin_rec709"  # COLOR_SPACE: scene-linear, Rec.709 primaries
 
 

@@ -123,6 +123,20 @@ class LayerConfig:
         None,
         "write the velocity into the result's files; unset: when the Volume has a field for it",
     )
+    emission_mode: str = setting(
+        "absolute",
+        "what the emission holds: radiance per stage unit, or that divided by density",
+        choices=("absolute", "perDensity"),
+    )
+    scatter_colour: list[str] = setting(
+        [],
+        "names under which the painted colour is written as a scattering colour too",
+        choices=("Cd", "color"),
+        distinct=True,
+    )
+    split_rgb: bool = setting(
+        False, "write red, green and blue of every colour as grids of floats too"
+    )
     digital_source_type: str = setting(
         "algorithmicallyEnhanced",
         "IPTC term of the authorship record",

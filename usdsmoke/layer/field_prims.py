@@ -7,7 +7,8 @@ from itertools import chain
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.errors import LayerError
-from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.layer.records import StylizedVolume
+from usdsmoke.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.relationships import FIELD_PREFIX, field_targets
 
 __all__ = ["FieldTarget", "choose_field_prims", "count_field_uses"]
@@ -49,7 +50,7 @@ def choose_field_prims(
 
     The source's field prim is overridden in place unless other Volumes show it too; they must keep
     what they have. A new prim stands beside the density's field prim and copies its xform ops, so
-    that the two share their place in space at every moment. An emission field that the source has
+    that the two share their place in space at every moment. A colour field that the source has
     already is kept up only where it lies in that same place.
 
     Args:
@@ -72,7 +73,8 @@ def choose_field_prims(
     targets = []
     for name in names:
         source = _field_prim(prim, name)
-        if name == EMISSION and source is not None and not _same_place(source, density, volume):
+        is_colour = name in (*COLOUR_VECTORS, *COLOUR_CHANNELS) and name != volume.source.density
+        if is_colour and source is not None and not _same_place(source, density, volume):
             source = None
         is_new = source is None or uses.get(source.GetPath(), 0) > 1
         if source is None or is_new:

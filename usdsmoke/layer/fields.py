@@ -16,7 +16,8 @@ from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.layer.anchoring import asset_value, relative_asset_path
 from usdsmoke.layer.field_prims import FieldTarget
-from usdsmoke.layer.records import EMISSION, StylizedVolume
+from usdsmoke.layer.records import StylizedVolume
+from usdsmoke.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.relationships import FIELD_PREFIX
 
 __all__ = ["HeldFiles", "author_field", "held_files", "retarget"]
@@ -32,7 +33,7 @@ class HeldFiles:
     time_codes: tuple[float, ...]  # the density's, ascending
     files: Mapping[float, str]  # by timeCode, absolute
     animated: bool
-    empty_file: str = ""  # shown by an emission that the source does not have; "" blocks it
+    empty_file: str = ""  # shown by a colour that the source does not have; "" blocks it
 
     def file_at(self, time_code: float) -> str | None:
         """Our file that is shown at ``time_code``; None where the source is."""
@@ -91,8 +92,10 @@ def retarget(volume_spec: Sdf.PrimSpec, target: FieldTarget) -> None:
 
 def _tokens(target: FieldTarget) -> tuple[str, str, str]:
     """fieldDataType, fieldClass and vectorDataRoleHint; empty ones are left to the source."""
-    if target.relationship == EMISSION:
+    if target.relationship in COLOUR_VECTORS:
         return "float3", "unknown", "Color"
+    if target.relationship in COLOUR_CHANNELS:
+        return "float", "unknown", ""
     if target.beside == target.source:
         return "float", "fogVolume", ""
     return ("float3", "unknown", "Vector") if target.is_new else ("", "", "")

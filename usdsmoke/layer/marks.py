@@ -46,7 +46,7 @@ def mark_volume(
     styles = [_name_and_hash(text) for text in provenance.get("styles", [])]
     look = {
         schema.EXTINCTION_PER_DENSITY: (_TYPES.Float, volume.extinction_per_density),
-        schema.EMISSION_MODE: (_TYPES.Token, schema.EMISSION_ABSOLUTE),
+        schema.EMISSION_MODE: (_TYPES.Token, volume.emission_mode),
         schema.COLOR_SPACE: (_TYPES.Token, schema.LIN_REC709),
         schema.RUN: (_TYPES.String, str(provenance["run"])),
         schema.STYLE: (_TYPES.StringArray, Vt.StringArray(styles)),

@@ -4,22 +4,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
+from usdsmoke.naming import EMISSION
 from usdsmoke.sections import LayerConfig
 from usdsmoke.volume import StageSource, VolumeSource, WrittenFrame
 
 __all__ = ["EMISSION", "LookFiles", "StylizedVolume", "look_files"]
-
-EMISSION = "emission"  # relationship, field prim and grid: Storm's own shader reads this name
 
 
 @dataclass(frozen=True)
 class StylizedVolume:
     """One Volume's result, ready to be put on the stage.
 
-    Where the source is shown there is no emission. A blocked ``filePath`` says so in USD's own
-    words, but Hydra Storm raises an error for every field without a file. With an ``empty_file``
-    the emission shows that one instead, and Storm draws in silence; a number in its name that fits
-    the others' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the sequence right.
+    Where the source is shown there is no colour of ours. A blocked ``filePath`` says so in USD's
+    own words, but Hydra Storm raises an error for every field without a file. With an
+    ``empty_file`` the colours show that one instead, and Storm draws in silence; a number in its
+    name that fits the others' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the
+    sequence right.
     """
 
     source: VolumeSource
@@ -28,7 +28,8 @@ class StylizedVolume:
     grids: Mapping[str, str] = field(
         default_factory=lambda: {"density": "density", EMISSION: EMISSION}
     )  # relationship name: name of its grid in the written files
-    empty_file: str = ""  # absolute; a VDB whose emission grid has no voxel
+    empty_file: str = ""  # absolute; a VDB whose colour grids have no voxel
+    emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,134 @@
+"""The colour grids of a result's files: emission as the settings want it, and what follows from it.
+
+With density d, extinction per density gamma_w and emission E = C gamma_w d, a painted colour C
+
+    absolute    E                   radiance per stage unit; a renderer adds it as it stands
+    perDensity  E / d = C gamma_w   for renderers that multiply emission by density
+    Cd, color   E / (gamma_w d) = C albedo of the light that is scattered, never above 1
+
+All are 0 where d is 0. A strength or a mask below 1 is part of C here: where nothing was painted a
+scattering colour is black.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from usdsmoke.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names, colour_names
+from usdsmoke.sections import LayerConfig
+from usdsmoke.volume import DenseField
+
+__all__ = ["absolute_emission", "empty_colour_grids", "make_colour_grids"]
+
+_PER_DENSITY = "perDensity"
+
+
+def make_colour_grids(
+    density: DenseField, emission: DenseField, gamma_w: float, config: LayerConfig
+) -> list[DenseField]:
+    """The colour grids of one file, in the order of ``naming.colour_names``.
+
+    Args:
+        density: [i j k].
+        emission: [i j k 3] on the density's lattice, absolute, scene-linear; its box may differ.
+        gamma_w: extinction per density, 1/stage unit.
+        config: the section ``layer`` of the settings.
+    """
+    grids = []
+    for name in colour_names(config.scatter_colour):
+        if name in SCATTER_COLOURS:
+            colour = _divided(density, emission, gamma_w)
+            np.minimum(colour.values, 1, out=colour.values)
+        elif config.emission_mode == _PER_DENSITY:
+            colour = _divided(density, emission)
+        else:
+            colour = emission
+        colour = dataclasses.replace(colour, name=name)
+        grids += [colour, *(_split(colour) if config.split_rgb else ())]
+    return grids
+
+
+def absolute_emission(density: DenseField, emission: DenseField, mode: str) -> DenseField:
+    """The emission that a renderer adds as it stands, from what a file holds.
+
+    Args:
+        density: [i j k] of the same file.
+        emission: [i j k 3] on its lattice.
+        mode: ``usdSmoke:emissionMode``, the setting ``layer.emission_mode``.
+    """
+    if mode != _PER_DENSITY:
+        return emission
+    values = emission.values * _density_there(density, emission)[..., None]
+    return dataclasses.replace(emission, values=values)
+
+
+def empty_colour_grids(index_to_world: np.ndarray, config: LayerConfig) -> list[DenseField]:
+    """The same grids without a voxel, for a file that shows no colour.
+
+    Args:
+        index_to_world: [4 4] of all of them.
+        config: the section ``layer`` of the settings.
+    """
+    grids = []
+    for name in colour_names(config.scatter_colour, config.split_rgb):
+        is_float = name in COLOUR_CHANNELS
+        grids.append(
+            DenseField(
+                name=name,
+                values=np.zeros((0, 0, 0) if is_float else (0, 0, 0, 3), np.float32),
+                ijk_min=(0, 0, 0),
+                index_to_world=index_to_world,
+                background=0.0 if is_float else (0.0, 0.0, 0.0),
+                grid_class="unknown",
+            )
+        )
+    return grids
+
+
+def _divided(density: DenseField, emission: DenseField, gamma_w: float = 1.0) -> DenseField:
+    """emission / (gamma_w density) in double precision, 0 where that is not above 0."""
+    if emission.is_empty:
+        return dataclasses.replace(emission, values=emission.values.copy())
+    extinction = _density_there(density, emission).astype(np.float64) * gamma_w
+    values = np.zeros_like(emission.values)
+    for channel in range(3):  # one at a time: doubles of all three would be six times the density
+        part = emission.values[..., channel]
+        np.divide(
+            part, extinction, out=values[..., channel], where=extinction > 0, casting="same_kind"
+        )
+    return dataclasses.replace(emission, values=values)
+
+
+def _density_there(density: DenseField, emission: DenseField) -> np.ndarray:
+    """The density in the emission's box, its background beyond its own: [i j k]."""
+    shape = emission.values.shape[:3]
+    if density.ijk_min == emission.ijk_min and density.values.shape == shape:
+        return density.values
+    there = np.full(shape, density.background, np.float32)
+    start = np.maximum(density.ijk_min, emission.ijk_min)
+    stop = np.minimum(
+        np.add(density.ijk_min, density.values.shape), np.add(emission.ijk_min, shape)
+    )
+    if np.all(start < stop):
+        ours, theirs = (
+            tuple(map(slice, (start - field.ijk_min).tolist(), (stop - field.ijk_min).tolist()))
+            for field in (density, emission)
+        )
+        there[theirs] = density.values[ours]
+    return there
+
+
+def _split(colour: DenseField) -> list[DenseField]:
+    """Red, green and blue of a colour, [i j k] each."""
+    background = np.broadcast_to(np.asarray(colour.background, np.float32), 3).tolist()
+    parts = []
+    for channel, name in enumerate(channel_names(colour.name)):
+        values = np.zeros((0, 0, 0), np.float32)
+        if not colour.is_empty:
+            values = np.ascontiguousarray(colour.values[..., channel])
+        parts.append(
+            dataclasses.replace(
+                colour, name=name, values=values, background=background[channel], metadata={}
+            )
+        )
+    return parts
