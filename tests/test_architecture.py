@@ -92,6 +92,9 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("cluster", {"*"}, {"distributed"}),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
     ("cli*", {"*"}, {"rich"}),
+    # Qt comes through pxr.Usdviewq, which only usdview has; only this module needs it.
+    ("usdview.container", set(), {"pxr"}),
+    ("usdview*", {"*"}, {"pxr"}),
     ("__main__", {"cli"}, set()),
     ("", set(), set()),
 ]

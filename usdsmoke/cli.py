@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from usdsmoke.cli_arguments import build_parser
-from usdsmoke.cli_look import run_inspect, run_settings, run_validate
+from usdsmoke.cli_look import run_inspect, run_plugin_path, run_settings, run_validate
 from usdsmoke.cli_text import print_json
 from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
 from usdsmoke.errors import Interrupted, UsdSmokeError
@@ -32,6 +32,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "submit": run_submit,
     "assemble": run_assemble,
     "validate": run_validate,
+    "plugin-path": run_plugin_path,
     "settings": run_settings,
 }
 

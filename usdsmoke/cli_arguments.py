@@ -28,6 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
     assemble.add_argument("output", metavar="OUT", help="the folder that they were written to")
     validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
+    _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
     _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
     return parser
 

@@ -1,12 +1,13 @@
 """The commands that look at what is there and change nothing."""
 
 import argparse
+import os
 from dataclasses import asdict
 
 from usdsmoke.cli_text import inspection_text, print_json, validation_text
 from usdsmoke.config import Config, config_to_dict, config_to_yaml
 
-__all__ = ["run_inspect", "run_settings", "run_validate"]
+__all__ = ["run_inspect", "run_plugin_path", "run_settings", "run_validate"]
 
 
 def run_inspect(arguments: argparse.Namespace) -> int:
@@ -32,6 +33,18 @@ def run_validate(arguments: argparse.Namespace) -> int:
     else:
         print(validation_text(arguments.stage, findings))
     return 1 if n_errors else 0
+
+
+def run_plugin_path(arguments: argparse.Namespace) -> int:
+    """``usdsmoke plugin-path``, as PXR_PLUGINPATH_NAME takes it; the exit code."""
+    from usdsmoke import schema, usdview
+
+    folders = {"schema": str(schema.PLUGIN_FOLDER), "usdview": str(usdview.PLUGIN_FOLDER)}
+    if arguments.json:
+        print_json(folders)
+    else:
+        print(os.pathsep.join(folders.values()))
+    return 0
 
 
 def run_settings(arguments: argparse.Namespace) -> int:

@@ -4,6 +4,8 @@ import os
 from os import PathLike
 from typing import Any
 
+from pxr import Usd
+
 from usdsmoke.config import StageConfig
 from usdsmoke.errors import UsdSmokeError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
@@ -12,7 +14,7 @@ from usdsmoke.grids.velocity import find_velocity
 from usdsmoke.stage import find_volumes, open_stage
 from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
 
-__all__ = ["inspect"]
+__all__ = ["inspect", "inspect_stage"]
 
 
 def inspect(
@@ -31,7 +33,24 @@ def inspect(
         StageError: the stage cannot be opened, or its Volumes not be followed to their files.
         ConfigError: ``frames`` cannot be read.
     """
-    source = find_volumes(open_stage(stage), StageConfig(prims=prims or [], frames=frames))
+    return inspect_stage(open_stage(stage), prims, frames)
+
+
+def inspect_stage(
+    stage: Usd.Stage, prims: list[str] | None = None, frames: str = ""
+) -> dict[str, Any]:
+    """``inspect`` for a stage that is open, as it is composed now, unsaved edits included.
+
+    Args:
+        stage: any; only what is loaded is seen.
+        prims: Volume prim paths; None means all.
+        frames: timeCodes such as ``1-24``; empty means all.
+
+    Raises:
+        StageError: the Volumes cannot be followed to their files.
+        ConfigError: ``frames`` cannot be read.
+    """
+    source = find_volumes(stage, StageConfig(prims=prims or [], frames=frames))
     headers: dict[str, FileHeader | str] = {}
     return {
         "stage": _describe_stage(source),

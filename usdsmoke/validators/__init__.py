@@ -7,6 +7,6 @@ stand in `field_rules` (one field), `volume_rules` (a Volume's fields together) 
 
 from usdsmoke.validators.findings import Finding, Severity
 from usdsmoke.validators.registry import PREFIX, register_validators
-from usdsmoke.validators.run import validate
+from usdsmoke.validators.run import validate, validate_stage
 
-__all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate"]
+__all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate", "validate_stage"]

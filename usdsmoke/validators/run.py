@@ -3,14 +3,14 @@
 import os
 import re
 
-from pxr import UsdValidation
+from pxr import Usd, UsdValidation
 
 from usdsmoke.diagnostics import captured_diagnostics, open_quietly
 from usdsmoke.schema import register_schema
 from usdsmoke.validators.findings import Finding, Severity
 from usdsmoke.validators.registry import PREFIX, register_validators
 
-__all__ = ["validate"]
+__all__ = ["validate", "validate_stage"]
 
 _SEVERITIES = {
     UsdValidation.ValidationErrorType.Error: Severity.ERROR,
@@ -35,8 +35,16 @@ def validate(file_path: str | os.PathLike[str]) -> list[Finding]:
         StageError: the file is missing, of no USD format, or cannot be parsed.
     """
     register_schema()
+    return validate_stage(open_quietly(os.fspath(file_path)))
+
+
+def validate_stage(stage: Usd.Stage) -> list[Finding]:
+    """``validate`` for a stage that is open, as it is composed now, unsaved edits included.
+
+    Args:
+        stage: any; only what is loaded is seen.
+    """
     register_validators()
-    stage = open_quietly(os.fspath(file_path))
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     with captured_diagnostics():  # some stock validators also warn on stderr
         errors = UsdValidation.ValidationContext(validators).Validate(stage)

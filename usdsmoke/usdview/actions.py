@@ -1,0 +1,188 @@
+"""What the menu does: functions of usdview's api and a window, without Qt.
+
+Each reads the open stage as it is composed at the moment, unsaved edits included. None writes a
+file, and none loads torch.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from pxr import Tf, Usd
+
+from usdsmoke.diagnostics import short_reason
+from usdsmoke.errors import StageError, UsdSmokeError
+
+__all__ = [
+    "UsdviewApi",
+    "Window",
+    "copy_all_frames",
+    "copy_this_frame",
+    "inspect",
+    "run_action",
+    "show_provenance",
+    "toggle",
+    "validate",
+]
+
+
+class UsdviewApi(Protocol):
+    """The part of usdview's api that is used; the names are usdview's."""
+
+    @property
+    def stage(self) -> Usd.Stage:
+        """The open stage."""
+
+    @property
+    def frame(self) -> Usd.TimeCode:
+        """The timeCode that is shown; Default on a stage that has no range."""
+
+    @property
+    def selectedPrims(self) -> Sequence[Usd.Prim]:
+        """What is selected; the pseudo-root alone stands for nothing."""
+
+
+class Window(Protocol):
+    """How an action speaks to the person."""
+
+    def show_text(self, title: str, text: str) -> None:
+        """Show lines of text that may be long."""
+
+    def warn(self, title: str, message: str) -> None:
+        """Say what went wrong."""
+
+    def say(self, message: str) -> None:
+        """A short message that asks for no answer."""
+
+    def copy(self, text: str) -> None:
+        """Put a text on the clipboard."""
+
+
+def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
+    """Do what a menu item stands for; whatever goes wrong becomes a message in the window.
+
+    Args:
+        name: a key of this module's actions: inspect, provenance, validate, toggle, copy_frame or
+            copy_all.
+        label: how the menu calls it; titles of windows.
+        api: usdview's.
+        window: where texts and messages go.
+    """
+    try:
+        if not api.stage:
+            raise StageError("no stage is open; open one first")
+        _ACTIONS[name](api, window)
+    except UsdSmokeError as error:
+        window.warn(label, str(error))
+    except Tf.ErrorException as error:
+        window.warn(label, f"OpenUSD refused: {short_reason(error)}")
+    except ImportError as error:
+        window.warn(
+            label,
+            f"{error}; usdsmoke needs OpenUSD 26.11 or later, NumPy, PyYAML and rich in usdview's "
+            "Python",
+        )
+    except MemoryError:
+        window.warn(label, "out of memory")
+    except Exception as error:
+        kind = type(error).__name__
+        window.warn(label, f"unexpected {kind}: {error}. Please report this")
+
+
+def inspect(api: UsdviewApi, window: Window) -> None:
+    """Show the fields, files, grids and sizes of the selected Volumes, at all timeCodes.
+
+    Raises:
+        UsdSmokeError: there is no Volume, or it cannot be followed to its files.
+    """
+    from usdsmoke.cli_text import inspection_text
+    from usdsmoke.inspection import inspect_stage
+    from usdsmoke.usdview.volumes import selected_volumes, selects_everything
+
+    volumes = selected_volumes(api.stage, api.selectedPrims)
+    everything = selects_everything(api.selectedPrims)
+    paths = None if everything else [str(volume.GetPath()) for volume in volumes]
+    window.show_text("volumes", inspection_text(inspect_stage(api.stage, paths)))
+
+
+def show_provenance(api: UsdviewApi, window: Window) -> None:
+    """Show what the looks of the selected Volumes were made with and from, muted ones too.
+
+    Raises:
+        VolumeNotFound: there is no Volume.
+    """
+    from usdsmoke.usdview.look_text import look_text
+    from usdsmoke.usdview.looks import find_looks
+    from usdsmoke.usdview.volumes import selected_volumes
+
+    volumes = selected_volumes(api.stage, api.selectedPrims)
+    window.show_text("provenance", look_text(volumes, find_looks(api.stage)))
+
+
+def toggle(api: UsdviewApi, window: Window) -> None:
+    """Show the next look of the selected Volumes, after the last their source; see ``looks``.
+
+    Raises:
+        UsdSmokeError: there is no Volume, or no look that can be switched.
+    """
+    from usdsmoke.usdview.looks import show_next
+    from usdsmoke.usdview.volumes import selected_volumes
+
+    window.say(show_next(api.stage, selected_volumes(api.stage, api.selectedPrims)))
+
+
+def validate(api: UsdviewApi, window: Window) -> None:
+    """Show what all validators, usdsmoke's and USD's, say about the open stage.
+
+    Files that usdsmoke wrote are read whole, so that this takes a while on long sequences.
+    """
+    from usdsmoke.cli_text import validation_text
+    from usdsmoke.validators import validate_stage
+
+    window.say("validating ...")
+    name = api.stage.GetRootLayer().GetDisplayName()
+    text = validation_text(name, validate_stage(api.stage))
+    window.say(text.splitlines()[-1])
+    window.show_text("validation", text)
+
+
+def copy_this_frame(api: UsdviewApi, window: Window) -> None:
+    """Copy the command that stylizes the selected Volumes at the timeCode that is shown.
+
+    Raises:
+        StageError: the stage has no file, or a Volume's files cannot be found.
+    """
+    code = api.frame
+    earliest = float("-inf")
+    _copy(api, window, earliest if code.IsDefault() else code.GetValue())
+
+
+def copy_all_frames(api: UsdviewApi, window: Window) -> None:
+    """Copy the command that stylizes the selected Volumes at all their timeCodes.
+
+    Raises:
+        StageError: the stage has no file, or a Volume's files cannot be found.
+    """
+    _copy(api, window, None)
+
+
+def _copy(api: UsdviewApi, window: Window, time_code: float | None) -> None:
+    from usdsmoke.usdview.command_line import stylize_command
+    from usdsmoke.usdview.volumes import selected_volumes
+
+    volumes = selected_volumes(api.stage, api.selectedPrims)
+    text = stylize_command(api.stage, volumes, time_code)
+    window.copy(text.command)
+    window.say(f"copied: {text.command}")
+    if text.notes:
+        notes = "\n".join(f"note: {note}" for note in text.notes)
+        window.show_text("command line", f"{text.command}\n\n{notes}")
+
+
+_ACTIONS: dict[str, Callable[[UsdviewApi, Window], None]] = {
+    "inspect": inspect,
+    "provenance": show_provenance,
+    "validate": validate,
+    "toggle": toggle,
+    "copy_frame": copy_this_frame,
+    "copy_all": copy_all_frames,
+}

@@ -1,0 +1,93 @@
+"""What the looks on a stage were made with and from, as text."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from pxr import Usd
+
+from usdsmoke import schema
+from usdsmoke.config import Config, config_to_dict
+from usdsmoke.usdview.looks import Look, looks_of, shown_run
+
+__all__ = ["look_text"]
+
+_AUTHORSHIP = "authorship:"
+_SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by item
+_LONGEST_LIST = 6  # of longer ones the rest is counted
+
+
+def look_text(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
+    """The records of the Volumes' looks, and what the composed Volumes say of themselves.
+
+    Only what stands in the layers is told; ``usdsmoke validate`` compares files with it.
+
+    Args:
+        volumes: composed prims.
+        looks: from ``find_looks``; those of other Volumes are left out.
+    """
+    blocks = [_volume_lines(volume) for volume in volumes]
+    blocks += [_look_lines(look) for look in looks_of(volumes, looks)]
+    return "\n\n".join("\n".join(lines) for lines in blocks)
+
+
+def _volume_lines(volume: Usd.Prim) -> list[str]:
+    run = shown_run(volume)
+    lines = [f"Volume <{volume.GetPath()}>: {f'shows run {run}' if run else 'shows its source'}"]
+    for name in (schema.EXTINCTION_PER_DENSITY, schema.EMISSION_MODE, schema.COLOR_SPACE):
+        attribute = volume.GetAttribute(name)
+        if attribute and attribute.HasAuthoredValue():
+            lines.append(f"  {name}: {_plain(attribute.Get())}")
+    for attribute in volume.GetAuthoredAttributes():
+        if attribute.GetName().startswith(_AUTHORSHIP):
+            instance, _, key = attribute.GetName().removeprefix(_AUTHORSHIP).partition(":")
+            if key != _SAID_BETTER and attribute.HasAuthoredValue():
+                lines.append(f"  {instance} {key}: {_plain(attribute.Get())}")
+    return lines
+
+
+def _look_lines(look: Look) -> list[str]:
+    lines = [f"look {look.layer.realPath or look.layer.identifier}{' (muted)' * look.muted}"]
+    for key, value in look.record.items():
+        items = _items(value)
+        if key == "config":
+            items = _changed_settings(str(value))
+            lines.append(f"  settings that are not the defaults: {'none' if not items else ''}")
+            lines += [f"    {item}" for item in items]
+        elif items:
+            lines.append(f"  {key}: {len(items)}")
+            more = len(items) - _LONGEST_LIST
+            lines += [f"    {item}" for item in items[:_LONGEST_LIST]]
+            lines += [f"    ... {more} more"] * (more > 0)
+        elif items is None and value != "":
+            lines.append(f"  {key}: {_plain(value)}")
+    return [line.rstrip() for line in lines]
+
+
+def _plain(value: Any) -> str:
+    """A value on one line."""
+    items = _items(value)
+    if items is not None:
+        return ", ".join(map(str, items))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _items(value: Any) -> list[Any] | None:
+    """The items of a list or of one of USD's arrays; None for anything else."""
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
+        return None
+    return list(value)
+
+
+def _changed_settings(text: str) -> list[str]:
+    """Settings of a record, given as JSON, that differ from the defaults of today."""
+    try:
+        defaults = config_to_dict(Config())
+        return [
+            f"{section}.{key}={json.dumps(value, ensure_ascii=False)}"
+            for section, settings in json.loads(text).items()
+            for key, value in settings.items()
+            if key not in defaults.get(section, {}) or defaults[section][key] != value
+        ]
+    except (ValueError, AttributeError):
+        return ["cannot be read"]

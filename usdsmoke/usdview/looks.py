@@ -1,0 +1,175 @@
+"""The looks on a stage, and switching between them and the source; in memory only."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pxr import Sdf, Tf, Usd
+
+from usdsmoke import schema
+from usdsmoke.diagnostics import captured_diagnostics
+from usdsmoke.errors import StageError
+
+__all__ = ["ORIGINAL", "VARIANT_SET", "Look", "find_looks", "looks_of", "show_next", "shown_run"]
+
+VARIANT_SET = "look"
+ORIGINAL = "original"  # the variant that shows the source
+
+# A muted layer belongs to nobody and would be gone, with edits that were not saved. What FindOrOpen
+# gives keeps a layer alive; what stages give does not.
+_HELD: dict[str, Sdf.Layer] = {}
+
+
+@dataclass(frozen=True)
+class Look:
+    """A look layer that a stage is made of, muted or not."""
+
+    layer: Sdf.Layer
+    record: dict[str, Any]  # customLayerData["usdsmoke"]
+    muted: bool
+    volume_paths: frozenset[Sdf.Path]  # where it styles Volumes, in its own namespace
+
+    @property
+    def run(self) -> str:
+        """The run's id."""
+        return str(self.record.get("run", ""))
+
+
+def find_looks(stage: Usd.Stage) -> list[Look]:
+    """The stage's look layers, muted ones too, oldest first."""
+    muted = set(stage.GetMutedLayers())
+    layers = {layer.identifier: layer for layer in stage.GetUsedLayers(includeClipLayers=False)}
+    for identifier in muted:
+        layer = _HELD.get(identifier) or _open_layer(identifier)
+        if layer:
+            layers[identifier] = layer
+    looks = []
+    for identifier, layer in layers.items():
+        record = layer.customLayerData.get("usdsmoke")
+        volume_paths = _styled_paths(layer) if isinstance(record, dict) else frozenset()
+        if volume_paths:
+            looks.append(Look(layer, record, identifier in muted, volume_paths))
+    return sorted(looks, key=lambda look: (str(look.record.get("created", "")), look.run))
+
+
+def looks_of(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> list[Look]:
+    """Those looks that style any of the Volumes, also through references."""
+    paths = {path for volume in volumes for path in _composed_paths(volume)}
+    return [look for look in looks if look.volume_paths & paths]
+
+
+def shown_run(volume: Usd.Prim) -> str:
+    """The id of the run whose result a Volume shows; "" where it shows its source."""
+    attribute = volume.GetAttribute(schema.RUN)
+    return str(attribute.Get() or "") if attribute else ""
+
+
+def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
+    """Show the next look of the Volumes, after the last the source, and so on; what is shown now.
+
+    Where a Volume or a prim above it has the variant set ``look``, its selection is switched in the
+    session layer. Otherwise look layers are muted and unmuted, which concerns all the Volumes they
+    style. No file is touched, and no layer loses edits.
+
+    Args:
+        stage: that of the Volumes.
+        volumes: one at least.
+
+    Raises:
+        StageError: there is no look to switch, it cannot be muted, or there is no session layer.
+    """
+    owners = {owner.GetPath(): owner for volume in volumes if (owner := _variant_owner(volume))}
+    if owners:
+        return "; ".join(_switch_variant(stage, owner) for owner in owners.values())
+    looks = looks_of(volumes, find_looks(stage))
+    if not looks:
+        names = ", ".join(f"<{volume.GetPath()}>" for volume in volumes)
+        raise StageError(
+            f"there is no look of usdsmoke on {names}: neither a variant set "
+            f'"{VARIANT_SET}" with a variant "{ORIGINAL}" nor a look layer; open the stage that '
+            "usdsmoke stylize wrote, or put its look layer over this one"
+        )
+    return _switch_layers(stage, volumes, looks)
+
+
+def _switch_layers(stage: Usd.Stage, volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
+    if any(look.layer == stage.GetRootLayer() for look in looks):
+        raise StageError(
+            f"the look {stage.GetRootLayer().identifier} is the root of this stage and cannot be "
+            "muted; open a stage that has it over its source"
+        )
+    runs = {shown_run(volume) for volume in volumes}
+    shown = next((n for n, look in enumerate(looks) if not look.muted and look.run in runs), None)
+    following = 0 if shown is None else shown + 1
+    chosen = looks[following] if following < len(looks) else None
+    hidden = [look.layer.identifier for look in looks if look is not chosen]
+    _HELD.update({identifier: Sdf.Layer.FindOrOpen(identifier) for identifier in hidden})
+    stage.MuteAndUnmuteLayers(hidden, [] if chosen is None else [chosen.layer.identifier])
+    if chosen is None:
+        return f"{ORIGINAL}: muted {', '.join(look.layer.GetDisplayName() for look in looks)}"
+    _HELD.pop(chosen.layer.identifier, None)
+    return f"{chosen.layer.GetDisplayName()}, run {chosen.run}"
+
+
+def _switch_variant(stage: Usd.Stage, owner: Usd.Prim) -> str:
+    session = stage.GetSessionLayer()
+    if session is None:
+        raise StageError(
+            "this stage has no session layer, in which a look could be chosen without a change of "
+            "files; open it with one"
+        )
+    variants = owner.GetVariantSet(VARIANT_SET)
+    names = [ORIGINAL, *(name for name in variants.GetVariantNames() if name != ORIGINAL)]
+    now = variants.GetVariantSelection()
+    chosen = names[((names.index(now) if now in names else 0) + 1) % len(names)]
+    with Usd.EditContext(stage, session):
+        variants.SetVariantSelection(chosen)
+    return f"{chosen}: variant of <{owner.GetPath()}>"
+
+
+def _variant_owner(volume: Usd.Prim) -> Usd.Prim | None:
+    """The Volume or the nearest prim above it that has looks as variants and can be authored."""
+    prim = volume
+    while prim and not prim.IsPseudoRoot():
+        if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(VARIANT_SET):
+            if ORIGINAL in prim.GetVariantSet(VARIANT_SET).GetVariantNames():
+                return prim
+        prim = prim.GetParent()
+    return None
+
+
+def _open_layer(identifier: str) -> Sdf.Layer | None:
+    """A layer that may have no file any more, or a damaged one."""
+    with captured_diagnostics():
+        try:
+            return Sdf.Layer.FindOrOpen(identifier)
+        except Tf.ErrorException:
+            return None
+
+
+def _styled_paths(layer: Sdf.Layer) -> frozenset[Sdf.Path]:
+    """Prims that carry the look's API schema, without the variants they may stand in."""
+    found = set()
+
+    def visit(path: Sdf.Path) -> None:
+        if not (path.IsPrimPath() or path.IsPrimVariantSelectionPath()):
+            return
+        spec = layer.GetPrimAtPath(path)
+        if spec and spec.HasInfo("apiSchemas"):
+            if schema.LOOK_API in spec.GetInfo("apiSchemas").GetAddedOrExplicitItems():
+                found.add(path.StripAllVariantSelections())
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return frozenset(found)
+
+
+def _composed_paths(prim: Usd.Prim) -> set[Sdf.Path]:
+    """Where the layers that a prim is composed of may have opinions on it."""
+    paths, waiting = set(), [prim.GetPrimIndex().rootNode]
+    if prim.IsInstanceProxy():
+        waiting = [prim.GetPrimInPrototype().GetPrimIndex().rootNode]
+    while waiting:
+        node = waiting.pop()
+        paths.add(node.path.StripAllVariantSelections())
+        waiting += list(node.children)
+    return paths
