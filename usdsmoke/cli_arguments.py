@@ -2,10 +2,11 @@
 
 import argparse
 import math
+from dataclasses import fields
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.config import Config, LayerConfig, config_to_dict
 
 __all__ = ["build_parser", "options_as_sections"]
 
@@ -26,6 +27,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_submit(commands)
     assemble = _add_command(commands, "assemble", "make the result of windows run one by one")
     assemble.add_argument("output", metavar="OUT", help="the folder that they were written to")
+    _add_layer(assemble)
     validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
@@ -36,10 +38,16 @@ def build_parser() -> argparse.ArgumentParser:
 def options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """The options of ``stylize`` that stand for settings, as sections of a configuration."""
     options = {
-        "stage": {"prims": arguments.prim, "frames": arguments.frames},
+        "stage": {
+            "prims": arguments.prim,
+            "frames": arguments.frames,
+            "restylize": arguments.restylize,
+        },
         "grids": {"half": arguments.half, "repair_nan": arguments.repair},
         "optimize": {"seed": arguments.seed},
         "layer": {
+            "mode": arguments.mode,
+            "look": arguments.look,
             "emission_mode": arguments.emission_mode,
             "scatter_colour": arguments.alias_cd,
             "split_rgb": arguments.split_rgb,
@@ -65,6 +73,19 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         "--prim", action="append", metavar="PATH", help="a Volume; may be repeated; default: all"
     )
     parser.add_argument("--frames", metavar="1-24", help="timeCodes: 1-24, 1,5,9, 1-24x2")
+
+
+def _add_layer(parser: argparse.ArgumentParser) -> None:
+    limits = {item.name: item.metadata for item in fields(LayerConfig)}
+    parser.add_argument(
+        "--mode",
+        choices=limits["mode"]["choices"],
+        help="what to write: a root stage with the look over the source (sublayer, the default), "
+        "an asset with a variant for each look (reference), or the look layer alone (layer)",
+    )
+    parser.add_argument(
+        "--look", metavar="NAME", help="the look's name; looks of other names stay beside it"
+    )
 
 
 def _add_inspect(commands: Any) -> None:
@@ -129,6 +150,13 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
     parser.add_argument("--config", metavar="FILE.yaml", help="settings; see 'usdsmoke settings'")
     _add_selection(parser)
+    _add_layer(parser)
+    parser.add_argument(
+        "--restylize",
+        action="store_const",
+        const=True,
+        help="take smoke that is stylized already as the source, not the original",
+    )
     parser.add_argument(
         "--set",
         action="append",

@@ -53,15 +53,18 @@ def plan_text(plan: "Plan") -> str:
 def result_text(result: "StylizeResult") -> str:
     """Where a result is and what to do next."""
     folders = sorted({str(file_path.parent) for file_path in result.frames})
+    opened = [("stage to open", str(result.root_stage))] if result.root_stage else []
     rows = [
-        ("stage to open", str(result.root_stage)),
+        *opened,
         ("look layer", str(result.look_layer)),
         (_count(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
         *_measured("temporal error", result.temporal_error),
         *_measured("overlap differs by", result.overlap_difference),
     ]
-    return "\n".join([*_columns(rows), "", f"check it with: usdsmoke validate {result.root_stage}"])
+    checked = result.root_stage or result.look_layer
+    use = [] if opened else [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
+    return "\n".join([*_columns(rows), "", *use, f"check it with: usdsmoke validate {checked}"])
 
 
 def step_text(step: "StepResult") -> str:

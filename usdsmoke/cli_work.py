@@ -74,7 +74,7 @@ def run_assemble(arguments: argparse.Namespace) -> int:
     from usdsmoke.progress import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:
-        result = assemble(arguments.output, progress)
+        result = assemble(arguments.output, progress, arguments.look, arguments.mode)
         for warning in result.warnings:
             progress.say(f"note: {warning}")
     _show_result(result, arguments)
@@ -141,7 +141,7 @@ def _step_as_dict(step: "StepResult") -> dict[str, Any]:
 
 def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
     return {
-        "root_stage": str(result.root_stage),
+        "root_stage": str(result.root_stage) if result.root_stage else None,
         "look_layer": str(result.look_layer),
         "frames": [str(file_path) for file_path in result.frames],
         "contact_sheets": [str(file_path) for file_path in result.contact_sheets],

@@ -111,7 +111,8 @@ def stylize_on_cluster(
     with _connected(address) as client:
         notes = _check_workers(client, request)
         _compute(client, request, plan, progress or (lambda report: None))
-    result = assemble(output, progress)
+    layer = plan.config.layer
+    result = assemble(output, progress, layer.look, layer.mode)
     return replace(result, warnings=(*result.warnings, *notes))
 
 

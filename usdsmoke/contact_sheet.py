@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from usdsmoke.errors import ShapeError
+from usdsmoke.naming import DEFAULT_LOOK, look_suffix
 
 __all__ = ["compose_sheet", "sheet_files"]
 
@@ -18,16 +19,18 @@ _PAPER, _INK = (24, 24, 26), (220, 220, 216)
 _MARGIN = 2 * _GAP
 
 
-def sheet_files(stems: Sequence[str], output: Path) -> tuple[Path, ...]:
+def sheet_files(stems: Sequence[str], output: Path, look: str = DEFAULT_LOOK) -> tuple[Path, ...]:
     """Where the contact sheets go, one for each Volume.
 
     Args:
         stems: of the Volumes' VDB files.
         output: the output folder.
+        look: the look's name; it stands first, so that no Volume's name can be taken for it.
     """
+    before = f"look{look_suffix(look)}_" if look_suffix(look) else ""
     if len(stems) == 1:
-        return (Path(output) / "contact_sheet.png",)
-    return tuple(Path(output) / f"contact_sheet_{stem}.png" for stem in stems)
+        return (Path(output) / f"{before}contact_sheet.png",)
+    return tuple(Path(output) / f"{before}contact_sheet_{stem}.png" for stem in stems)
 
 
 def compose_sheet(

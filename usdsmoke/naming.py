@@ -9,11 +9,13 @@ from usdsmoke.errors import LayerError
 __all__ = [
     "COLOUR_CHANNELS",
     "COLOUR_VECTORS",
+    "DEFAULT_LOOK",
     "EMISSION",
     "SCATTER_COLOURS",
     "channel_names",
     "colour_names",
     "frame_file_names",
+    "look_suffix",
     "volume_stems",
 ]
 
@@ -22,6 +24,8 @@ __all__ = [
 EMISSION = "emission"  # Storm's own shader reads this name
 SCATTER_COLOURS = ("Cd", "color")  # Houdini's, and Arnold's by custom; Blender's and Cycles'
 COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
+
+DEFAULT_LOOK = "stylized"  # the look whose files are named after no look
 
 _DECIMALS = 6  # of a timeCode that is no whole number, at most
 
@@ -83,6 +87,15 @@ def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:
             unique, number = f"{stem}_{number}", number + 1
         stems.append(unique)
     return tuple(stems)
+
+
+def look_suffix(look: str) -> str:
+    """What a look's name adds to the stems of its files: nothing for the default one.
+
+    >>> look_suffix("stylized"), look_suffix("ember")
+    ('', '_ember')
+    """
+    return "" if look == DEFAULT_LOOK else f"_{look}"
 
 
 def frame_file_names(stem: str, time_codes: Sequence[float]) -> tuple[str, ...]:

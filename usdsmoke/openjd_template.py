@@ -31,7 +31,12 @@ _NOTICE_S = 60  # between the polite kill and the rude one: a frame that is bein
 
 
 def job_template(
-    name: str, n_windows: int, n_styles: int, memory_gib: float, command: str = "usdsmoke"
+    name: str,
+    n_windows: int,
+    n_styles: int,
+    memory_gib: float,
+    command: str = "usdsmoke",
+    assembly: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The job template as plain values, in the order in which they are written.
 
@@ -41,6 +46,7 @@ def job_template(
         n_styles: style images, at least 1.
         memory_gib: what a task needs, GiB; asked of the machine that takes it.
         command: one program, by name or path, without arguments.
+        assembly: what else ``usdsmoke assemble`` is told.
 
     Raises:
         ConfigError: the command is empty or holds control characters or ``{{``.
@@ -70,7 +76,7 @@ def job_template(
             },
             {
                 # Both: job attachments bring the files of the steps that are named, no others.
-                **_step("Assemble", ["assemble", "{{Param.Output}}"], memory_gib),
+                **_step("Assemble", ["assemble", "{{Param.Output}}", *assembly], memory_gib),
                 "dependencies": [{"dependsOn": "Coarse"}, {"dependsOn": "Windows"}],
             },
         ],

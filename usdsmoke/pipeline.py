@@ -211,17 +211,26 @@ def run_window(
     return StepResult(run.folder, manifest, False, job.plan)
 
 
-def assemble(output: FilePath, progress: RunProgressCallback | None = None) -> StylizeResult:
+def assemble(
+    output: FilePath,
+    progress: RunProgressCallback | None = None,
+    look: str | None = None,
+    mode: str | None = None,
+) -> StylizeResult:
     """Make the result of a run whose windows are all finished: the last step of a queue.
 
-    Called once more on a result it changes nothing.
+    Called once more on a result it changes nothing, unless another ``mode`` is asked for: the same
+    frames are then put on the stage in that way.
 
     Args:
         output: the folder that the windows were written to.
         progress: called for every frame that is blended.
+        look: the look's name, where the folder holds several.
+        mode: ``layer.mode``; None keeps the run's.
 
     Raises:
         LayerError: there is no run, or one of its windows is not finished; these are listed.
+        ConfigError: there is no such mode.
         OutputExists: inputs have changed since the run began, or another process is at work.
         UsdSmokeError: see ``usdsmoke.errors``.
         Interrupted: by Ctrl-C.
@@ -230,8 +239,8 @@ def assemble(output: FilePath, progress: RunProgressCallback | None = None) -> S
     if not output.is_dir():
         raise LayerError(f"there is no folder {output}; give the one that windows were written to")
     with lock_output(output):
-        run = run_to_assemble(output)
-        job = requested_job(output, run.request)
+        run = run_to_assemble(output, look)
+        job = requested_job(output, run.request, mode)
         check_same(run, job)
         if run.complete and run.run_id in published_runs(job) and is_whole(run, job):
             return summarize_result(job, run)

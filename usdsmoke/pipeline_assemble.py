@@ -14,7 +14,7 @@ from usdsmoke.grids.write import write_frame
 from usdsmoke.layer import author_look
 from usdsmoke.layer.records import EMISSION
 from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job
+from usdsmoke.pipeline_inputs import Job, describe_request
 from usdsmoke.pipeline_outputs import (
     collect_volume,
     frame_metadata,
@@ -44,7 +44,7 @@ __all__ = ["StylizeResult", "assemble_run", "collect_windows", "summarize_result
 class StylizeResult:
     """What a run left behind."""
 
-    root_stage: Path  # the stage to open
+    root_stage: Path | None  # the stage to open; None in the mode ``layer``
     look_layer: Path
     frames: tuple[Path, ...]  # VDB files, Volume by Volume
     contact_sheets: tuple[Path, ...]  # one picture for each Volume
@@ -126,9 +126,9 @@ def assemble_run(
     source, layer = job.plan.source, job.config.layer
     files = author_look(job.stage, source, volumes, job.output, layer, provenance)
     failures = _draw_sheets(job, run, reader, tell)
-    sheets = sheet_files([volume.stem for volume in job.plan.volumes], job.output)
+    run.request = describe_request(job)  # the mode may be another one than it was begun with
     remove_locks(run)  # before the record says that nothing is left to do
-    run.finish([files.look_layer, files.root_stage, *sheets])
+    run.finish([*files.written, *_sheets(job)])
     return summarize_result(job, run, failures)
 
 
@@ -140,13 +140,12 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         run: complete.
         more: further warnings.
     """
-    sheets = sheet_files([volume.stem for volume in job.plan.volumes], job.output)
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
     return StylizeResult(
         root_stage=job.targets.root_stage,
         look_layer=job.targets.look_layer,
         frames=tuple(run.folder / name for name in names),
-        contact_sheets=tuple(sheet for sheet in sheets if sheet.is_file()),
+        contact_sheets=tuple(sheet for sheet in _sheets(job) if sheet.is_file()),
         plan=job.plan,
         warnings=(*_warnings(job.plan, run), *more),
         temporal_error=_temporal_error(run),
@@ -244,7 +243,7 @@ def _draw_sheets(
     """The contact sheets; what went wrong, as the result is whole without them."""
     plan, warnings = job.plan, []
     pixels = [style.pixels for style in job.styles]
-    sheets = sheet_files([volume.stem for volume in plan.volumes], job.output)
+    sheets = _sheets(job)
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         scene = run.scenes[number]
@@ -253,6 +252,11 @@ def _draw_sheets(
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for
             warnings.append(f"no contact sheet: {error}")
     return tuple(warnings)
+
+
+def _sheets(job: Job) -> tuple[Path, ...]:
+    stems = [volume.stem for volume in job.plan.volumes]
+    return sheet_files(stems, job.output, job.config.layer.look)
 
 
 def _temporal_error(run: RunFolder) -> dict[str, float] | None:

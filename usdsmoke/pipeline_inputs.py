@@ -40,6 +40,7 @@ __all__ = [
 _NEUTRAL = {
     "grids": ("memory_limit_gib", "time_limit_s"),
     "optimize": ("memory_limit_gib", "threads"),
+    "layer": ("mode",),
 }
 
 
@@ -88,9 +89,10 @@ def prepare_job(
     styles = tuple(read_style_image(style_path) for style_path in style_paths)
     plan = make_plan(source, config, len(styles))
     targets = look_files(source, output, config.layer)
-    sheets = sheet_files([volume.stem for volume in plan.volumes], output)
+    stems = [volume.stem for volume in plan.volumes]
+    sheets = sheet_files(stems, output, config.layer.look)
     inputs = _input_files(stage, source, [Path(style_path) for style_path in style_paths])
-    check_output_folder(output, inputs, [targets.look_layer, targets.root_stage, *sheets])
+    check_output_folder(output, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)
     style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
@@ -98,7 +100,7 @@ def prepare_job(
 
 
 def published_runs(job: Job) -> frozenset[str]:
-    """Run ids that the look layers in the output folder name; "" for one that names none."""
+    """Run ids that this look's layers in the output folder name; "" for one that names none."""
     found = set()
     for suffix in (".usda", ".usdc"):
         file_path = job.targets.look_layer.with_suffix(suffix)
@@ -199,12 +201,13 @@ def describe_request(job: Job) -> dict[str, Any]:
     return {"stage": stage, "styles": styles, "config": config_to_dict(job.config)}
 
 
-def requested_job(output: Path, request: Mapping[str, Any]) -> Job:
+def requested_job(output: Path, request: Mapping[str, Any], mode: str | None = None) -> Job:
     """The job that a run was begun for.
 
     Args:
         output: the output folder.
         request: from ``describe_request``.
+        mode: ``layer.mode`` in the place of the request's.
 
     Raises:
         UsdSmokeError: an input has vanished or is no longer what it was.
@@ -212,7 +215,9 @@ def requested_job(output: Path, request: Mapping[str, Any]) -> Job:
     stage, *styles = [
         os.path.normpath(output / name) for name in (request["stage"], *request["styles"])
     ]
-    return prepare_job(stage, styles, output, resolve_config(request["config"]), fits=False)
+    other = {"layer": {"mode": mode}} if mode else {}
+    config = resolve_config(request["config"], other)
+    return prepare_job(stage, styles, output, config, fits=False)
 
 
 def _named_run(look_layer: Path) -> str:

@@ -16,7 +16,8 @@ from usdsmoke.pipeline_inputs import Job, describe_request, describe_run, publis
 from usdsmoke.pipeline_windows import list_tasks
 from usdsmoke.plan import Plan
 from usdsmoke.provenance import hash_file
-from usdsmoke.run_folder import RunFolder, find_runs, list_changes, open_run
+from usdsmoke.run_changes import list_changes
+from usdsmoke.run_folder import RunFolder, find_runs, open_run
 from usdsmoke.run_windows import finished_window, is_useless
 
 __all__ = [
@@ -131,18 +132,28 @@ def how_far(run: RunFolder, plan: Plan) -> str:
     )
 
 
-def run_to_assemble(output: Path) -> RunFolder:
+def run_to_assemble(output: Path, look: str | None = None) -> RunFolder:
     """The run whose windows an output folder holds: the one that is not complete, if any.
+
+    Args:
+        output: the output folder.
+        look: the look's name; None where the folder leaves no choice.
 
     Raises:
         LayerError: there is none, or several.
     """
-    runs = list(find_runs(output))
+    runs = [run for run in find_runs(output) if look in (None, run.look)]
     unfinished = [run for run in runs if not run.complete]
     if not runs:
+        named = f" of the look {look}" if look else ""
         raise LayerError(
-            f"there is no run in {output}; begin one with 'usdsmoke stylize ... --window K', or "
-            "give the folder that its windows were written to"
+            f"there is no run{named} in {output}; begin one with 'usdsmoke stylize ... --window "
+            "K', or give the folder that its windows were written to"
+        )
+    looks = sorted({run.look for run in unfinished or runs})
+    if len(looks) > 1:
+        raise LayerError(
+            f"{output} holds several looks: {', '.join(looks)}; name one of them with --look"
         )
     if len(unfinished) > 1:
         keys = ", ".join(run.folder.name for run in unfinished)
@@ -176,9 +187,10 @@ def check_same(run: RunFolder, job: Job) -> None:
 
 
 def is_whole(run: RunFolder, job: Job) -> bool:
-    """Whether a complete run still has all of its files, made from the parts that are there."""
+    """Whether a complete run still has all files that the job wants, made from the parts that are
+    there."""
     frames = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
-    files = [run.output / name for name in run.files]
+    files = [*job.targets.written, *(run.output / name for name in run.files)]
     records = [run.finished(name) for name in frames]
     parts = [part for record in records if record for part in record.get("parts", {}).items()]
     standing = [run.is_unchanged(name, sha) for name, sha in parts if (run.folder / name).exists()]

@@ -78,7 +78,8 @@ def submit(
     parameters = job_parameters(
         str(Path(stage).absolute()), images, str(folder), str(beside["settings"])
     )
-    memory = plan.estimate.memory_gib
+    memory, layer = plan.estimate.memory_gib, plan.config.layer
+    assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
         beside["settings"]: f"{FIRST_LINE}\n{_settings_text(plan.config)}",
         beside["parameter_values"]: bundle_text(parameter_values(parameters)),
@@ -86,7 +87,7 @@ def submit(
             asset_references([*_read_files(plan), *images], str(folder))
         ),
         target: bundle_text(
-            job_template(Path(stage).stem, n_windows, len(images), memory, command)
+            job_template(Path(stage).stem, n_windows, len(images), memory, command, assembly)
         ),
     }
     for file_path in texts:

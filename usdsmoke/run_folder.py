@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.errors import OutputExists
+from usdsmoke.naming import DEFAULT_LOOK
 from usdsmoke.provenance import hash_file, new_run_id, utc_now
 from usdsmoke.publish import (
     make_folders,
@@ -29,14 +30,14 @@ from usdsmoke.publish import (
     remove_empty,
     remove_leftovers,
 )
+from usdsmoke.run_changes import list_changes
 
-__all__ = ["RunFolder", "find_runs", "list_changes", "open_run", "write_json"]
+__all__ = ["RunFolder", "find_runs", "open_run", "write_json"]
 
 _RECORD = "run.json"
 _KEPT = ("run_id", "created", "description", "frames", "files", "complete", "plan")
 _KEPT_TOO = ("request", "scenes")
 _KEY_LENGTH = 12
-_MOST_CHANGES = 6  # that a message names
 
 
 @dataclass
@@ -60,6 +61,12 @@ class RunFolder:
     def output(self) -> Path:
         """The output folder."""
         return self.folder.parent.parent
+
+    @property
+    def look(self) -> str:
+        """The name of the look that the run makes; runs of different looks know nothing of each
+        other."""
+        return _look_of(self.description)
 
     @property
     def settings_hash(self) -> str:
@@ -140,15 +147,17 @@ class RunFolder:
         return record
 
     def finish(self, files: Sequence[Path]) -> None:
-        """Mark the run as complete; what earlier results left behind goes away.
+        """Mark the run as complete; what earlier results of this look left behind goes away.
 
         Args:
             files: that belong to the result and stand outside the run's folder.
         """
         self.files = sorted(os.path.relpath(file_path, self.output) for file_path in files)
-        for run in find_runs(self.output):
-            if run.run_id != self.run_id:
-                for name in set(run.files) - set(self.files):
+        others = [run for run in find_runs(self.output) if run.run_id != self.run_id]
+        kept = {name for run in others if run.look != self.look for name in run.files}
+        for run in others:
+            if run.look == self.look:
+                for name in set(run.files) - set(self.files) - kept:
                     (self.output / name).unlink(missing_ok=True)
                 run.remove()
         remove_leftovers(self.output)
@@ -203,20 +212,23 @@ def open_run(
 ) -> RunFolder:
     """The run to begin or to continue; with ``force``, runs that never became a result go away.
 
+    Runs of other looks in the same folder do not count.
+
     A look layer may point to a run that was stopped before its last step; such a run is continued
     like any other.
 
     Args:
         output: the output folder; need not exist.
         description: settings and inputs, JSON values.
-        published: run ids that the look layers in the folder name; "" for one that names none.
+        published: run ids that this look's layers in the folder name; "" for one that names none.
         force: replace a result, and give up unfinished runs of other settings.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
     """
     description = json.loads(json.dumps(description))  # as it comes back from a record
-    runs = {run.run_id: run for run in find_runs(output)}
+    look = _look_of(description)
+    runs = {run.run_id: run for run in find_runs(output) if run.look == look}
     results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if run.description != description]
@@ -241,20 +253,9 @@ def open_run(
     return RunFolder(_free_folder(output, _digest(description)[:_KEY_LENGTH]), description)
 
 
-def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
-    """What differs between two descriptions, in words.
-
-    >>> list_changes({"optimize": {"seed": 0}}, {"optimize": {"seed": 1}})
-    'optimize.seed was 0, now 1'
-    """
-    before, after = dict(_flatten(earlier)), dict(_flatten(later))
-    changes = [
-        f"{name} was {_shown(before, name)}, now {_shown(after, name)}"
-        for name in sorted({*before, *after})
-        if before.get(name) != after.get(name)
-    ]
-    more = len(changes) - _MOST_CHANGES
-    return ", ".join(changes[:_MOST_CHANGES]) + (f" and {more} more" if more > 0 else "")
+def _look_of(description: Mapping[str, Any]) -> str:
+    look: str = description["settings"].get("layer", {}).get("look", DEFAULT_LOOK)
+    return look
 
 
 def _digest(description: Mapping[str, Any]) -> str:
@@ -268,21 +269,6 @@ def _free_folder(output: Path, key: str) -> Path:
     while (folder / _RECORD).exists():
         folder, number = output / "vdb" / f"{key}-{number}", number + 1
     return folder
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flatten(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
-
-
-def _shown(values: Mapping[str, Any], name: str) -> str:
-    if name not in values:
-        return "absent"
-    text = json.dumps(values[name], ensure_ascii=False)
-    return text if len(text) <= 40 else f"{text[:12]}..."
 
 
 def _json_text(value: Any) -> str:

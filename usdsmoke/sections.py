@@ -63,6 +63,11 @@ class StageConfig:
         "relationship or grid name of a scalar field in [0, 1] that scales the effect in space; "
         "empty means none",
     )
+    restylize: bool = setting(
+        False,
+        "take smoke that usdsmoke has stylized before as the source; otherwise a result starts "
+        "from the original",
+    )
 
 
 @dataclass(frozen=True)
@@ -113,10 +118,23 @@ class WindowsConfig:
 class LayerConfig:
     """What is written."""
 
+    mode: str = setting(
+        "sublayer",
+        "how the result is put on the stage: a root stage with the look over the source, an asset "
+        "that references the source and has a variant for each look, or the look layer alone",
+        choices=("sublayer", "layer"),
+    )
+    look: str = setting(
+        "stylized",
+        "name of the look, and of its variant; different looks stand side by side in one folder",
+        pattern=r"(?!original$)[A-Za-z_][A-Za-z0-9_]*",
+        wanted="letters, digits and _, no digit first, and not original",
+    )
     name: str = setting(
         "",
         "stem of the VDB files (letters, digits, _ - .); empty means the Volume prim's name",
         pattern=r"(?!\.)[\w.-]*",
+        wanted="letters, digits, _ - . only, not starting with a dot",
     )
     format: str = setting("usda", "file format of the look layer", choices=("usda", "usdc"))
     copy_velocity: bool | None = setting(

@@ -18,7 +18,8 @@ def setting(default: Any, doc: str, **limits: Any) -> Any:
     """A dataclass field with its help text and its limits.
 
     ``low``, ``high`` (inclusive) and ``above`` (exclusive) bound a number or every element of a
-    list, ``choices`` names the words there are, ``pattern`` is what a text must match as a whole,
+    list, ``choices`` names the words there are, ``pattern`` is what a text must match as a whole
+    and ``wanted`` says it in words,
     ``least`` is the smallest length of a list, and ``distinct`` refuses a list that names something
     twice.
     """
@@ -83,7 +84,7 @@ def _check_limits(where: str, value: Any, limits: Mapping[str, Any]) -> Any:
     if "choices" in limits and value not in limits["choices"]:
         raise ConfigError(f"{found}; wanted one of {', '.join(limits['choices'])}")
     if "pattern" in limits and not re.fullmatch(limits["pattern"], value):
-        raise ConfigError(f"{found}; wanted letters, digits, _ - . only, not starting with a dot")
+        raise ConfigError(f"{found}; wanted {limits['wanted']}")
     if "low" in limits and value < limits["low"]:
         raise ConfigError(f"{found}; wanted >= {limits['low']}")
     if "above" in limits and value <= limits["above"]:

@@ -53,9 +53,9 @@ def author_look(
     _check_volumes(volumes)
     _check_targets(stage, files)
     look = _author_look_layer(stage, volumes, folder, config, provenance)
-    root = author_root(stage, files.look_layer, folder)
     _publish(look, files.look_layer)
-    _publish(root, files.root_stage)
+    if files.root_stage is not None:
+        _publish(author_root(stage, files.look_layer, folder), files.root_stage)
     return files
 
 
@@ -118,7 +118,7 @@ def _check_targets(stage: Usd.Stage, files: LookFiles) -> None:
             "save it first"
         )
     used = {Path(layer.realPath).resolve() for layer in stage.GetUsedLayers() if layer.realPath}
-    for target in (files.look_layer, files.root_stage):
+    for target in files.written:
         if target.resolve() in used:
             raise LayerError(
                 f"{target} is a layer of the source stage itself; choose another output folder"

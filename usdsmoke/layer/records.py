@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
-from usdsmoke.naming import EMISSION
+from usdsmoke.naming import EMISSION, look_suffix
 from usdsmoke.sections import LayerConfig
 from usdsmoke.volume import StageSource, VolumeSource, WrittenFrame
 
@@ -34,10 +34,15 @@ class StylizedVolume:
 
 @dataclass(frozen=True)
 class LookFiles:
-    """The two USD files of a result."""
+    """The USD files of a result."""
 
     look_layer: Path  # the override layer: everything usdsmoke has to say
-    root_stage: Path  # the stage to open: the look over the source
+    root_stage: Path | None  # the stage to open; None in the mode ``layer``
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """All of them."""
+        return tuple(path for path in (self.look_layer, self.root_stage) if path is not None)
 
 
 def look_files(source: StageSource, output_folder: Path, config: LayerConfig) -> LookFiles:
@@ -48,8 +53,10 @@ def look_files(source: StageSource, output_folder: Path, config: LayerConfig) ->
         output_folder: where the result goes.
         config: the section ``layer`` of the settings.
     """
-    stem = PurePath(source.file_path).stem
+    stem, suffix = PurePath(source.file_path).stem, look_suffix(config.look)
     folder = Path(output_folder)
-    return LookFiles(
-        look_layer=folder / f"look.{config.format}", root_stage=folder / f"{stem}_look.usda"
-    )
+    roots = {
+        "sublayer": folder / f"{stem}_look{suffix}.usda",
+        "reference": folder / f"{stem}_asset.usda",
+    }
+    return LookFiles(folder / f"look{suffix}.{config.format}", roots.get(config.mode))
