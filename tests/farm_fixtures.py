@@ -37,7 +37,9 @@ def outcome(root_stage: Path) -> Outcome:
     for name in (run_id[1], run_id[1].replace("-", "")[:8]):
         text = text.replace(name, "RUN")
     text = re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "TIME", text)
-    return contents(root_stage), re.sub(r'"stylize=[\d.]+"', '"stylize=SECONDS"', text)
+    text = re.sub(r'"(stylize|coarse|shape|colour)=[\d.]+"', r'"\1=SECONDS"', text)
+    text = re.sub(r'"(shape|colour) seconds=[^"]+"', r'"\1 seconds"', text)
+    return contents(root_stage), re.sub(r'(layerHash|recordHash) = "\w+"', r"\1 = HASH", text)
 
 
 def windows_in(shot: Shot, order: Sequence[int]) -> None:

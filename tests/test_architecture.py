@@ -37,6 +37,9 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("naming", {"errors"}, set()),
     ("publish", {"errors"}, set()),
     ("provenance", {"errors"}, set()),
+    ("provenance_versions", set(), set()),
+    ("provenance_stage", {"volume"}, {"numpy"}),
+    ("run_figures", set(), set()),
     ("windows", {"errors", "config"}, set()),
     ("blend", {"errors", "volume"}, {"numpy"}),
     ("colour_grids", {"naming", "sections", "volume"}, {"numpy"}),
@@ -91,6 +94,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("cluster_check", {"errors"}, set()),
     # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
     ("cluster", {"*"}, {"distributed"}),
+    ("pipeline_features", {"core.definition", "core.vgg19_file", "provenance", "sections"}, set()),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
     ("cli*", {"*"}, {"rich"}),
     # Qt comes through pxr.Usdviewq, which only usdview has; only this module needs it.
@@ -103,6 +107,8 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
 # What a module must not reach, not even through others.
 OUT_OF_REACH: list[tuple[str, set[str]]] = [
     ("inspection", {"torch"}),
+    ("provenance*", {"torch"}),
+    ("pipeline_features", {"torch"}),
     ("validators", {"torch"}),
     ("stage*", {"torch"} | OPENVDB),
     ("layer*", {"torch"} | OPENVDB),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from usdsmoke.validators import Finding
 
 __all__ = [
+    "columns",
     "inspection_text",
     "job_text",
     "plan_text",
@@ -64,14 +65,14 @@ def result_text(result: "StylizeResult") -> str:
     ]
     checked = result.root_stage or result.look_layer
     use = [] if opened else [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
-    return "\n".join([*_columns(rows), "", *use, f"check it with: usdsmoke validate {checked}"])
+    return "\n".join([*columns(rows), "", *use, f"check it with: usdsmoke validate {checked}"])
 
 
 def step_text(step: "StepResult") -> str:
     """Where a part of a run has left its files."""
     what = "nothing was left to do" if step.was_done else "finished"
     manifest = [("manifest", str(step.manifest))] if step.manifest.is_file() else []
-    return "\n".join(_columns([(what, str(step.folder)), *manifest]))
+    return "\n".join(columns([(what, str(step.folder)), *manifest]))
 
 
 def job_text(bundle: "JobBundle") -> str:
@@ -87,7 +88,7 @@ def job_text(bundle: "JobBundle") -> str:
         ),
         ("this machine", run),
     ]
-    return "\n".join(_columns(rows))
+    return "\n".join(columns(rows))
 
 
 def inspection_text(found: Mapping[str, Any]) -> str:
@@ -106,7 +107,7 @@ def inspection_text(found: Mapping[str, Any]) -> str:
         ]
         for frame in volume["frames"]:
             rows += [_inspected_field(frame, *item) for item in frame["fields"].items()]
-        lines += [f"  {line}" for line in _columns(rows)]
+        lines += [f"  {line}" for line in columns(rows)]
     for omission in found["omitted"]:
         lines += ["", f"left out {omission['what']}: {omission['reason']}"]
     lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
@@ -124,6 +125,15 @@ def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
         lines.append(f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}")
     summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "nothing to say"
     return "\n".join([*lines, f"{file_path}: {summary}"])
+
+
+def columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows as lines with aligned columns."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
 def _measured(title: str, values: Mapping[str, float] | None) -> list[tuple[str, str]]:
@@ -187,15 +197,6 @@ def _inspected_field(
         _box(grid["box"]) if grid.get("box") else ("empty" if voxels == 0 else "?"),
         Path(field["file"]).name,
     )
-
-
-def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows as lines with aligned columns."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
 
 
 def _box(shape: Iterable[int]) -> str:

@@ -17,19 +17,17 @@ from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request
 from usdsmoke.pipeline_outputs import (
     collect_volume,
-    frame_metadata,
     frame_record,
-    make_provenance,
     result_fields,
 )
 from usdsmoke.pipeline_pictures import write_contact_sheet
+from usdsmoke.pipeline_records import frame_metadata, make_provenance
 from usdsmoke.pipeline_windows import list_tasks
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
 from usdsmoke.run_windows import (
     WindowRecord,
-    finished_coarse,
     finished_window,
     part_file_name,
     remove_locks,
@@ -114,15 +112,12 @@ def assemble_run(
     """
     windows = collect_windows(run, job.plan)
     _collect_frames(job, run, windows, tell)
-    seconds = sum(window.seconds for window in windows) + finished_coarse(run).seconds
     volumes = [
         collect_volume(run, volume, scene["gamma_w"], job.config)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     temporal, overlap = _temporal_error(run), _overlap_difference(run)
-    provenance = make_provenance(
-        run, job.plan, job.styles, {"stylize": seconds}, temporal or {}, overlap or {}
-    )
+    provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
     source, layer = job.plan.source, job.config.layer
     files = author_look(job.stage, source, volumes, job.output, layer, provenance)
     failures = _draw_sheets(job, run, reader, tell)
@@ -199,9 +194,6 @@ def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
     fields = result_fields(blended, volume, frame, pair.gamma_w, config)
     reports = [window.frames[pair.part_of(window)] for window in (pair.tail, pair.head)]
     hashes = reports[1]["source_hashes"]
-    metadata = frame_metadata(run, volume, frame, hashes)
-    target = run.folder / frame.file_name
-    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
     report = dict(reports[1]["report"])
     errors = _blend_errors([item["report"] for item in reports], pair.weight)
     if errors:
@@ -211,6 +203,9 @@ def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
         "weight": pair.weight,
         "difference": difference,
     }
+    metadata = frame_metadata(run, volume, frame, hashes, report, config.grids)
+    target = run.folder / frame.file_name
+    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, hashes)
     return {**record, "part": False, "parts": pair.digests, "report": report}
 

@@ -1,10 +1,11 @@
 """The frames of a run as they are asked for: to be checked, measured, stylized, shown."""
 
 from usdsmoke.frames import read_frame
+from usdsmoke.grids.content_hash import hash_fields
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.volume import VolumeFrame
 
-__all__ = ["KEPT_BYTES", "FrameReader"]
+__all__ = ["KEPT_BYTES", "FrameReader", "hash_sources"]
 
 KEPT_BYTES = 32 * 2**20  # of voxels, over all frames: memory must not grow with the shot
 
@@ -42,3 +43,13 @@ class FrameReader:
             self._kept[frame.file_name] = read
             self._n_bytes += n_bytes
         return read
+
+
+def hash_sources(frame: VolumeFrame) -> dict[str, str]:
+    """Content hashes of what a frame is made from: ``density``, ``mask`` and ``velocity``, as read.
+
+    Args:
+        frame: from ``FrameReader.read``.
+    """
+    fields = {"density": frame.density, "mask": frame.mask, "velocity": frame.velocity}
+    return {name: hash_fields([field]) for name, field in fields.items() if field is not None}

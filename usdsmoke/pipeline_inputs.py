@@ -177,7 +177,7 @@ def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
 
     Args:
         job: gives stage, files, settings and styles.
-        features_hash: of the network's parameter file; "" without one.
+        features_hash: of what pictures are compared by.
     """
     source = job.plan.source
     folder = Path(source.file_path).parent

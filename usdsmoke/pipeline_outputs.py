@@ -2,24 +2,21 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from usdsmoke import __version__
 from usdsmoke.colour_grids import empty_colour_grids, make_colour_grids
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.config import Config
 from usdsmoke.frames import read_velocity_grids
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import read_binding_version
 from usdsmoke.grids.transform import field_extent
 from usdsmoke.grids.write import write_frame
-from usdsmoke.images import StyleImage
 from usdsmoke.layer.records import EMISSION, StylizedVolume
 from usdsmoke.naming import colour_names
-from usdsmoke.plan import FramePlan, Plan, VolumePlan, result_file_names
-from usdsmoke.provenance import Provenance, RunFacts, build_provenance, hash_file
+from usdsmoke.pipeline_records import frame_metadata
+from usdsmoke.plan import FramePlan, VolumePlan, result_file_names
+from usdsmoke.provenance import hash_file
 from usdsmoke.publish import make_folders
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.volume import DenseField, WrittenFrame
@@ -29,15 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "collect_volume",
-    "frame_metadata",
     "frame_record",
-    "make_provenance",
     "plain_values",
     "result_fields",
     "write_result",
 ]
-
-_PACKAGES = ("usd-core", "torch", "numpy")
 
 
 def result_fields(
@@ -94,7 +87,7 @@ def write_result(
         stylized: the result.
         gamma_w: extinction per density, 1/stage unit.
         config: the resolved settings.
-        source_hashes: content hashes of the ``density`` and, if any, the ``mask`` that were read.
+        source_hashes: content hashes of what was read, see ``hash_sources``.
 
     Returns:
         JSON values that describe the file; see ``frame_record``.
@@ -110,27 +103,13 @@ def write_result(
     if not is_part:
         fields = result_fields(fields, volume, frame, gamma_w, config)
     make_folders((run.folder / name).parent)
-    metadata = frame_metadata(run, volume, frame, source_hashes)
+    report = plain_values(stylized.report)
+    metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
     half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
-    return {**record, "sha256": digest, "part": is_part, "report": plain_values(stylized.report)}
-
-
-def frame_metadata(
-    run: RunFolder, volume: VolumePlan, frame: FramePlan, source_hashes: Mapping[str, str]
-) -> dict[str, Any]:
-    """What a frame's file says about itself, on top of what its source said."""
-    source_file = frame.source.fields[volume.source.density].file_path
-    return {
-        "creator": f"usdsmoke {__version__}",
-        **read_header(source_file).metadata,
-        "usdsmoke:version": __version__,
-        "usdsmoke:run": run.run_id,
-        "usdsmoke:source_sha256": source_hashes["density"],
-        "usdsmoke:params_sha256": run.settings_hash,
-    }
+    return {**record, "sha256": digest, "part": is_part, "report": report}
 
 
 def frame_record(
@@ -180,56 +159,18 @@ def collect_volume(
         colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
         grids |= {name: name for name in colours}
     grids |= _copied_velocity(volume)
+    empty_file, empty_hash = ("", "")
+    if EMISSION in grids:
+        empty_file, empty_hash = _write_empty(run, volume, config)
     return StylizedVolume(
         source=volume.source,
         frames=written,
         extinction_per_density=extinction_per_density,
         grids=grids,
-        empty_file=_write_empty(run, volume, config) if EMISSION in grids else "",
+        empty_file=empty_file,
+        empty_hash=empty_hash,
         emission_mode=config.layer.emission_mode,
     )
-
-
-def make_provenance(
-    run: RunFolder,
-    plan: Plan,
-    styles: Sequence[StyleImage],
-    timings: Mapping[str, float],
-    temporal_error: Mapping[str, float],
-    overlap_difference: Mapping[str, float],
-) -> Provenance:
-    """The record of a run, all of whose frames are there, for the layer."""
-    config = plan.config
-    inputs = {}
-    for volume in plan.volumes:
-        for frame in volume.frames:
-            hashes = run.frames[frame.file_name]["source_hashes"]
-            source_file = frame.source.fields[volume.source.density].file_path
-            inputs[f"{source_file} {frame.grid.label}"] = hashes["density"]
-            if frame.mask is not None:
-                mask_file = frame.mask.field.file_path
-                inputs[f"{mask_file} {frame.mask.grid.label}"] = hashes["mask"]
-    facts = RunFacts(
-        version=__version__,
-        seed=config.optimize.seed,
-        config=config_to_dict(config),
-        inputs=inputs,
-        styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
-        features=config.features.network,
-        features_hash=run.description["features_hash"],
-        packages={**_package_versions(), "openvdb": read_binding_version(config.grids)},
-        timings=timings,
-        extinction={
-            volume.source.prim_path: (scene["gamma_w"], scene["gamma_w_shape"])
-            for volume, scene in zip(plan.volumes, run.scenes, strict=True)
-        },
-        temporal_error=temporal_error,
-        overlap_difference=overlap_difference,
-        omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
-        run_id=run.run_id,
-        created=run.created,
-    )
-    return build_provenance(facts)
 
 
 def _keep_where(smoke: np.ndarray, field: DenseField) -> DenseField:
@@ -249,28 +190,20 @@ def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
     return dict(zip(names, grids, strict=True)) if len(names) == len(grids) else {}
 
 
-def _write_empty(run: RunFolder, volume: VolumePlan, config: Config) -> str:
-    """A file without a voxel, named like the first timeCode not stylized; "" when all are."""
+def _write_empty(run: RunFolder, volume: VolumePlan, config: Config) -> tuple[str, str]:
+    """A file without a voxel, named like the first timeCode not stylized, and its content hash; two
+    empty texts when all are stylized."""
     stylized = {frame.source.time_code for frame in volume.frames}
     rest = [code for code in volume.source.time_codes if code not in stylized]
     if not rest:
-        return ""
+        return "", ""
     name = result_file_names(volume.source, volume.stem)[rest[0]]
     matrix = volume.frames[0].grid.index_to_world
     colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config.layer)
     metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
-    write_frame(run.folder / name, colours, metadata, config.grids.half, config.grids)
-    return str(run.folder / name)
-
-
-def _package_versions() -> dict[str, str]:
-    versions = {}
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:  # a USD or torch of another origin, without a wheel's record
-            versions[name] = "unknown"
-    return versions
+    target = run.folder / name
+    content_hash = write_frame(target, colours, metadata, config.grids.half, config.grids)
+    return str(target), content_hash
 
 
 def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | None:

@@ -11,11 +11,11 @@ from usdsmoke.config import Config, config_to_dict
 from usdsmoke.errors import Interrupted, LayerError, OutputExists
 from usdsmoke.locks import OutputLock, lock_output
 from usdsmoke.pipeline_coarse import measure_scenes
+from usdsmoke.pipeline_features import features_hash
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request, describe_run, published_runs
 from usdsmoke.pipeline_windows import list_tasks
 from usdsmoke.plan import Plan
-from usdsmoke.provenance import hash_file
 from usdsmoke.run_changes import list_changes
 from usdsmoke.run_folder import RunFolder, find_runs, open_run
 from usdsmoke.run_windows import finished_window, is_useless
@@ -55,9 +55,12 @@ def open_or_redo(
                 stage = dataclasses.replace(job.config.stage, frames=frames)
                 whole = prepare(dataclasses.replace(job.config, stage=stage))
                 redone = _windows_of(whole.plan, job.plan)
-                if redone and describe_run(whole, _features_hash(whole.config)) == run.description:
+                if (
+                    redone
+                    and describe_run(whole, features_hash(whole.config.features)) == run.description
+                ):
                     return whole, run, redone
-    description = describe_run(job, _features_hash(job.config))
+    description = describe_run(job, features_hash(job.config.features))
     return job, open_run(job.output, description, published, force), frozenset()
 
 
@@ -69,7 +72,7 @@ def joined_run(job: Job, force: bool) -> Iterator[tuple[RunFolder, OutputLock]]:
         OutputExists: the folder holds a run or result of other settings or inputs, and ``force``
             does not say to begin beside it.
     """
-    description = describe_run(job, _features_hash(job.config))
+    description = describe_run(job, features_hash(job.config.features))
     if force and _equal_run(job.output, description) is None:
         with lock_output(job.output):  # unfinished runs of other settings go: nobody may be at them
             open_run(job.output, description, published_runs(job), force)
@@ -238,12 +241,3 @@ def _as_stored(description: dict[str, Any]) -> dict[str, Any]:
     """As it comes back from a record."""
     stored: dict[str, Any] = json.loads(json.dumps(description))
     return stored
-
-
-def _features_hash(config: Config) -> str:
-    """SHA-256 of the network's parameter file; "" for the embedded features, which have none."""
-    if config.features.network == "embedded":
-        return ""
-    from usdsmoke.core.vgg19 import find_vgg19_file
-
-    return hash_file(find_vgg19_file(config.features.vgg19_file))

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.errors import ConfigError
-from usdsmoke.grids.content_hash import hash_fields
 from usdsmoke.pipeline_coarse import coarse_starts, read_scene
-from usdsmoke.pipeline_frames import FrameReader
+from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_outputs import write_result
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
@@ -79,7 +78,7 @@ def check_frames(
 
     Returns:
         By the result's file name the content hashes of what decides the frame: ``density``, and
-        ``mask`` where there is one.
+        ``mask`` and ``velocity`` where they are read.
 
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
@@ -89,9 +88,7 @@ def check_frames(
     for number, (name, (volume, frame)) in enumerate(to_do.items()):
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
         read = reader.read(volume, frame)
-        hashes[name] = {"density": hash_fields([read.density])}
-        if read.mask is not None:
-            hashes[name]["mask"] = hash_fields([read.mask])
+        hashes[name] = hash_sources(read)
     return hashes
 
 

@@ -1,9 +1,11 @@
 """What a run was: which tool, on what, with which settings, and what came of it.
 
 The record is one flat dictionary of whole numbers, texts and lists of texts, because it is stored
-in a layer's ``customLayerData``, where nested values do not survive every exporter. Keys are only
-ever added; ``schemaVersion`` rises when the meaning of one changes. It names files without their
-folders and nothing of the person or the machine.
+in a layer's ``customLayerData``, where nested values do not survive every exporter: what is nested
+stands there as JSON text. Keys are only ever added; ``schemaVersion`` rises when the meaning of one
+changes. It names files without their folders, except relative to the layer where that is what it
+takes to find them again, and nothing of the person or the machine. docs/provenance.md explains
+every key.
 """
 
 import hashlib
@@ -55,6 +57,14 @@ class RunFacts:
     omissions: Sequence[str] = ()  # what was left out and why, a sentence each
     run_id: str = ""  # a UUID; empty makes a new one
     created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
+    finished: str = ""  # likewise, when the layer was made; empty takes the time of the call
+    platform: str = ""  # system and processor family
+    figures: Mapping[str, Any] = field(default_factory=dict)  # by name; their texts are recorded
+    stage_values: Mapping[str, str] = field(default_factory=dict)  # what the stage said, by name
+    # What it takes to run again; files relative to the layer.
+    request: Mapping[str, Any] = field(default_factory=dict)
+    input_state: Mapping[str, Any] = field(default_factory=dict)  # digests of what was read
+    frames: Sequence[Mapping[str, Any]] = ()  # of the result: file, Volume, timeCode, sources
 
 
 def new_run_id() -> str:
@@ -114,7 +124,7 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "run": facts.run_id or new_run_id(),
         "created": facts.created or utc_now(),
         "seed": facts.seed,
-        "config": json.dumps(facts.config, sort_keys=True, ensure_ascii=False),
+        "config": _as_json(facts.config),
         "inputs": sorted(_file_pairs(facts.inputs)),
         "styles": _file_pairs(facts.styles),
         "features": facts.features,
@@ -130,6 +140,13 @@ def build_provenance(facts: RunFacts) -> Provenance:
             f"{grid}={value:.6g}" for grid, value in facts.overlap_difference.items()
         ],
         "omitted": list(facts.omissions),
+        "finished": facts.finished or utc_now(),
+        "platform": facts.platform,
+        "figures": [f"{name}={figure}" for name, figure in facts.figures.items()],
+        "stageValues": [f"{name}={value}" for name, value in facts.stage_values.items()],
+        "request": _as_json(facts.request),
+        "inputState": _as_json(facts.input_state),
+        "frames": [_as_json(frame) for frame in facts.frames],
     }
 
 
@@ -147,7 +164,14 @@ def authorship_inputs(provenance: Mapping[str, Any]) -> list[str]:
         ("seed", str(provenance.get("seed", ""))),
         ("config", str(provenance.get("config", ""))),
     ]
+    pairs += [("package", text) for text in provenance.get("packages", [])]
+    pairs += [("seconds", text) for text in provenance.get("timings", [])]
+    pairs += [("figure", text) for text in provenance.get("figures", [])]
     return [text.strip() for pair in pairs for text in pair]
+
+
+def _as_json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False)
 
 
 def _file_pairs(files: Mapping[str, str]) -> list[str]:

@@ -18,6 +18,7 @@ from usdsmoke.provenance import (
     short_run_id,
     utc_now,
 )
+from usdsmoke.run_figures import Figure
 
 FACTS = RunFacts(
     version="1.2.3",
@@ -35,6 +36,13 @@ FACTS = RunFacts(
     omissions=["velocity: one frame"],
     run_id="3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34",
     created="2026-01-31T12:00:00Z",
+    finished="2026-01-31T12:30:00Z",
+    platform="Linux x86_64",
+    figures={"shape loss": Figure(0.5, 1.0, 2)},
+    stage_values={"upAxis": "Z", "</shot/smoke>": "ee"},
+    request={"stage": "../shot.usda", "styles": ["../petals.png"]},
+    input_state={"files": {"b.vdb": "ff"}},
+    frames=[{"file": "./vdb/k/smoke.0001.vdb", "timeCode": 1.0}],
 )
 
 
@@ -58,11 +66,18 @@ def test_the_record_holds_every_fact_as_numbers_texts_and_lists_of_texts():
         "temporalError": ["displacement=0.25", "colour=0.0625"],
         "overlapDifference": ["density=0.0123457"],
         "omitted": ["velocity: one frame"],
+        "finished": FACTS.finished,
+        "platform": "Linux x86_64",
+        "figures": ["shape loss=mean 0.5, max 1, frames 2"],
+        "stageValues": ["upAxis=Z", "</shot/smoke>=ee"],
+        "request": '{"stage": "../shot.usda", "styles": ["../petals.png"]}',
+        "inputState": '{"files": {"b.vdb": "ff"}}',
+        "frames": ['{"file": "./vdb/k/smoke.0001.vdb", "timeCode": 1.0}'],
     }
     assert json.loads(record["config"]) == FACTS.config
 
 
-def test_the_record_names_no_folder():
+def test_the_record_names_no_folder_but_those_that_are_relative_to_the_layer():
     assert "someone" not in json.dumps(build_provenance(FACTS))
 
 
@@ -83,6 +98,9 @@ def test_authorship_inputs_are_pairs_and_long_lists_become_one_digest():
     assert pairs["style"] == "petals.png=cc"
     assert pairs["seed"] == str(2**40)
     assert pairs["features"] == "embedded dd"
+    assert pairs["package"] == "usd=26.11"
+    assert pairs["seconds"] == "colour=2.000"
+    assert pairs["figure"] == "shape loss=mean 0.5, max 1, frames 2"
     assert json.loads(pairs["config"]) == FACTS.config
 
 

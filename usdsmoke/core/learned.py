@@ -14,17 +14,22 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.definition import (
+    COLOUR_RELATIVE,
+    DEVIATION_SHARE,
+    LEAST_DEVIATION,
+    LEAST_POWER,
+    LEAST_VARIANCE,
+    N_AXES,
+    N_CLUSTERINGS,
+    N_FILTERS,
+    N_PATCHES,
+    PATCH_SIZES,
+    WHITENING_FLOOR,
+)
 from usdsmoke.core.oriented import colour_whitening
 
 __all__ = ["LearnedFeatures"]
-
-N_FILTERS = (64, 96, 128, 160)
-
-# Only styles of (nearly) one colour come below these. Whatever is painted differs from such a style
-# by hundreds of its deviations, and three and more layers of that do not fit float32.
-LEAST_VARIANCE = 1e-4  # of colour
-LEAST_POWER = 0.1  # variance of all patches; pictures have 50 and more
-LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more
 
 
 def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator) -> Tensor:
@@ -66,7 +71,7 @@ def _principal_axes(points: Tensor, n: int) -> Tensor:
     values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
     n = min(n, len(values))
     values, vectors = values[-n:], vectors[:, -n:]
-    floor = 0.02 * values[-1].clamp_min(1e-12)
+    floor = WHITENING_FLOOR * values[-1].clamp_min(1e-12)
     return ((values.clamp_min(0) + floor).rsqrt()[:, None] * vectors.T).to(points)
 
 
@@ -83,7 +88,7 @@ class LearnedFeatures:
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._generator = torch.Generator().manual_seed(seed)
-        self._mean, self._matrix = colour_whitening(style, LEAST_VARIANCE, relative=0.1)
+        self._mean, self._matrix = colour_whitening(style, LEAST_VARIANCE, relative=COLOUR_RELATIVE)
         self._layers: list[tuple[Tensor, Tensor]] = []
         self._style_maps = self._colour(style)  # of the deepest layer learned so far
 
@@ -92,14 +97,14 @@ class LearnedFeatures:
         """Learn what is missing of the layers 1 to ``deepest``."""
         for number in range(len(self._layers), deepest):
             maps = self._style_maps
-            size = 5 if number == 0 else 3
+            size = PATCH_SIZES[number]
             if number:
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
             weight = self._learn(maps, size, N_FILTERS[number], number, self._generator)
             response = self._respond(maps, weight, None)
             deviation = response.std(dim=(0, 2, 3), correction=0)
             # a floor, or filters that the style hardly excites explode on noise
-            deviation = torch.sqrt(deviation**2 + (0.1 * deviation.max()) ** 2)
+            deviation = torch.sqrt(deviation**2 + (DEVIATION_SHARE * deviation.max()) ** 2)
             deviation = deviation.clamp_min(LEAST_DEVIATION)
             bias = -response.mean(dim=(0, 2, 3)) / deviation
             self._layers.append((weight / deviation[:, None, None, None], bias))
@@ -110,20 +115,19 @@ class LearnedFeatures:
         maps: Tensor, size: int, n_filters: int, number: int, generator: torch.Generator
     ) -> Tensor:
         channels = maps.shape[1]
+        patches = _patches(maps, size, N_PATCHES[number], generator)
         if number == 0:
-            patches = _patches(maps, size, 20000, generator)
             patches = patches - patches.mean(dim=1, keepdim=True)
-        else:
-            patches = _patches(maps, size, 8000, generator)
         if patches.var(dim=0, correction=0).sum() < LEAST_POWER:
             filters = patches.new_zeros(n_filters, patches.shape[1])  # there is nothing to learn
         elif number == 0:
-            filters = _cluster_directions(patches, n_filters, 12, generator)
+            filters = _cluster_directions(patches, n_filters, N_CLUSTERINGS[number], generator)
             filters = filters - filters.mean(dim=1, keepdim=True)
         else:
-            axes = _principal_axes(patches, 64)
+            axes = _principal_axes(patches, N_AXES)
             whitened = (patches - patches.mean(0)) @ axes.T
-            filters = _cluster_directions(whitened, n_filters, 10, generator) @ axes
+            filters = _cluster_directions(whitened, n_filters, N_CLUSTERINGS[number], generator)
+            filters = filters @ axes
         return filters.view(n_filters, channels, size, size)
 
     @staticmethod

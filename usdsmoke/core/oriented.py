@@ -18,13 +18,20 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.definition import (
+    BINOMIAL,
+    COLOUR_FLOOR,
+    ENERGY_FLOOR,
+    ENVELOPE_SHARE,
+    FREQUENCIES,
+    N_LEVELS,
+    N_ORIENTATIONS,
+    SIZE,
+)
+
 __all__ = ["OrientedFeatures", "colour_whitening"]
 
-N_LEVELS = 4
-N_ORIENTATIONS = 8
-FREQUENCIES = (0.35, 0.2, 0.1)  # cycles per pixel
-SIZE = 7
-_BINOMIAL = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+_BINOMIAL = torch.tensor(BINOMIAL) / sum(BINOMIAL)
 
 
 def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tuple[Tensor, Tensor]:
@@ -51,7 +58,7 @@ def _gabor_bank(generator: torch.Generator) -> tuple[Tensor, Tensor]:
     y, x = torch.meshgrid(
         torch.arange(-radius, radius + 1.0), torch.arange(-radius, radius + 1.0), indexing="ij"
     )
-    envelope = torch.exp(-(x**2 + y**2) / (2 * (SIZE / 4) ** 2))
+    envelope = torch.exp(-(x**2 + y**2) / (2 * (SIZE * ENVELOPE_SHARE) ** 2))
     banks: tuple[list[Tensor], list[Tensor]] = ([], [])
     number = 0
     for frequency in FREQUENCIES:
@@ -91,7 +98,7 @@ class OrientedFeatures:
     names = tuple(f"oriented{level + 1}" for level in range(N_LEVELS))
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
-        self._mean, self._matrix = colour_whitening(style, 1e-2)
+        self._mean, self._matrix = colour_whitening(style, COLOUR_FLOOR)
         even, odd = _gabor_bank(torch.Generator().manual_seed(seed))
         self._bank = torch.cat([even, odd]).to(style)
 
@@ -115,5 +122,5 @@ class OrientedFeatures:
     def _level(self, image: Tensor) -> Tensor:
         padded = F.pad(image, (SIZE // 2,) * 4, mode="replicate")
         even, odd = F.conv2d(padded, self._bank).chunk(2, dim=1)
-        energy = torch.sqrt(even**2 + odd**2 + 1e-3)
+        energy = torch.sqrt(even**2 + odd**2 + ENERGY_FLOOR)
         return torch.cat([energy - _blur(energy), image, even], dim=1)

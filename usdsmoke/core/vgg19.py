@@ -7,7 +7,6 @@ order.
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.vgg19_file import FILE_NAME, find_vgg19_file
 from usdsmoke.errors import FeatureError
 
-__all__ = ["Vgg19Features", "find_vgg19_file"]
+__all__ = ["Vgg19Features"]
 
-FILE_NAME = "vgg19-dcbb9e9d.pth"
 _BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
 _MEAN = (0.485, 0.456, 0.406)
 _DEVIATION = (0.229, 0.224, 0.225)
@@ -35,24 +34,6 @@ def _convolutions() -> list[tuple[str, int, int, int]]:
             channels, index = width, index + 2
         index += 1  # the pooling
     return found
-
-
-def find_vgg19_file(configured: str = "") -> Path:
-    """The weights file: as configured, from ``USDSMOKE_VGG19``, or in torch's hub cache.
-
-    Raises:
-        FeatureError: there is none; the message lists where it was looked for.
-    """
-    cache = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch"))
-    named = configured or os.environ.get("USDSMOKE_VGG19", "")
-    places = [Path(named)] if named else [cache / "hub" / "checkpoints" / FILE_NAME]
-    for place in places:
-        if place.is_file():
-            return place
-    raise FeatureError(
-        f"no VGG-19 weights at {places[0]}; give torchvision's {FILE_NAME} or a safetensors file "
-        "as features.vgg19_file or in USDSMOKE_VGG19, or use features.network=embedded"
-    )
 
 
 def _read_safetensors(file_path: Path) -> dict[str, Tensor]:

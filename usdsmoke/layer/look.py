@@ -14,6 +14,7 @@ from usdsmoke.layer.fields import author_field, held_files, retarget
 from usdsmoke.layer.marks import custom_layer_data, mark_volume, result_hashes
 from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.layer.root import author_root, copy_stage_metadata
+from usdsmoke.layer.seal import seal_layer
 from usdsmoke.publish import publish_file
 from usdsmoke.sections import LayerConfig
 from usdsmoke.time_codes import format_time_codes
@@ -87,6 +88,7 @@ def _author_look_layer(
             author_field(layer, target, held, folder)
             if target.is_new:
                 retarget(spec, target)
+    seal_layer(layer)
     return layer
 
 

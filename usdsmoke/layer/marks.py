@@ -66,11 +66,9 @@ def mark_volume(
 
 def result_hashes(volumes: Sequence[StylizedVolume], folder: Any) -> list[str]:
     """``path=content hash`` of every written file, paths relative to the look's folder."""
-    return [
-        f"{relative_asset_path(frame.file_path, folder)}={frame.content_hash}"
-        for volume in volumes
-        for frame in volume.frames
-    ]
+    hashes = {frame.file_path: frame.content_hash for volume in volumes for frame in volume.frames}
+    hashes |= {volume.empty_file: volume.empty_hash for volume in volumes if volume.empty_hash}
+    return [f"{relative_asset_path(path, folder)}={digest}" for path, digest in hashes.items()]
 
 
 def custom_layer_data(provenance: Mapping[str, Any], results: Sequence[str]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ class StylizedVolume:
         default_factory=lambda: {"density": "density", EMISSION: EMISSION}
     )  # relationship name: name of its grid in the written files
     empty_file: str = ""  # absolute; a VDB whose colour grids have no voxel
+    empty_hash: str = ""  # its content hash, see grids.content_hash; "" when it is not known
     emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
 
 

@@ -12,7 +12,8 @@ from tests.smoke_fixtures import random_style
 from usdsmoke.config import FeaturesConfig
 from usdsmoke.core.features import build_network
 from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.vgg19 import FILE_NAME, Vgg19Features, find_vgg19_file
+from usdsmoke.core.vgg19 import Vgg19Features
+from usdsmoke.core.vgg19_file import FILE_NAME, find_vgg19_file
 from usdsmoke.errors import FeatureError
 
 WIDTHS = (64, 64, "M", 128, 128, "M", *[256] * 4, "M", *[512] * 4, "M", *[512] * 4)

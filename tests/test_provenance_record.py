@@ -1,0 +1,119 @@
+"""What a run leaves written down: in the layer, in the authorship record, in every frame's file."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pxr import Sdf, Usd, UsdMedia
+
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run
+from usdsmoke.core.definition import embedded_hash
+from usdsmoke.grids.content_hash import hash_vdb_file
+from usdsmoke.grids.header import read_header
+from usdsmoke.provenance import hash_file
+from usdsmoke.sections import GridsConfig
+
+PACKAGES = {"python", "usd-core", "torch", "numpy", "openvdb"}
+
+
+def record_of(layer: Path) -> dict[str, Any]:
+    return dict(Sdf.Layer.FindOrOpen(str(layer)).customLayerData["usdsmoke"])
+
+
+def pairs(texts: list[str]) -> dict[str, str]:
+    return {name: value for name, _, value in (text.rpartition("=") for text in texts)}
+
+
+@pytest.mark.usefixtures("core")
+def test_the_layer_holds_what_it_takes_to_run_again(shot: Shot) -> None:
+    result = run(shot, "optimize.seed=3")
+    record = record_of(result.look_layer)
+    request = json.loads(record["request"])
+    assert (shot.output / request["stage"]).resolve() == shot.stage.resolve()
+    (style,) = request["styles"]
+    assert (shot.output / style).resolve() == shot.style.resolve()
+    assert request["config"]["optimize"]["seed"] == 3
+    assert set(pairs(record["packages"])) == PACKAGES
+    assert record["features"] == "embedded" and record["featuresHash"] == embedded_hash()
+    assert record["created"] <= record["finished"]
+
+
+@pytest.mark.usefixtures("core")
+def test_every_frame_names_its_file_and_sources_with_hashes(shot: Shot) -> None:
+    record = record_of(run(shot).look_layer)
+    frames = [json.loads(text) for text in record["frames"]]
+    assert [frame["timeCode"] for frame in frames] == [1, 2, 3]
+    results = pairs(record["results"])
+    state = json.loads(record["inputState"])
+    for frame in frames:
+        assert results[frame["file"]] == hash_vdb_file(shot.output / frame["file"], GridsConfig())
+        (source,) = frame["sources"]
+        file_path = (shot.output / source["file"]).resolve()
+        assert (source["field"], source["grid"]) == ("density", "density")
+        assert source["hash"] == hash_vdb_file(file_path, GridsConfig())
+        relative = file_path.relative_to(shot.stage.parent.resolve())
+        assert state["files"][str(relative)] == hash_file(file_path)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_velocity_that_was_read_has_a_hash(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    frame = json.loads(record_of(run(shot).look_layer)["frames"][0])
+    hashes = {source["field"]: source["hash"] for source in frame["sources"]}
+    assert set(hashes) == {"density", "velocity"} and all(map(len, hashes.values()))
+
+
+@pytest.mark.usefixtures("core")
+def test_a_frame_s_file_tells_tool_settings_inputs_and_figures(shot: Shot) -> None:
+    result = run(shot, "optimize.seed=3")
+    found = read_header(result.frames[1]).metadata
+    assert json.loads(found["usdsmoke:config"])["optimize"]["seed"] == found["usdsmoke:seed"] == 3
+    assert {text.partition("=")[0] for text in found["usdsmoke:packages"].split(", ")} == PACKAGES
+    assert found["usdsmoke:featuresHash"] == embedded_hash()
+    assert json.loads(found["usdsmoke:styles"]) == [f"style.png {hash_file(shot.style)}"]
+    assert found["usdsmoke:source"] == "smoke.0002.vdb"
+    assert (found["usdsmoke:prim"], found["usdsmoke:timeCode"]) == ("/World/smoke", 2)
+    report = json.loads(found["usdsmoke:report"])
+    assert report["temporal error"] == {"colour": 0.5, "displacement": 0.25}
+
+
+def test_figures_of_the_layer_are_mean_and_largest_of_the_frames(
+    shot: Shot, core: FakeCore
+) -> None:
+    result = run(shot)
+    figures = pairs(record_of(result.look_layer)["figures"])
+    assert figures["temporal error colour"] == "mean 0.5, max 0.5, frames 2"
+    (kept,) = shot.output.glob("vdb/*/run.json")
+    reports = [frame["report"] for frame in json.loads(kept.read_text())["frames"].values()]
+    assert sum("temporal error" in report for report in reports) == 2
+
+
+@pytest.mark.usefixtures("core")
+def test_a_result_as_source_does_not_pass_its_own_record_on(shot: Shot, tmp_path: Path) -> None:
+    first = run(shot)
+    metadata = read_header(first.frames[0]).metadata
+    second = Shot(tmp_path, first.root_stage, shot.style, tmp_path / "again")
+    again = read_header(run(second, "optimize.steps=[shape]").frames[0]).metadata
+    assert again["usdsmoke:run"] != metadata["usdsmoke:run"]
+    assert again["usdsmoke:source_sha256"] != metadata["usdsmoke:source_sha256"]
+
+
+@pytest.mark.usefixtures("core")
+def test_the_authorship_record_has_versions_and_figures(shot: Shot) -> None:
+    stage = Usd.Stage.Open(str(run(shot).root_stage))
+    (record,) = UsdMedia.AuthorshipAPI.GetAll(stage.GetPrimAtPath("/World/smoke"))
+    inputs = list(record.GetInputsAttr().Get())
+    names = inputs[::2]
+    assert names.count("package") == len(PACKAGES)
+    assert any(text.startswith("temporal error") for text in inputs[1::2])
+    assert {"style", "sources", "features", "seed", "config", "seconds"} <= set(names)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_source_that_goes_on_being_shown_has_its_empty_file_on_record(shot: Shot) -> None:
+    record = record_of(run(shot, "stage.frames=2").look_layer)
+    results = pairs(record["results"])
+    assert len(results) == 2 and len(record["frames"]) == 1
+    for name, digest in results.items():
+        assert hash_vdb_file(shot.output / name, GridsConfig()) == digest

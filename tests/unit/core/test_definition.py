@@ -1,0 +1,48 @@
+"""The hash of the embedded features stands for every number they are made of."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from usdsmoke.core import definition
+from usdsmoke.core.definition import embedded_hash
+from usdsmoke.core.learned import LearnedFeatures
+from usdsmoke.core.oriented import OrientedFeatures
+
+FOLDER = Path(definition.__file__).parent
+NUMBERS = [name for name in vars(definition) if name.isupper()]
+
+
+def test_the_hash_is_the_same_every_time():
+    assert embedded_hash() == embedded_hash() and len(embedded_hash()) == 64
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_counts(name, monkeypatch):
+    before = embedded_hash()
+    value = getattr(definition, name)
+    changed = (*value[:-1], value[-1] * 2) if isinstance(value, tuple) else value * 2
+    monkeypatch.setattr(definition, name, changed)
+    assert embedded_hash() != before
+
+
+@pytest.mark.parametrize("name", [name for name in NUMBERS if name != "REVISION"])
+def test_every_number_is_used_by_the_features(name):
+    used = set()
+    for module in ("learned", "oriented"):
+        tree = ast.parse((FOLDER / f"{module}.py").read_text(encoding="utf-8"))
+        used |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    assert name in used
+
+
+def test_there_is_an_entry_for_every_layer():
+    learned = len(LearnedFeatures.names) - 1
+    for numbers in (
+        definition.N_FILTERS,
+        definition.PATCH_SIZES,
+        definition.N_PATCHES,
+        definition.N_CLUSTERINGS,
+    ):
+        assert len(numbers) == learned
+    assert len(OrientedFeatures.names) == definition.N_LEVELS

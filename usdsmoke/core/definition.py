@@ -1,0 +1,66 @@
+"""The fixed numbers that the embedded features are made of, and a hash of them; without torch.
+
+Who raises, lowers or adds a number here changes what every result is compared by. A change of the
+method that no number shows raises ``REVISION``.
+"""
+
+import hashlib
+import json
+
+__all__ = [
+    "BINOMIAL",
+    "COLOUR_FLOOR",
+    "COLOUR_RELATIVE",
+    "DEVIATION_SHARE",
+    "ENERGY_FLOOR",
+    "ENVELOPE_SHARE",
+    "FREQUENCIES",
+    "LEAST_DEVIATION",
+    "LEAST_POWER",
+    "LEAST_VARIANCE",
+    "N_AXES",
+    "N_CLUSTERINGS",
+    "N_FILTERS",
+    "N_LEVELS",
+    "N_ORIENTATIONS",
+    "N_PATCHES",
+    "PATCH_SIZES",
+    "REVISION",
+    "SIZE",
+    "WHITENING_FLOOR",
+    "embedded_hash",
+]
+
+REVISION = 1
+
+# Oriented filters
+N_LEVELS = 4
+N_ORIENTATIONS = 8
+FREQUENCIES = (0.35, 0.2, 0.1)  # cycles per pixel
+SIZE = 7  # of a filter, pixels
+ENVELOPE_SHARE = 0.25  # standard deviation of a filter's envelope, of SIZE
+ENERGY_FLOOR = 1e-3  # beneath the root of the local energy
+BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)  # low-pass between levels, before it is divided by its sum
+COLOUR_FLOOR = 1e-2  # variance that whitening adds
+
+# Learned filters, one entry for each layer
+N_FILTERS = (64, 96, 128, 160)
+PATCH_SIZES = (5, 3, 3, 3)
+N_PATCHES = (20000, 8000, 8000, 8000)
+N_CLUSTERINGS = (12, 10, 10, 10)  # iterations of k-means
+N_AXES = 64  # principal axes of patches that are clustered
+WHITENING_FLOOR = 0.02  # of the largest eigenvalue
+DEVIATION_SHARE = 0.1  # of the largest deviation: a floor for that of a filter's response
+COLOUR_RELATIVE = 0.1  # of the largest eigenvalue of the colours
+
+# Only styles of (nearly) one colour come below these. Whatever is painted differs from such a style
+# by hundreds of its deviations, and three and more layers of that do not fit float32.
+LEAST_VARIANCE = 1e-4  # of colour
+LEAST_POWER = 0.1  # variance of all patches; pictures have 50 and more
+LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more
+
+
+def embedded_hash() -> str:
+    """SHA-256, 64 hexadecimal digits, of all numbers of this module with their names."""
+    numbers = {name: value for name, value in globals().items() if name.isupper()}
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,54 @@
+"""What a stage says about its Volumes, piece by piece, so that a change can be named later."""
+
+import dataclasses
+import hashlib
+import json
+from typing import Any
+
+import numpy as np
+
+from usdsmoke.volume import StageSource, VolumeSource
+
+__all__ = ["stage_values"]
+
+_METADATA = (
+    "up_axis",
+    "meters_per_unit",
+    "time_codes_per_second",
+    "frames_per_second",
+    "start_time_code",
+    "end_time_code",
+    "default_prim",
+)
+
+
+def stage_values(source: StageSource) -> dict[str, str]:
+    """Stage metadata as texts by name, and by ``<prim path>`` a digest of each Volume's values.
+
+    A Volume's values are its timeCodes, fields, grids, places, cameras and settings; where its
+    files and style images lie on the disk is no part of them.
+    """
+    values = {
+        _camel(name): "none" if (value := getattr(source, name)) is None else str(value)
+        for name in _METADATA
+    }
+    return values | {f"<{volume.prim_path}>": _digest(volume) for volume in source.volumes}
+
+
+def _digest(volume: VolumeSource) -> str:
+    values = dataclasses.asdict(volume)
+    del values["request"]["styles"]
+    for frame in values["frames"]:
+        for field in frame["fields"].values():
+            del field["file_path"]
+    text = json.dumps(values, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _camel(name: str) -> str:
+    first, *rest = name.split("_")
+    return first + "".join(word.capitalize() for word in rest)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else str(value)
