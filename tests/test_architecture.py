@@ -45,6 +45,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("schema", {"errors"}, {"pxr"}),
     ("diagnostics", {"errors"}, {"pxr"}),
     ("relationships", set(), {"pxr"}),
+    ("asset_files", set(), {"pxr"}),
     ("request_attributes", set(), set()),
     ("request_values", set(), {"pxr"}),
     (
@@ -56,7 +57,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
         "stage*",
         GROUND
         | {"stage*", "schema", "diagnostics", "relationships", "provenance"}
-        | {"request_attributes", "volume_requests"},
+        | {"asset_files", "request_attributes", "volume_requests"},
         {"pxr", "numpy"},
     ),
     (
@@ -68,7 +69,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
         "validat*",
         GROUND
         | {"validat*", "schema", "diagnostics", "relationships", "provenance", "grids.*"}
-        | {"request_attributes", "volume_requests"},
+        | {"asset_files", "request_attributes", "volume_requests"},
         {"pxr", "numpy"},
     ),
     ("grids.binding", GROUND | {"grids*"}, {"numpy"} | OPENVDB),

@@ -69,7 +69,8 @@ def test_any_program_can_run_them_through_usd(tmp_path):
     assert [str(error.GetIdentifier()) for error in errors] == [
         "usdsmokeValidators:FieldFileMissing.FieldFileMissing"
     ]
-    assert errors[0].GetMessage().startswith("timeCode 3: @./cache/smoke.0003.vdb@ resolves to no")
+    wanted = "timeCode 3: filePath is @./cache/smoke.0003.vdb@: nothing"
+    assert errors[0].GetMessage().startswith(wanted)
 
 
 def test_a_missing_extent_is_found(tmp_path):
@@ -111,11 +112,10 @@ def test_missing_files_are_found_once_a_path_with_their_time_codes(tmp_path):
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        ("", "filePath is empty"),
-        ("asset filePath = @@", "filePath is empty"),
+        *[(text, "filePath is empty") for text in ("", "asset filePath = @@")],
         ("asset filePath = @op:/obj/smoke@", "a node inside Houdini"),
         ("asset filePath = @./notes.vdb@", "does not begin with the mark of VDB files"),
-        ("asset filePath = @./folder.vdb@", "which is no file"),
+        ("asset filePath = @./folder.vdb@", "is a folder; wanted a .vdb file"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_found(tmp_path, files, words):

@@ -1,12 +1,12 @@
 """Which file and grid a field prim shows at which timeCode, and whether that can be used."""
 
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 
 import numpy as np
-from pxr import Ar, Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
+from usdsmoke.asset_files import vdb_problem
 from usdsmoke.errors import AssetNotResolved
 from usdsmoke.time_codes import format_time_code, format_time_codes
 from usdsmoke.volume import FieldSource
@@ -74,7 +74,8 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
         AssetNotResolved: a path is empty, Houdini's own, inside a package, a folder, or resolves to
             no file.
     """
-    problems = [(source, problem) for source in sources if (problem := _problem(source))]
+    found = [(source, vdb_problem(source.authored_path, source.file_path)) for source in sources]
+    problems = [(source, problem) for source, problem in found if problem]
     if not problems:
         return
     source, problem = problems[0]
@@ -83,31 +84,6 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
         f"the filePath of <{source.prim_path}> at timeCode {format_time_code(source.time_code)} is "
         f"{asset}: {problem}{_also(source.time_code for source, _ in problems[1:])}"
     )
-
-
-def _problem(source: FieldSource) -> str:
-    """What is wrong with a field's file and what to do about it; empty when nothing is."""
-    authored, resolved = source.authored_path, source.file_path
-    if not authored and not resolved:
-        return "wanted the path of a .vdb file"
-    if authored.startswith("op:"):
-        return (
-            "that is a node inside Houdini, unknown outside it; "
-            "write the volumes to files there (USD ROP) and use the stage it writes"
-        )
-    if Ar.IsPackageRelativePath(resolved) or Ar.IsPackageRelativePath(authored):
-        package = Ar.SplitPackageRelativePathOuter(resolved or authored)[0]
-        return (
-            f"that is inside the package {package}, and OpenVDB reads plain files only; "
-            "unpack it (a .usdz is a zip) and use the stage inside"
-        )
-    if not resolved:
-        return "nothing is found there; check the path and that the files came along"
-    if os.path.isdir(resolved):
-        return f"{resolved} is a folder; wanted a .vdb file"
-    if not os.path.isfile(resolved):
-        return f"it resolves to {resolved}, where there is no file; check the resolver or the disk"
-    return ""
 
 
 def _authoring_layer(prim: Usd.Prim, time_code: float) -> str:

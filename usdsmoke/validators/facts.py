@@ -7,8 +7,9 @@ from functools import lru_cache
 from threading import Lock
 
 import numpy as np
-from pxr import Ar, Usd, UsdGeom, UsdValidation, UsdVol
+from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 
+from usdsmoke.asset_files import vdb_problem
 from usdsmoke.errors import GridError, StageError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, find_grid
@@ -94,18 +95,9 @@ def file_trouble(shown: Shown) -> str:
     """Why the file of a field cannot be opened at all; empty when it can, or nothing is shown."""
     if shown.blocked:
         return ""
-    if not shown.authored_path:
-        return "filePath is empty; wanted the path of a .vdb file"
-    asset = f"@{shown.authored_path}@"
-    if shown.authored_path.startswith("op:"):
-        return f"{asset} is a node inside Houdini; write the volumes to files there (USD ROP)"
-    if Ar.IsPackageRelativePath(shown.file_path or shown.authored_path):
-        return f"{asset} lies inside a package, where OpenVDB cannot read it; unpack the package"
-    if not shown.file_path:
-        return f"{asset} resolves to no file; check the path and that the files came along"
-    if not os.path.isfile(shown.file_path):
-        return f"{asset} resolves to {shown.file_path}, which is no file; check the path"
-    return ""
+    problem = vdb_problem(shown.authored_path, shown.file_path)
+    path = f"@{shown.authored_path}@" if shown.authored_path else "empty"
+    return f"filePath is {path}: {problem}" if problem else ""
 
 
 def shown_grid(shown: Shown) -> GridHeader | None:
