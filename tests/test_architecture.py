@@ -20,8 +20,12 @@ GROUND = {
     "errors", "sections", "look_sections", "setting_checks", "config", "volume", "time_codes",
     "naming",
 }  # fmt: skip
-PLAN = {"plan", "needs", "estimate", "frames", "windows"}
-WITHOUT_TORCH = {"core.schedule", "core.progress"}  # modules of core that planning may count with
+PLAN = {"plan", "needs", "camera_needs", "estimate", "frames", "windows"}
+WITHOUT_TORCH = {
+    "core.schedule",
+    "core.progress",
+    "core.frustum",
+}  # modules of core that planning may count with
 
 # module: (what else of ours it may import, packages it may import); the first match counts.
 TABLE: list[tuple[str, set[str], set[str]]] = [
@@ -87,6 +91,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("frames", GROUND | PLAN | {"grids*"}, {"numpy"}),
     ("plan", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
+    ("camera_needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("inspection", {"*"}, {"pxr", "numpy"}),
     ("openjd_template", {"errors"}, {"yaml"}),

@@ -44,6 +44,7 @@ def options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, An
             "restylize": arguments.restylize,
         },
         "grids": {"half": arguments.half, "repair_nan": arguments.repair},
+        "views": {"camera": arguments.camera},
         "optimize": {"seed": arguments.seed},
         "layer": {
             "mode": arguments.mode,
@@ -163,6 +164,11 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         help="one setting, such as windows.size=3; may be repeated; stronger than all others",
+    )
+    parser.add_argument(
+        "--camera",
+        metavar="PATH",
+        help="the shot's Camera prim: only what it sees is stylized, seen from its direction",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
     parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")

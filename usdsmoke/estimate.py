@@ -3,7 +3,7 @@
 All formulae stand here, with their constants in one place. With N active voxels and B voxels of the
 box (both after refinement), M voxels of the mask's box (which is not refined), P pixels of a
 picture, V pictures an iteration, L views in the pool, S style images, s an octave's linear
-resolution as a share of the full one:
+resolution as a share of the full one; in the work, of N, B and P only what the camera sees counts:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of L VIEW_TIME N s^3 +
@@ -80,6 +80,7 @@ class FrameSize:
     window_start: bool = True  # False: it starts from its neighbour's result
     n_copied: int = 0  # values a voxel that are written beside the result: the velocity's 3, or 0
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
+    seen: float = 1.0  # share of the box that the shot's camera sees
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,11 @@ def _picture_pixels(frame: FrameSize, config: Config) -> float:
 
 
 def _is_optimized(frame: FrameSize, config: Config) -> bool:
-    return frame.active_voxels > 0 and config.optimize.strength > 0 and config.losses.style > 0
+    return (
+        frame.active_voxels * frame.seen > 0
+        and config.optimize.strength > 0
+        and config.losses.style > 0
+    )
 
 
 def _frame_memory(frame: FrameSize, config: Config) -> float:
@@ -227,8 +232,8 @@ def _frame_seconds(
 
 def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, finest: float) -> float:
     """Seconds of one thread."""
-    active, box = _refined(frame, config)
-    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config)
+    active, box = (frame.seen * n for n in _refined(frame, config))
+    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.seen ** (2 / 3)
     n_views = n_different_views(config.views)
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     if not frame.window_start and finest == 1.0:

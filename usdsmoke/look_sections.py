@@ -39,6 +39,20 @@ class ViewsConfig:
     image_size: int = setting(
         192, "pixels of the longer side of the images that are optimised", low=16, high=2048
     )
+    camera: str = setting(
+        "",
+        "the shot's Camera prim: views lie around its direction, and only what it sees is "
+        "stylized; empty goes around the up axis",
+    )
+    camera_width: int = setting(
+        1920, "pixels of the shot's width; no finer detail is optimised", low=1, high=65536
+    )
+    camera_margin: float = setting(
+        0.05,
+        "share of the camera's picture width over which the effect ends beyond its edges",
+        above=0.0,
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from usdsmoke.camera_needs import camera_needed, camera_omitted
 from usdsmoke.config import Config
 from usdsmoke.core.schedule import octave_iterations
 from usdsmoke.estimate import n_different_views
@@ -52,6 +53,7 @@ def list_needed(
         n_views = n_different_views(config.views)
         count = min(config.views.count, n_views)
         needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
+        needed += camera_needed(config, volumes)
         needed += [_describe_step(step, config) for step in config.optimize.steps]
     needed += _describe_windows(volumes)
     gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
@@ -75,6 +77,8 @@ def list_omitted(
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
     omitted += _omitted_steps(config)
     omitted += _omitted_views(config)
+    if optimizes(config):
+        omitted += [Omission(*pair) for pair in camera_omitted(config, volumes)]
     frames = _frames(volumes)
     if all(frame.velocity is None for frame in frames):
         omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))

@@ -23,7 +23,7 @@ from usdsmoke.layer import LookFiles, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.plan import Plan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.stage import find_volumes, open_stage, seen_through
 from usdsmoke.volume import StageSource
 
 __all__ = [
@@ -85,6 +85,7 @@ def prepare_job(
     output = Path(output).absolute()
     stage = open_stage(stage_path)
     source = find_volumes(stage, config.stage)
+    source = seen_through(stage, source, config.views.camera)
     _check_names(source, config)
     styles = tuple(read_style_image(style_path) for style_path in style_paths)
     plan = make_plan(source, config, len(styles))

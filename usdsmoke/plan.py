@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.camera_needs import seen_share
 from usdsmoke.config import Config
 from usdsmoke.core.schedule import coarse_factor
 from usdsmoke.errors import PlanError
@@ -235,11 +236,14 @@ def _plan_frame(
     followed = window.joined or len(window.time_codes) > 1
     mask = find_frame_mask(volume, frame, headers, config)
     size = _frame_size(density.file_path, grid, frame.time_code == window.time_codes[0], copied)
+    size = replace(size, seen=seen_share(frame, density, grid, config))
     if size.active_voxels == 0 or not optimizes(config):
         mask = None
+    if mask is not None:
+        size = replace(size, mask_box=grid_size(mask.field.file_path, mask.grid)[1])
     return FramePlan(
         source=frame,
-        size=size if mask is None else replace(size, mask_box=_mask_box(mask)),
+        size=size,
         grid=grid,
         velocity=velocity if followed and config.stage.motion == "velocity" else None,
         copied=copied,
@@ -259,10 +263,6 @@ def _frame_size(
 ) -> FrameSize:
     active, box = grid_size(file_path, grid)
     return FrameSize(active, box, window_start, 0 if copied is None else 3)
-
-
-def _mask_box(mask: MaskSource) -> tuple[int, int, int]:
-    return grid_size(mask.field.file_path, mask.grid)[1]
 
 
 def _volume_dict(volume: VolumePlan) -> dict[str, Any]:

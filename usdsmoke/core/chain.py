@@ -34,6 +34,7 @@ from usdsmoke.core.potential import Displacement, hold
 from usdsmoke.core.scene import Scene
 from usdsmoke.core.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.shape import Start, longest_move, run_shape_step
+from usdsmoke.core.sight import Sight
 from usdsmoke.core.smoke import ActiveSmoke, activate
 from usdsmoke.core.start import CoarseStart, start_colours, start_displacement
 from usdsmoke.core.targets import StyleTargets
@@ -67,12 +68,13 @@ class Link:
     """One frame on its way through the chain."""
 
     frame: VolumeFrame
-    density: DenseField  # refined, then moved
-    source: ActiveSmoke
-    smoke: ActiveSmoke  # of the moved density
+    density: DenseField  # refined, then moved; all of it
+    source: ActiveSmoke  # what is worked on: the smoke in sight and a little around
+    smoke: ActiveSmoke  # what is painted: of the moved density, without what is around
     mask: EffectMask | None
     left_out: str  # why nothing is done; "" when there is something to do
     coarse: CoarseStart | None
+    sight: Sight | None = None  # None: all of the smoke is worked on
     report: dict[str, Any] = field(default_factory=dict)
     free: Displacement | None = None  # before it is held below the cap: what is carried along
     settled: Displacement | None = None  # averaged with the following frame's
@@ -138,7 +140,7 @@ def _shape_one(link: Link, before: Link | None, job: Job) -> None:
         start = partial(start_displacement, carried, link.coarse, _mover(before, link), seconds)
     plan = _plan(config.shape.iterations, link, before is not None, config)
     link.free, ends = run_shape_step(
-        link.source, start, job.targets, job.scene, config, plan,
+        link.source, start, job.targets, _scene_of(link, job), config, plan,
         job.watch(link.frame.time_code)("shape", plan), link.mask,
         1.0 if before is None else config.shape.warm_rate,
     )  # fmt: skip
@@ -166,10 +168,16 @@ def _move(link: Link, free: Displacement, job: Job) -> None:
     held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
     link.displacement = Displacement(held, lattice)
     link.density, report = move_density(
-        link.density, link.source, link.displacement, job.config, share
+        link.density, link.source, link.displacement, job.config, share, link.sight is not None
     )
-    link.smoke = activate(link.density, link.frame.density_to_stage, job.device)
+    moved = activate(link.density, link.frame.density_to_stage, job.device)
+    link.smoke = moved if link.sight is None else link.sight.seen(moved)
     link.report["shape"] |= {"cap": cap, **report}
+
+
+def _scene_of(link: Link, job: Job) -> Scene:
+    """The shot's scene, seen by the frame's own camera."""
+    return replace(job.scene, camera=link.frame.camera)
 
 
 def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -192,7 +200,7 @@ def _paint_one(link: Link, before: Link | None, job: Job) -> None:
     )
     plan = _plan(config.colour.iterations, link, paint is not None, config)
     link.colours, ends = run_colour_step(
-        link.smoke, start, job.targets, job.scene, config, plan,
+        link.smoke, start, job.targets, _scene_of(link, job), config, plan,
         job.watch(link.frame.time_code)("colour", plan), link.mask,
         1.0 if paint is None else config.colour.warm_rate,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -41,6 +42,7 @@ def move_density(
     displacement: Displacement,
     config: Config,
     share: Tensor | None = None,
+    is_part: bool = False,
 ) -> tuple[DenseField, dict[str, Any]]:
     """The full density moved by the accurate scheme, and how far the cheap one is off.
 
@@ -49,6 +51,7 @@ def move_density(
         displacement: on the box that ``lattice.surround(source, ROOM)`` gives.
         config: strength, scheme and correction of mass.
         share: the mask's values on that box; where it is 0 the source stays bit for bit.
+        is_part: ``source`` holds only some of the active voxels, and the others are kept.
     """
     lattice = displacement.lattice
     box = lattice.fill(source)
@@ -69,4 +72,25 @@ def move_density(
     corrected, report["mass error"] = correct_mass(moved[here], box[here])
     result = box.clone()
     result[here] = corrected if config.shape.mass_correction else moved[here]
-    return field_from_box(density, result.cpu().numpy(), lattice.low), report
+    values, low = result.cpu().numpy(), lattice.low
+    if is_part and share is not None:
+        values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
+    return field_from_box(density, values, low), report
+
+
+def _among_the_rest(
+    density: DenseField, box: np.ndarray, low: np.ndarray, changed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A field with a box put into it where that is changed, and the index of its first voxel."""
+    field_low = np.asarray(density.ijk_min)
+    first = np.minimum(low, field_low)
+    end = np.maximum(low + box.shape, field_low + density.values.shape)
+    values = np.full(tuple(end - first), density.background, np.float32)
+    values[_slices(field_low - first, density.values.shape)] = density.values
+    part = values[_slices(low - first, box.shape)]
+    part[changed] = box[changed]
+    return values, first
+
+
+def _slices(low: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    return tuple(slice(int(a), int(a) + n) for a, n in zip(low, shape, strict=True))

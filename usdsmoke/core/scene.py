@@ -12,10 +12,11 @@ import torch
 
 from usdsmoke.config import Config
 from usdsmoke.core.project import column_map
+from usdsmoke.core.sight import nearest_footprint, visible_part
 from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.views import View, orbit_view, sample_angles
+from usdsmoke.core.views import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.errors import ShapeError
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.volume import CameraSource, VolumeFrame
 
 __all__ = ["Scene", "face_view", "fit_view", "frame_views", "measure_scene"]
 
@@ -38,6 +39,7 @@ class Scene:
     grey_deviation: float = 0.2
     exposure: float = 1.0  # what thin smoke's pictures are brightened by, >= 1: colour step
     exposure_shape: float = 1.0
+    camera: CameraSource | None = None  # of the frame that is worked on; None: around up
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:
@@ -89,6 +91,8 @@ def frame_views(
 ) -> list[View]:
     """The pool of views of one frame and octave, each just large enough for the smoke.
 
+    With a camera they lie around its own direction, without one around the stage's up axis.
+
     Args:
         smoke: decides the images' extent, and a single face-on view when it is one voxel thick.
         factor: pixels are this many times the scene's.
@@ -96,21 +100,41 @@ def frame_views(
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
+    angles = sample_angles(config.views, config.views.pool, seed)
+    if scene.camera is not None:
+        target = _middle(smoke)
+        return [
+            fit_view(camera_orbit(scene.camera, float(a), float(e), target, pixel_size), smoke)
+            for a, e in angles
+        ]
     return [
         fit_view(
             orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size), smoke
         )
-        for a, e in sample_angles(config.views, config.views.pool, seed)
+        for a, e in angles
     ]
 
 
-def _middle_view(smoke: ActiveSmoke, config: Config, up_axis: str, pixel_size: float) -> View:
+def _middle(smoke: ActiveSmoke) -> np.ndarray:
+    """Centre of mass [3]: unlike a box's centre, it does not jump when a wisp comes into sight."""
+    weights = smoke.density.double() / smoke.density.double().sum()
+    return (weights @ smoke.positions).cpu().numpy()
+
+
+def _middle_view(
+    smoke: ActiveSmoke,
+    config: Config,
+    up_axis: str,
+    pixel_size: float,
+    camera: CameraSource | None = None,
+) -> View:
     if smoke.thin_axis is not None:
         return face_view(smoke, up_axis, pixel_size)
-    views = config.views
-    view = orbit_view(
-        views.centre_azimuth, views.centre_elevation, up_axis, np.zeros(3), 1, 1, pixel_size
-    )
+    azimuth, elevation = config.views.centre_azimuth, config.views.centre_elevation
+    if camera is not None:
+        view = camera_orbit(camera, azimuth, elevation, _middle(smoke), pixel_size)
+    else:
+        view = orbit_view(azimuth, elevation, up_axis, np.zeros(3), 1, 1, pixel_size)
     return fit_view(view, smoke)
 
 
@@ -129,6 +153,7 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
     ``gamma_shape``. A set gamma is per voxel, the paper's meaning, and is divided by the voxel
     size. Where it leaves the thick columns fainter than an opacity of 0.7, the pictures are exposed
     to that: the paper divides each by its own maximum, after which exposure jumps with the frame.
+    With cameras, columns are those that they see, and no pixel is finer than their nearest ones.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -137,21 +162,19 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
     Returns:
         The scene; with nothing but empty frames, harmless values.
     """
-    device = torch.device("cpu")
-    filled = []
-    for frame in frames:
-        smoke = activate(frame.density, frame.density_to_stage, device)
-        if len(smoke.ijk):
-            filled.append(smoke)
+    filled = _filled(frames)
     if not filled:
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
-    voxel = float(np.median([smoke.voxel_size for smoke in filled]))
-    longest = max(_longest_side(smoke, config, up_axis) for smoke in filled)
-    # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
-    fine = voxel / config.grids.refine
-    pixel_size = fine * max(1, round(longest / config.views.image_size / fine))
+    voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
+    longest = max(_longest_side(smoke, config, up_axis, camera) for smoke, camera in filled)
+    parts = [(visible_part(smoke, camera, config), camera) for smoke, camera in filled]
+    seen = [(part, camera) for part, camera in parts if len(part.ijk)]
+    pixel_size = _pixel_size(longest, voxel, seen, config)
     coarse = max(pixel_size, voxel)
-    columns = [_columns(s, _middle_view(s, config, up_axis, coarse)) for s in filled]
+    columns = [
+        _columns(smoke, _middle_view(smoke, config, up_axis, coarse, camera))
+        for smoke, camera in seen or filled
+    ]
     thick = float(np.median([np.percentile(c, config.optics.percentile) for c in columns]))
     gamma_w, gamma_w_shape = (
         per_voxel / voxel if per_voxel is not None else depth / thick
@@ -180,6 +203,31 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
     )
 
 
-def _longest_side(smoke: ActiveSmoke, config: Config, up_axis: str) -> float:
-    view = _middle_view(smoke, config, up_axis, 1e-3 * smoke.voxel_size)
+def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSource | None]]:
+    """Every frame's smoke, where there is any, and its camera."""
+    device = torch.device("cpu")
+    pairs = [
+        (activate(frame.density, frame.density_to_stage, device), frame.camera) for frame in frames
+    ]
+    return [(smoke, camera) for smoke, camera in pairs if len(smoke.ijk)]
+
+
+def _pixel_size(
+    longest: float,
+    voxel: float,
+    seen: Sequence[tuple[ActiveSmoke, CameraSource | None]],
+    config: Config,
+) -> float:
+    """Of the finest octave's pictures, stage units; ``seen`` is what each frame's camera sees."""
+    # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
+    fine = voxel / config.grids.refine
+    finest = min((nearest_footprint(*pair, config) for pair in seen), default=0.0)
+    wanted = round(longest / config.views.image_size / fine)
+    return fine * max(1, wanted, math.ceil(finest / fine - 1e-6))
+
+
+def _longest_side(
+    smoke: ActiveSmoke, config: Config, up_axis: str, camera: CameraSource | None
+) -> float:
+    view = _middle_view(smoke, config, up_axis, 1e-3 * smoke.voxel_size, camera)
     return max(view.height, view.width) * view.pixel_size

@@ -16,6 +16,8 @@ from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.progress import Progress, ProgressCallback
 from usdsmoke.core.refine import refine_field
 from usdsmoke.core.scene import Scene
+from usdsmoke.core.shape import longest_move
+from usdsmoke.core.sight import Sight, sight_of
 from usdsmoke.core.smoke import ActiveSmoke, activate
 from usdsmoke.core.start import CoarseStart
 from usdsmoke.core.style import decode_srgb
@@ -125,15 +127,22 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
     _check_finite(frame)
     density = refine_field(frame.density, job.config.grids.refine)
     source = activate(density, frame.density_to_stage, job.device)
-    mask = effect_mask(frame)
+    reach = longest_move(source, job.config) if len(source.ijk) else 0.0
+    sight = sight_of(frame, source, reach, job.config)
+    mask = effect_mask(frame, sight)
     report: dict[str, Any] = {"voxels": len(source.ijk)}
+    if sight is not None:
+        report["voxels outside the camera's frustum"] = int((sight.at(source.positions) == 0).sum())
     if mask is not None and mask.n_clamped:
         report["warnings"] = [_clamped_text(frame, mask)]
-    left_out = _why_left_out(source, mask, job.config)
+    left_out = _why_left_out(source, mask, sight, job.config)
     if left_out:
         report["left out"] = left_out
+    smoke = source
+    if sight is not None and not left_out:
+        source, smoke = sight.near(source), sight.seen(source)
     coarse = job.starts(frame.time_code)
-    return Link(frame, density, source, source, mask, left_out, coarse, report)
+    return Link(frame, density, source, smoke, mask, left_out, coarse, sight, report)
 
 
 def _stylized(link: Link, job: Job) -> StylizedFrame:
@@ -148,12 +157,17 @@ def _stylized(link: Link, job: Job) -> StylizedFrame:
     return StylizedFrame(link.frame.time_code, link.density, emission, link.report)
 
 
-def _why_left_out(source: ActiveSmoke, mask: EffectMask | None, config: Config) -> str:
+def _why_left_out(
+    source: ActiveSmoke, mask: EffectMask | None, sight: Sight | None, config: Config
+) -> str:
     """Why there is nothing to do for a frame; "" when there is."""
     if len(source.ijk) == 0:
         return "empty frame"
+    if sight is not None and not bool(sight.at(source.positions).any()):
+        return "outside the camera's frustum"
     if mask is not None and not bool(mask.at(source.positions).any()):
-        return "the mask is 0 wherever there is smoke"
+        where = "the camera sees smoke" if sight is not None else "there is smoke"
+        return f"the mask is 0 wherever {where}"
     if config.optimize.strength == 0:
         return "optimize.strength is 0"
     return "losses.style is 0" if config.losses.style == 0 else ""

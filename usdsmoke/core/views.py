@@ -1,7 +1,7 @@
 """From where the smoke is seen: rigid views in stage space, orthographic or perspective."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,9 +11,11 @@ from usdsmoke.volume import CameraSource
 
 __all__ = [
     "View",
+    "camera_orbit",
     "camera_view",
     "draw_views",
     "orbit_view",
+    "rigid_axes",
     "sample_angles",
     "view_of_camera",
 ]
@@ -110,7 +112,7 @@ def view_of_camera(camera: CameraSource, height: int, width: int) -> View:
         height, width: pixels.
     """
     place = np.asarray(camera.camera_to_stage, float)
-    right, up, forward = _rigid_axes(place[:3, :3])
+    right, up, forward = rigid_axes(place[:3, :3])
     eye = place[3, :3]
     per_unit = width / camera.horizontal_aperture  # pixels per unit of film
     across, above = camera.horizontal_offset, camera.vertical_offset
@@ -123,8 +125,37 @@ def view_of_camera(camera: CameraSource, height: int, width: int) -> View:
     )  # fmt: skip
 
 
-def _rigid_axes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Right, up and forward of a camera whose x, y, z are the rows of a [3 3] matrix.
+def camera_orbit(
+    camera: CameraSource, azimuth: float, elevation: float, target: np.ndarray, pixel_size: float
+) -> View:
+    """An orthographic view of a place from the camera's direction, or from beside it.
+
+    Args:
+        camera: its eye (perspective) or its axis (orthographic) gives the direction, its up and
+            right the picture's.
+        azimuth: degrees around the camera's up; from positive ones one stands further right.
+        elevation: degrees; positive looks down from further up, as the camera has up.
+        target: [3], stage space; the picture's centre, one pixel large until it is fitted.
+        pixel_size: stage units.
+    """
+    place = np.asarray(camera.camera_to_stage, float)
+    right, up, forward = rigid_axes(place[:3, :3])
+    towards = np.asarray(target, float) - place[3, :3]
+    if not camera.is_orthographic and towards @ forward > 0:  # else it is not in the picture
+        forward = towards / np.linalg.norm(towards)
+        right = right - (right @ forward) * forward
+        right = right / np.linalg.norm(right)
+        up = np.cross(right, forward)
+    turned = orbit_view(azimuth, elevation, "Y", target, 1, 1, pixel_size)
+    axes = np.stack([right, up, -forward])
+    return replace(
+        turned, right=turned.right @ axes, up=turned.up @ axes, forward=turned.forward @ axes
+    )
+
+
+def rigid_axes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Right, up and forward of a camera whose x, y, z are the rows of a [3 3] matrix, in stage
+    space.
 
     The polar decomposition's rotation: no axis is preferred where the matrix shears.
     """

@@ -5,9 +5,9 @@ Volume's relationships to its field prims, `assets` says which file and grid tho
 `cameras` reads a shot's camera.
 """
 
-from usdsmoke.stage.cameras import read_camera
+from usdsmoke.stage.cameras import read_camera, seen_through
 from usdsmoke.stage.opening import open_stage
 from usdsmoke.stage.volumes import find_volumes
 from usdsmoke.time_codes import parse_frames
 
-__all__ = ["find_volumes", "open_stage", "parse_frames", "read_camera"]
+__all__ = ["find_volumes", "open_stage", "parse_frames", "read_camera", "seen_through"]

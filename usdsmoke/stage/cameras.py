@@ -1,15 +1,16 @@
 """What a stage's Camera shows at one timeCode: its place, its film and its lens."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.errors import StageError
 from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import CameraSource
+from usdsmoke.volume import CameraSource, StageSource
 
-__all__ = ["list_cameras", "read_camera"]
+__all__ = ["list_cameras", "read_camera", "seen_through"]
 
 _NUMBERS = {
     "focal_length": "focalLength",
@@ -59,6 +60,33 @@ def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSou
     )
     _check_camera(source, time_code)
     return source
+
+
+def seen_through(stage: Usd.Stage, source: StageSource, prim_path: str) -> StageSource:
+    """The same Volumes, with a camera at every selected timeCode.
+
+    Args:
+        stage: from ``open_stage``.
+        source: from ``find_volumes``.
+        prim_path: of a prim of type Camera; "" changes nothing.
+
+    Raises:
+        StageError: see ``read_camera``.
+    """
+    if not prim_path:
+        return source
+    codes = {frame.time_code for volume in source.volumes for frame in volume.frames}
+    cameras = {code: read_camera(stage, prim_path, code) for code in sorted(codes)}
+    volumes = (
+        replace(
+            volume,
+            frames=tuple(
+                replace(frame, camera=cameras[frame.time_code]) for frame in volume.frames
+            ),
+        )
+        for volume in source.volumes
+    )
+    return replace(source, volumes=tuple(volumes))
 
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:

@@ -1,0 +1,262 @@
+"""What a frame with a camera becomes: only what is seen is worked on, and the rest stays."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import frame_of, masked, puff, smoke_of
+from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from usdsmoke.core import colour, shape
+from usdsmoke.core.coarse import coarse_frames
+from usdsmoke.core.frustum import frustum_of
+from usdsmoke.core.scene import frame_views, measure_scene
+from usdsmoke.core.sight import visible_part
+from usdsmoke.core.stylize import StylizedFrame
+from usdsmoke.volume import CameraSource, VolumeFrame
+
+N = 24
+DENSITY = puff(N)
+FRAME = frame_of(DENSITY)
+MIDDLE = np.full(3, (N - 1) / 2)
+
+
+def looking(
+    eye: Any, at: Any, film: float = 36.0, parallel: bool = False, roll_up: Any = (0, 1, 0)
+) -> CameraSource:
+    """A camera with a square film that looks from one place at another; 36 mm of focal length."""
+    back = np.subtract(eye, at) / np.linalg.norm(np.subtract(eye, at))
+    right = np.cross(roll_up, back)
+    right /= np.linalg.norm(right)
+    place = np.eye(4)
+    place[:3, :3] = [right, np.cross(back, right), back]
+    place[3, :3] = eye
+    return CameraSource("/camera", place, 36.0, film, film, 0.0, 0.0, (0.1, 1e4), parallel)
+
+
+def seen_by(camera: CameraSource, frame: VolumeFrame = FRAME) -> VolumeFrame:
+    return dataclasses.replace(frame, camera=camera)
+
+
+def half_camera(distance: float = 60.0) -> CameraSource:
+    """In front, its picture's left edge through the middle of the smoke."""
+    camera = looking(np.add(MIDDLE, [0, 0, distance]), MIDDLE, film=24.0)
+    return dataclasses.replace(camera, horizontal_offset=12.0)
+
+
+def shares(camera: CameraSource, frame: VolumeFrame = FRAME) -> dict[tuple[int, ...], float]:
+    """The frustum's share by voxel of the smoke."""
+    margin = quick_config().views.camera_margin
+    index = np.argwhere(frame.density.values > 0)
+    found = frustum_of(camera, margin).shares(index.astype(float))
+    return {tuple(i): float(s) for i, s in zip(index.tolist(), found, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def half() -> StylizedFrame:
+    config = quick_config(shape={"learning_rate": 1.0, "reach": 0.1})
+    return run_core([seen_by(half_camera())], config)[0]
+
+
+def assert_bitwise(one: StylizedFrame, other: StylizedFrame) -> None:
+    assert by_voxel(one.density) == by_voxel(other.density)
+    assert by_voxel(one.emission) == by_voxel(other.emission)
+
+
+def test_a_parallel_camera_in_front_that_sees_all_changes_no_bit():
+    """The same views, nothing left out."""
+    camera = looking(np.add(MIDDLE, [0, 0, 500]), MIDDLE, film=10.0 * 4 * N, parallel=True)
+    result = run_core([seen_by(camera)])[0]
+    assert_bitwise(result, run_core([FRAME])[0])
+    assert not any("frustum" in key for key in result.report)
+
+
+def test_outside_the_frustum_the_source_stays_bit_for_bit_and_has_no_colour(half):
+    share = shares(half_camera())
+    found, emission, source = (
+        by_voxel(field) for field in (half.density, half.emission, FRAME.density)
+    )
+    outside = [voxel for voxel, s in share.items() if s == 0]
+    inside = [voxel for voxel, s in share.items() if s == 1]
+    assert len(outside) > 0.3 * len(share) and len(inside) > 0.3 * len(share)
+    assert all(found[voxel] == source[voxel] for voxel in outside)
+    assert not any(voxel in emission for voxel in outside)
+    changed = sum(found.get(voxel) != source[voxel] for voxel in inside)
+    assert changed > 0.5 * len(inside)
+    assert sum(voxel in emission for voxel in inside) > 0.9 * len(inside)
+    assert half.report["voxels outside the camera's frustum"] == len(outside)
+    assert half.report["voxels"] == len(share)
+
+
+def test_nothing_grows_outside_where_there_was_no_smoke(half):
+    camera, source = half_camera(), by_voxel(FRAME.density)
+    new = np.array([voxel for voxel in by_voxel(half.density) if voxel not in source], float)
+    assert len(new) and frustum_of(camera, 0.05).shares(new).all()
+
+
+def test_mass_is_kept_among_what_is_seen(half):
+    assert half.density.values.sum() == pytest.approx(DENSITY.sum(), rel=1e-5)
+
+
+def test_colours_end_softly_at_the_border(half):
+    """At full strength emission over extinction is at most 1, at a share s at most s."""
+    share, density = shares(half_camera()), by_voxel(half.density)
+    scene = measure_scene([seen_by(half_camera())], quick_config(), "Y")
+    for voxel, light in by_voxel(half.emission).items():
+        if voxel in share:
+            limit = share[voxel] * scene.gamma_w * density[voxel][0]
+            assert max(light) <= limit * (1 + 1e-5)
+
+
+def noted_work(monkeypatch: pytest.MonkeyPatch, frame: VolumeFrame) -> dict[str, int]:
+    """Voxels and pixels of a run's finest octave."""
+    work = {"shape": 0, "colour": 0, "pixels": 0}
+    for module in (shape, colour):
+        views = module.frame_views
+
+        def noted(smoke, config, scene, seed, factor, views=views, name=module.__name__):
+            made = views(smoke, config, scene, seed, factor)
+            if factor == 1:
+                work[name.rsplit(".", 1)[-1]] = len(smoke.ijk)
+                work["pixels"] = sum(view.height * view.width for view in made)
+            return made
+
+        monkeypatch.setattr(module, "frame_views", noted)
+    run_core([frame])
+    monkeypatch.undo()
+    return work
+
+
+def test_less_voxels_and_pixels_are_worked_on(monkeypatch):
+    frame = frame_of(puff(2 * N))
+    middle = np.full(3, N - 0.5)
+    straight = looking(np.add(middle, [0, 0, 120]), middle, film=24.0)
+    whole = noted_work(monkeypatch, seen_by(straight, frame))
+    beside = dataclasses.replace(straight, horizontal_offset=12.0)
+    part = noted_work(monkeypatch, seen_by(beside, frame))
+    assert whole["shape"] == int((frame.density.values > 0).sum())
+    assert part["shape"] < 0.8 * whole["shape"] and part["colour"] < 0.7 * whole["colour"]
+    assert part["pixels"] < 0.8 * whole["pixels"]
+
+
+def test_a_frame_wholly_outside_is_left_out_and_stays_as_it_is():
+    behind = looking(np.add(MIDDLE, [0, 0, 60]), np.add(MIDDLE, [0, 0, 120]))
+    result = run_core([seen_by(behind)])[0]
+    assert result.report["left out"] == "outside the camera's frustum"
+    assert by_voxel(result.density) == by_voxel(FRAME.density)
+    assert not result.emission.values.any()
+
+
+def test_a_camera_and_a_mask_multiply():
+    ramp = np.broadcast_to(np.linspace(0, 1, N)[None, :, None], DENSITY.shape)
+    both = run_core([seen_by(half_camera(), masked(ramp, FRAME))])[0]
+    share, source = shares(half_camera()), by_voxel(FRAME.density)
+    found, emission = by_voxel(both.density), by_voxel(both.emission)
+    still = [voxel for voxel, s in share.items() if s * ramp[voxel] == 0]
+    assert len(still) > len(share) / 3
+    assert all(found[voxel] == source[voxel] and voxel not in emission for voxel in still)
+    elsewhere = masked(np.broadcast_to(np.arange(N) < 8, (N, N, N)).swapaxes(0, 2), FRAME)
+    away = run_core([seen_by(half_camera(), elsewhere)])[0]
+    assert away.report["left out"] == "the mask is 0 wherever the camera sees smoke"
+
+
+@pytest.mark.parametrize("edge", [-6.0, -4.0, -2.0, 0.0, 3.0, 8.0])
+def test_every_sliver_in_sight_gives_finite_smoke(edge):
+    """The picture's edge wanders over the smoke's own, corner first."""
+    turned = np.array([1.0, 1.0, 1.0]) / np.sqrt(3)
+    camera = looking(MIDDLE + 60 * np.array([0, 0, 1.0]), MIDDLE, film=10.0, parallel=True)
+    place = camera.camera_to_stage.copy()
+    place[3, :3] += turned * (N / 2 + edge)
+    camera = dataclasses.replace(camera, camera_to_stage=place, horizontal_aperture=30.0)
+    result = run_core([seen_by(camera)])[0]
+    assert np.isfinite(result.density.values).all() and np.isfinite(result.emission.values).all()
+
+
+def test_a_window_under_a_panning_camera_follows_and_keeps_what_is_outside():
+    """The coarse step too; smoke comes into the picture, goes out of it, and is out of it."""
+    config = quick_config(windows={"size": 4, "shared_octaves": 1})
+    frames = []
+    for number, turn in enumerate((0.0, 0.1, 0.2, 1.5)):
+        eye = np.add(MIDDLE, [0, 0, 60])
+        at = eye + 60 * np.array([np.sin(turn + 0.15), 0, -np.cos(turn + 0.15)])
+        camera = looking(eye, at, film=14.0)
+        frames.append(seen_by(camera, frame_of(DENSITY, 1.0 + number, np.array([1.0, 0, 0]))))
+    scene = measure_scene(frames, config, "Y")
+    style = np.random.default_rng(0).uniform(size=(24, 24, 3)).astype(np.float32)
+    starts = {start.time_code: start for start in coarse_frames(frames, [style], scene, config)}
+    assert starts[4.0].colours is None and starts[1.0].colours is not None
+    for result, frame in zip(run_core(frames, config, scene), frames, strict=True):
+        found, source = by_voxel(result.density), by_voxel(frame.density)
+        share = shares(frame.camera, frame)
+        outside = [voxel for voxel, s in share.items() if s == 0]
+        assert outside and all(found[voxel] == source[voxel] for voxel in outside)
+        assert ("left out" in result.report) == (not any(share.values()))
+
+
+def views_from(camera: CameraSource, **views: Any) -> list[Any]:
+    config = quick_config(views={"pool": 6, **views})
+    scene = dataclasses.replace(measure_scene([FRAME], config, "Y"), camera=camera)
+    return frame_views(visible_part(smoke_of(DENSITY), camera, config), config, scene, seed=3)
+
+
+def test_views_lie_around_the_cameras_direction_within_the_ranges():
+    camera = looking(np.add(MIDDLE, [70, 30, -20]), MIDDLE, roll_up=(0.3, 1, 0))
+    towards = -np.array([70, 30, -20]) / np.linalg.norm([70, 30, -20])
+    (straight,) = views_from(camera, pool=1, azimuth=0.0, elevation=0.0)
+    assert straight.forward == pytest.approx(towards, abs=1e-3)  # the puff's mass has lumps
+    assert straight.right == pytest.approx(camera.camera_to_stage[0, :3], abs=2e-3)
+    views = views_from(camera, azimuth=12.0, elevation=6.0)
+    off = [float(np.degrees(np.arccos(view.forward @ straight.forward))) for view in views]
+    assert max(off) < np.hypot(12, 6) + 1e-6 and np.mean(off) > 3
+    for view in views:
+        axes = np.stack([view.right, view.up, view.forward])
+        assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.cross(view.right, view.forward) == pytest.approx(view.up, abs=1e-12)
+
+
+def test_a_camera_that_goes_around_changes_its_views_smoothly():
+    """A degree and a half a frame, the smoke half out of the picture: no view jumps."""
+    before = None
+    for angle in np.radians(np.arange(0.0, 90.0, 1.5)):
+        eye = MIDDLE + 50 * np.array([np.sin(angle), 0.2, np.cos(angle)])
+        camera = dataclasses.replace(looking(eye, MIDDLE, film=24.0), horizontal_offset=12.0)
+        views = views_from(camera)
+        if before is not None:
+            turns = [
+                float(np.degrees(np.arccos(min(1.0, a.forward @ b.forward))))
+                for a, b in zip(views, before, strict=True)
+            ]
+            assert 0.5 < min(turns) and max(turns) < 2.5
+            assert all(
+                a.up @ b.up > np.cos(np.radians(2.5)) for a, b in zip(views, before, strict=True)
+            )
+        before = views
+
+
+def test_no_pixel_is_finer_than_the_cameras_at_the_nearest_smoke_it_sees():
+    config = quick_config(views={"image_size": 512, "camera_width": 100})
+    camera = looking(np.add(MIDDLE, [0, 0, 500]), MIDDLE)
+    scene = measure_scene([seen_by(camera)], config, "Y")
+    nearest = 500 - (np.argwhere(DENSITY > 0)[:, 2].max() - MIDDLE[2])
+    assert scene.pixel_size == np.ceil(nearest / 100) == 5.0
+    assert measure_scene([FRAME], config, "Y").pixel_size == 1.0
+    wide = quick_config(views={"image_size": 512, "camera_width": 8192})
+    assert measure_scene([seen_by(camera)], wide, "Y").pixel_size == 1.0
+
+
+def test_extinction_is_measured_on_what_the_camera_sees():
+    """Two puffs, one ten times as thick, which only the second camera sees."""
+    density = np.concatenate([DENSITY, np.zeros_like(DENSITY), 10 * DENSITY])
+    frame = frame_of(density)
+    thin, thick = (
+        measure_scene(
+            [seen_by(looking([x, 11.5, 300.0], [x, 11.5, 0.0], 3.6), frame)], quick_config(), "Y"
+        )
+        for x in (11.5, 2 * N + 11.5)
+    )
+    assert thin.gamma_w == pytest.approx(10 * thick.gamma_w, rel=1e-3)
+    assert thin.pixel_size == thick.pixel_size
+    nowhere = measure_scene([seen_by(looking([0, 0, -9], [0, 0, -99]), frame)], quick_config(), "Y")
+    assert torch.isfinite(torch.tensor(nowhere.gamma_w)) and nowhere.gamma_w != 1.0

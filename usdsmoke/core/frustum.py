@@ -1,0 +1,138 @@
+"""What a shot's camera can see: a frustum with a soft border, and the size of its pixels.
+
+Plain numpy, without torch: planning counts with it too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usdsmoke.core.views import APERTURE_UNIT, rigid_axes
+from usdsmoke.volume import CameraSource
+
+__all__ = ["Frustum", "frustum_of", "pixel_footprint"]
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """The space in front of a camera's film, between its clipping planes.
+
+    Film coordinates are tangents (perspective) or stage units (orthographic), across and up.
+    """
+
+    eye: np.ndarray  # [3] stage space
+    axes: np.ndarray  # [3 3] right, up, forward as rows, orthonormal
+    low: np.ndarray  # [2] the film's left and lower edge
+    high: np.ndarray  # [2] the right and upper edge
+    near: float  # stage units along forward
+    far: float
+    border: float  # width over which the effect ends beyond the edges, in film coordinates
+    is_orthographic: bool
+
+    def shares(self, points: np.ndarray) -> np.ndarray:
+        """1 for what the film shows, falling smoothly to 0 across the border, [N] float64.
+
+        The clipping planes have a border too, as wide as the film's is there.
+
+        Args:
+            points: [N 3], stage space.
+        """
+        place = self._seen_from_eye(points)
+        depth = place[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            film = place[:, :2] if self.is_orthographic else place[:, :2] / depth[:, None]
+            ends = [(self.low - film) / self.border, (film - self.high) / self.border]
+            ends.append(np.stack(self._beyond_clips(depth), 1))
+        over = np.nan_to_num(np.concatenate(ends, 1), nan=1.0).clip(0.0, 1.0)
+        shares = np.prod(1 - over * over * (3 - 2 * over), axis=1)
+        return shares if self.is_orthographic else np.where(depth > 0, shares, 0.0)
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """How far points lie beyond the border's outermost plane, [N]; inside all it is negative.
+
+        Where it is 0 or more, the share is 0. Beyond edges it is an underestimate.
+
+        Args:
+            points: [N 3], stage space.
+        """
+        place = self._seen_from_eye(points)
+        return np.max(self._plane_distances(place), axis=1)
+
+    def misses(self, corners: np.ndarray) -> bool:
+        """Whether a convex body surely lies outside: all corners beyond one and the same plane.
+
+        Args:
+            corners: [N 3], stage space.
+        """
+        distances = self._plane_distances(self._seen_from_eye(corners))
+        return bool((distances >= 0).all(axis=0).any())
+
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        """Distances along the camera's axis, [N], stage units; negative behind it."""
+        return (np.asarray(points, float) - self.eye) @ self.axes[2]
+
+    def _seen_from_eye(self, points: np.ndarray) -> np.ndarray:
+        return (np.asarray(points, float) - self.eye) @ self.axes.T
+
+    def _beyond_clips(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        near, far = self._clip_borders()
+        return (self.near - depth) / near, (depth - self.far) / far
+
+    def _clip_borders(self) -> tuple[float, float]:
+        """Widths of the borders before the near and behind the far plane, stage units, > 0."""
+        if self.is_orthographic:
+            return self.border, self.border
+        return max(self.border * self.near, 1e-12), max(self.border * self.far, 1e-12)
+
+    def _plane_distances(self, place: np.ndarray) -> np.ndarray:
+        """[N 6], to the outer planes of the border; ``place`` as seen from the eye."""
+        low, high = self.low - self.border, self.high + self.border
+        across, depth = place[:, :2], place[:, 2:]
+        if self.is_orthographic:
+            sides = [low - across, across - high]
+        else:
+            sides = [
+                (low * depth - across) / np.sqrt(1 + low**2),
+                (across - high * depth) / np.sqrt(1 + high**2),
+            ]
+        near, far = self._clip_borders()
+        return np.concatenate([*sides, self.near - near - depth, depth - self.far - far], axis=1)
+
+
+def frustum_of(camera: CameraSource, margin: float) -> Frustum:
+    """The frustum of a camera's whole film.
+
+    Args:
+        camera: see ``CameraSource``.
+        margin: width of the border, as a share of the film's width, > 0.
+    """
+    place = np.asarray(camera.camera_to_stage, float)
+    scale = APERTURE_UNIT if camera.is_orthographic else 1 / camera.focal_length
+    size = np.array([camera.horizontal_aperture, camera.vertical_aperture]) * scale
+    middle = np.array([camera.horizontal_offset, camera.vertical_offset]) * scale
+    near, far = camera.clipping_range
+    if not camera.is_orthographic:
+        near = max(near, 0.0)  # nothing behind a pinhole is seen
+    return Frustum(
+        place[3, :3],
+        np.stack(rigid_axes(place[:3, :3])),
+        middle - size / 2,
+        middle + size / 2,
+        near,
+        far,
+        margin * float(size[0]),
+        camera.is_orthographic,
+    )
+
+
+def pixel_footprint(camera: CameraSource, depth: float, width: int) -> float:
+    """What one pixel of the camera's picture covers, stage units.
+
+    Args:
+        depth: distance along the camera's axis, stage units; does not count when it is
+            orthographic.
+        width: pixels of the picture.
+    """
+    if camera.is_orthographic:
+        return APERTURE_UNIT * camera.horizontal_aperture / width
+    return depth * camera.horizontal_aperture / camera.focal_length / width
