@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.import_graph import PACKAGE, PROJECT, Module, closure, find_cycle, read_modules
+from tests.import_graph import PROJECT, Module, closure, find_cycle, read_modules
 
 MODULES = read_modules()
 
