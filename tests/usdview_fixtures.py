@@ -5,7 +5,25 @@ from pathlib import Path
 
 from pxr import Usd
 
-__all__ = ["STAND_IN", "FakeApi", "FakeWindow", "open_in_usdview"]
+from tests.usd_fixtures import (
+    density_prim,
+    sequence,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+)
+from usdsmoke.usdview.actions import run_action
+
+__all__ = [
+    "STAND_IN",
+    "FakeApi",
+    "FakeWindow",
+    "do",
+    "open_in_usdview",
+    "refusal",
+    "two_plumes_stage",
+]
 
 
 @dataclass
@@ -47,6 +65,33 @@ def open_in_usdview(
     selected = [stage.GetPrimAtPath(path) for path in selection or ("/",)]
     frame = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
     return FakeApi(stage, selected, frame), FakeWindow()
+
+
+def do(name: str, api: FakeApi) -> FakeWindow:
+    """A window after one action that went well."""
+    window = FakeWindow()
+    run_action(name, "Item", api, window)
+    assert window.warnings == []
+    return window
+
+
+def refusal(name: str, api: FakeApi) -> str:
+    """The one message of an action that could not be done."""
+    window = FakeWindow()
+    run_action(name, "Item", api, window)
+    ((title, message),) = window.warnings
+    assert (title, window.texts, window.copied) == ("Item", [], [])
+    return message
+
+
+def two_plumes_stage(folder: Path) -> Path:
+    """Volumes /World/a and /World/b below one Xform, b with time samples of its own."""
+    write_sequence(folder, [1, 2, 3, 4])
+    bodies = [
+        volume_prim(density_prim(sequence(codes)), name)
+        for name, codes in (("a", [1, 2]), ("b", [1, 3, 4]))
+    ]
+    return write_text(folder / "two plumes.usda", world("".join(bodies)))
 
 
 # Makes pxr.Usdviewq of its own, with the signatures of OpenUSD's usdviewq/plugin.py, and records

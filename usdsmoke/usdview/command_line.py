@@ -1,17 +1,18 @@
 """The command that stylizes Volumes of an open stage, as text to paste into a terminal."""
 
+import json
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pxr import Sdf, Usd
 
 from usdsmoke.config import StageConfig
 from usdsmoke.errors import StageError
-from usdsmoke.run_folder import find_runs
 from usdsmoke.stage import find_volumes
 from usdsmoke.time_codes import format_time_code, format_time_codes
+from usdsmoke.usdview.look_request import LookRequest, read_look_request
 from usdsmoke.usdview.looks import Look, find_looks, looks_of, shown_run
 from usdsmoke.volume import VolumeSource
 
@@ -33,9 +34,9 @@ def stylize_command(
 ) -> CommandText:
     """``usdsmoke stylize`` for Volumes of an open stage, quoted for a POSIX shell.
 
-    Where the Volumes show a look whose run left its record in the folder of the result, the stage
-    and the style images are those of that run; else the stage is the open one. The output folder
-    is a new one beside the stage.
+    Where the Volumes have a look, the stage, the style images and the settings are those that it
+    was made with, as far as its record tells; else the stage is the open one, and Volumes that name
+    images themselves get no others. The output folder is a new one beside the stage.
 
     Args:
         stage: the open stage; its root layer needs a file.
@@ -50,39 +51,42 @@ def stylize_command(
         raise StageError(f"the stage {root.identifier} has no file; save it first")
     paths = [str(volume.GetPath()) for volume in volumes]
     source = find_volumes(stage, StageConfig(prims=paths))
-    looks = looks_of(volumes, find_looks(stage))
-    runs = {shown_run(volume) for volume in volumes}
-    shown = next((look for look in looks if look.run in runs), looks[-1] if looks else None)
-    stage_file, styles, notes = _asked_for(shown, Path(root.realPath))
-    if not styles:
-        styles = [NO_STYLE]
-        notes.append(f"{NO_STYLE} stands for your style image")
+    look, root_file = _shown_look(stage, volumes), Path(root.realPath)
+    request = LookRequest(root_file, (), {})
+    notes: list[str] = []
+    if look is not None:
+        request, notes = _of_look(read_look_request(look), root_file)
+    elif not all(volume.request.styles for volume in source.volumes):
+        request = replace(request, styles=(NO_STYLE,))
+        notes = [f"{NO_STYLE} stands for your style image"]
     if unsaved := _unsaved(stage):
         notes.append(f"unsaved edits are not in the command's stage: {', '.join(unsaved)}")
-    words = ["usdsmoke", "stylize", str(stage_file)]
+    words = ["usdsmoke", "stylize", str(request.stage_file)]
     words += [word for path in paths for word in ("--prim", path)]
     if any(volume.animated for volume in source.volumes):
         words += ["--frames", _frames(source.volumes, time_code)]
-    words += [word for style in styles for word in ("--style", style)]
-    words += ["-o", str(_new_folder(stage_file))]
+    words += [word for style in request.styles for word in ("--style", style)]
+    for name, value in request.settings.items():
+        words += ["--set", f"{name}={json.dumps(value, ensure_ascii=False)}"]
+    words += ["-o", str(_new_folder(request.stage_file or root_file))]
     return CommandText(shlex.join(words), tuple(notes))
 
 
-def _asked_for(look: Look | None, root_file: Path) -> tuple[Path, list[str], list[str]]:
-    """The stage and the styles that a look was made from, as far as it is known, and notes."""
-    if look is None:
-        return root_file, [], []
-    folder = Path(look.layer.realPath).parent
-    for run in find_runs(folder):
-        if run.run_id == look.run and run.request:
-            files = [run.request["stage"], *run.request["styles"]]
-            stage_file, *styles = [(folder / name).resolve() for name in files]
-            return stage_file, [str(style) for style in styles], []
-    names = [str(text).rpartition("=")[0] for text in look.record.get("styles", [])]
-    notes = [f"{root_file.name} shows a look already; stylize its source where you can"]
-    if names:
-        notes.append("of the style images only the names are known")
-    return root_file, names, notes
+def _shown_look(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> Look | None:
+    """The look that the Volumes show, or the newest that they could show."""
+    looks = looks_of(volumes, find_looks(stage))
+    runs = {shown_run(volume) for volume in volumes}
+    return next((look for look in looks if look.run in runs), looks[-1] if looks else None)
+
+
+def _of_look(request: LookRequest, stage_file: Path) -> tuple[LookRequest, list[str]]:
+    """What a look was asked for, with its stage in any case, and notes on what is not known."""
+    notes = []
+    if request.stage_file is None:
+        notes.append(f"{stage_file.name} has a look already; name its source where you can")
+    if any(not Path(style).is_file() for style in request.styles):
+        notes.append("a style image is not where it was; correct its path")
+    return replace(request, stage_file=request.stage_file or stage_file), notes
 
 
 def _frames(volumes: Sequence[VolumeSource], time_code: float | None) -> str:

@@ -7,13 +7,14 @@ from typing import Any
 from pxr import Usd
 
 from usdsmoke import schema
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.usdview.look_request import changed_settings, json_mapping
 from usdsmoke.usdview.looks import Look, looks_of, shown_run
 
 __all__ = ["look_text"]
 
 _AUTHORSHIP = "authorship:"
 _SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by item
+_FOR_PROGRAMS = ("request", "inputState", "frames")  # JSON; what people want of it stands elsewhere
 _LONGEST_LIST = 6  # of longer ones the rest is counted
 
 
@@ -51,9 +52,11 @@ def _look_lines(look: Look) -> list[str]:
     for key, value in look.record.items():
         items = _items(value)
         if key == "config":
-            items = _changed_settings(str(value))
-            lines.append(f"  settings that are not the defaults: {'none' if not items else ''}")
-            lines += [f"    {item}" for item in items]
+            changed = changed_settings(json_mapping(value))
+            lines.append(f"  settings that are not the defaults: {'' if changed else 'none'}")
+            lines += [f"    {name}={json.dumps(value)}" for name, value in changed.items()]
+        elif key in _FOR_PROGRAMS:
+            continue
         elif items:
             lines.append(f"  {key}: {len(items)}")
             more = len(items) - _LONGEST_LIST
@@ -77,17 +80,3 @@ def _items(value: Any) -> list[Any] | None:
     if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
         return None
     return list(value)
-
-
-def _changed_settings(text: str) -> list[str]:
-    """Settings of a record, given as JSON, that differ from the defaults of today."""
-    try:
-        defaults = config_to_dict(Config())
-        return [
-            f"{section}.{key}={json.dumps(value, ensure_ascii=False)}"
-            for section, settings in json.loads(text).items()
-            for key, value in settings.items()
-            if key not in defaults.get(section, {}) or defaults[section][key] != value
-        ]
-    except (ValueError, AttributeError):
-        return ["cannot be read"]

@@ -1,0 +1,154 @@
+"""The command that the menu copies: parsed back by usdsmoke's own parser."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Usd, UsdVol
+
+from tests.usd_fixtures import (
+    density_prim,
+    make_look,
+    plume_stage,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
+from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
+from usdsmoke.cli_arguments import build_parser
+from usdsmoke.config import config_to_dict, resolve_config
+from usdsmoke.layer import LookFiles
+from usdsmoke.request_attributes import STYLE_IMAGES
+from usdsmoke.run_folder import RunFolder
+
+
+@pytest.fixture
+def two_plumes(tmp_path: Path) -> Path:
+    """See ``two_plumes_stage``."""
+    return two_plumes_stage(tmp_path)
+
+
+def parsed(command: str) -> dict[str, object]:
+    """The command as the parser of ``usdsmoke`` takes it."""
+    program, *arguments = shlex.split(command)
+    assert program == "usdsmoke"
+    return vars(build_parser().parse_args(arguments))
+
+
+def test_the_command_is_quoted_and_names_stage_volumes_and_frames(two_plumes: Path) -> None:
+    api, _ = open_in_usdview(two_plumes, time_code=2.5)
+    window = do("copy_all", api)
+    command = parsed(window.copied[0])
+    assert command["stage"] == str(two_plumes) and " " in two_plumes.name
+    assert command["prim"] == ["/World/a", "/World/b"] and command["frames"] == "1-4"
+    assert command["output"] == str(two_plumes.parent / "two plumes_look")
+    assert command["style"] == ["STYLE.png"]
+    ((_, text),) = window.texts
+    assert "STYLE.png stands for your style image" in text
+
+
+@pytest.mark.parametrize(
+    ("time_code", "frames"), [(2.5, "1,2"), (3.0, "2,3"), (0.0, "1"), (None, "1")]
+)
+def test_this_frame_is_the_one_that_each_volume_holds(
+    two_plumes: Path, time_code: float | None, frames: str
+) -> None:
+    api, _ = open_in_usdview(two_plumes, time_code=time_code)
+    assert parsed(do("copy_frame", api).copied[0])["frames"] == frames
+
+
+def test_smoke_that_is_not_animated_needs_no_frames(tmp_path: Path) -> None:
+    write_vdb(tmp_path / "still.vdb")
+    body = volume_prim(density_prim("asset filePath = @./still.vdb@"))
+    (tmp_path / "still_look").mkdir()
+    api, _ = open_in_usdview(write_text(tmp_path / "still.usda", world(body)))
+    command = parsed(do("copy_frame", api).copied[0])
+    assert command["frames"] is None
+    assert command["output"] == str(tmp_path / "still_look_2")
+
+
+def change_record(look_layer: Path, **values: str) -> None:
+    """Put texts into the record of a look layer."""
+    layer = Sdf.Layer.FindOrOpen(str(look_layer))
+    data = dict(layer.customLayerData)
+    layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], **values}}
+    layer.Save()
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> LookFiles:
+    """The look of a plume, made with settings of its own, as its layer alone tells."""
+    files = make_look(plume_stage(tmp_path), tmp_path / "out")
+    config = config_to_dict(
+        resolve_config(assignments=["windows.size=3", "stage.frames=1-2", "style.weights=[3, 1]"])
+    )
+    change_record(files.look_layer, config=json.dumps(config))
+    return files
+
+
+REQUEST = {"stage": "../shot.usda", "styles": ["../a b.png", "../c.png"]}
+
+
+def test_the_command_of_a_look_stylizes_its_source_with_its_styles_and_settings(
+    result: LookFiles, tmp_path: Path
+) -> None:
+    styles = [str(write_text(tmp_path / name, "")) for name in ("a b.png", "c.png")]
+    change_record(result.look_layer, request=json.dumps(REQUEST))
+    api, _ = open_in_usdview(result.root_stage, "/World/smoke/density")
+    window = do("copy_all", api)
+    command = parsed(window.copied[0])
+    assert command["stage"] == str(tmp_path / "shot.usda")
+    assert command["style"] == styles
+    assert command["set"] == ["windows.size=3", "style.weights=[3.0, 1.0]"]
+    assert resolve_config(assignments=command["set"]).style.weights == [3, 1]
+    assert command["frames"] == "1-4"
+    assert window.texts == []
+
+
+def test_an_older_look_is_traced_through_its_run_and_gaps_are_noted(
+    result: LookFiles, tmp_path: Path
+) -> None:
+    api, _ = open_in_usdview(result.root_stage)
+    window = do("copy_all", api)
+    assert parsed(window.copied[0])["stage"] == str(result.root_stage)
+    assert parsed(window.copied[0])["style"] == ["x.png"]
+    assert "has a look already" in window.texts[0][1]
+    assert "a style image is not where it was" in window.texts[0][1]
+
+    run = RunFolder(tmp_path / "out/vdb/0123", {}, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
+    run.begin({}, REQUEST, [])
+    command = parsed(do("copy_all", api).copied[0])
+    assert command["stage"] == str(tmp_path / "shot.usda")
+    assert command["style"] == [str(tmp_path / "a b.png"), str(tmp_path / "c.png")]
+
+
+def test_edits_that_the_command_cannot_see_are_noted(two_plumes: Path) -> None:
+    api, _ = open_in_usdview(two_plumes)
+    UsdVol.Volume(api.stage.GetPrimAtPath("/World/a")).GetPrim().SetMetadata("comment", "edited")
+    assert (
+        "unsaved edits are not in the command's stage: two plumes.usda"
+        in (do("copy_all", api).texts[0][1])
+    )
+
+
+def test_a_stage_without_a_file_cannot_be_named_in_a_command(two_plumes: Path) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().subLayerPaths = [str(two_plumes)]
+    api = FakeApi(stage, [], Usd.TimeCode(1))
+    assert "has no file; save it first" in refusal("copy_all", api)
+
+
+def test_volumes_that_name_their_images_themselves_get_no_others(tmp_path: Path) -> None:
+    write_text(tmp_path / "own.png", "")
+    stage_file = plume_stage(tmp_path)
+    text = stage_file.read_text().replace(
+        'def Volume "smoke"',
+        'def Volume "smoke" (prepend apiSchemas = ["UsdSmokeStyleAPI"])',
+    )
+    images = f"asset[] {STYLE_IMAGES} = [@./own.png@]\n        rel field"
+    write_text(stage_file, text.replace("rel field", images))
+    api, _ = open_in_usdview(stage_file)
+    window = do("copy_all", api)
+    assert "--style" not in window.copied[0] and window.texts == []

@@ -1,0 +1,76 @@
+"""What a look was asked for, read back from its record."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.config import Config, config_to_dict
+from usdsmoke.run_folder import find_runs
+from usdsmoke.usdview.looks import Look
+
+__all__ = ["LookRequest", "changed_settings", "json_mapping", "read_look_request"]
+
+_GIVEN_OTHERWISE = {"stage.prims", "stage.frames"}  # by options of their own
+
+
+@dataclass(frozen=True)
+class LookRequest:
+    """The stage and the style images that a look was made from, and its settings."""
+
+    stage_file: Path | None  # None where it is not known, or gone
+    styles: tuple[str, ...]  # absolute; without folders where only the names are known
+    settings: Mapping[str, Any]  # by section.key, what differs from the defaults of today
+
+
+def read_look_request(look: Look) -> LookRequest:
+    """What was asked for, as far as the layer or the run's folder beside it tells.
+
+    Stage and images of older layers stand in the run's record (``vdb/KEY/run.json``); where that
+    is gone too, the layer has the images' names.
+    """
+    folder = Path(look.layer.realPath).parent
+    request = json_mapping(look.record.get("request")) or _in_run_folder(folder, look.run)
+    config = json_mapping(look.record.get("config"))
+    settings = {
+        name: value
+        for name, value in changed_settings(config).items()
+        if name not in _GIVEN_OTHERWISE
+    }
+    try:
+        stage_file = (folder / request["stage"]).resolve()
+        styles = tuple(str((folder / name).resolve()) for name in request["styles"])
+    except (KeyError, TypeError):
+        stage_file = None
+        pairs = look.record.get("styles", [])
+        styles = tuple(str(text).rpartition("=")[0] for text in pairs)
+    exists = stage_file is not None and stage_file.is_file()
+    return LookRequest(stage_file if exists else None, styles, settings)
+
+
+def changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded settings by ``section.key`` that differ from the defaults of today.
+
+    Those that this version does not know are left out.
+    """
+    return {
+        f"{section}.{key}": config[section][key]
+        for section, defaults in config_to_dict(Config()).items()
+        if isinstance(config.get(section), Mapping)
+        for key, default in defaults.items()
+        if key in config[section] and config[section][key] != default
+    }
+
+
+def _in_run_folder(folder: Path, run_id: str) -> Mapping[str, Any]:
+    return next((run.request for run in find_runs(folder) if run.run_id == run_id), {})
+
+
+def json_mapping(text: Any) -> Mapping[str, Any]:
+    """A JSON object of a record; empty where it is missing or cannot be read."""
+    try:
+        value = json.loads(text)
+    except (TypeError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
