@@ -173,6 +173,8 @@ def make_look(
     names: Sequence[str] = ("density", "emission"),
     empty: bool = False,
     run_id: str = "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34",
+    look: str = "stylized",
+    mode: str = "sublayer",
 ) -> LookFiles:
     """The look of a stage, with files of little boxes in place of stylized smoke."""
     stage = open_stage(stage_file)
@@ -194,7 +196,7 @@ def make_look(
             StylizedVolume(volume, written, 0.5, grids, str(empty_file) if empty else "")
         )
     facts = RunFacts("1.2.3", 7, {"a": {"b": 1}}, styles={"x.png": "ff"}, run_id=run_id)
-    config = LayerConfig(format=layer_format)
+    config = LayerConfig(format=layer_format, look=look, mode=mode)
     return author_look(stage, source, results, output, config, build_provenance(facts))
 
 

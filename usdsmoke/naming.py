@@ -7,11 +7,14 @@ from collections.abc import Collection, Sequence
 from usdsmoke.errors import LayerError
 
 __all__ = [
+    "ASSET_SOURCE",
     "COLOUR_CHANNELS",
     "COLOUR_VECTORS",
     "DEFAULT_LOOK",
     "EMISSION",
+    "ORIGINAL",
     "SCATTER_COLOURS",
+    "VARIANT_SET",
     "channel_names",
     "colour_names",
     "frame_file_names",
@@ -26,6 +29,9 @@ SCATTER_COLOURS = ("Cd", "color")  # Houdini's, and Arnold's by custom; Blender'
 COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
 
 DEFAULT_LOOK = "stylized"  # the look whose files are named after no look
+VARIANT_SET = "look"  # of an asset: ORIGINAL, and the names of its looks
+ORIGINAL = "original"  # the variant without a look
+ASSET_SOURCE = "usdsmokeAssetSource"  # in an asset's customLayerData: its source, relative
 
 _DECIMALS = 6  # of a timeCode that is no whole number, at most
 

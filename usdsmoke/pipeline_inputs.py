@@ -19,7 +19,7 @@ from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ConfigError, ImageError, LayerError
 from usdsmoke.images import StyleImage, read_style_image
-from usdsmoke.layer import LookFiles, look_files
+from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.plan import Plan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
@@ -88,6 +88,8 @@ def prepare_job(
     source = seen_through(stage, source, config.views.camera)
     _check_names(source, config)
     styles = tuple(read_style_image(style_path) for style_path in style_paths)
+    if config.layer.mode == "reference":
+        check_asset(stage)
     plan = make_plan(source, config, len(styles))
     targets = look_files(source, output, config.layer)
     stems = [volume.stem for volume in plan.volumes]

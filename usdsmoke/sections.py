@@ -122,7 +122,7 @@ class LayerConfig:
         "sublayer",
         "how the result is put on the stage: a root stage with the look over the source, an asset "
         "that references the source and has a variant for each look, or the look layer alone",
-        choices=("sublayer", "layer"),
+        choices=("sublayer", "reference", "layer"),
     )
     look: str = setting(
         "stylized",

@@ -1,11 +1,13 @@
 """USD out: one override layer with the whole look, and a thin root stage with it over the source.
 
 `look` is the way through; `field_prims` decides which prims carry the result's fields, `fields`
-writes their opinions, `extent` the Volume's bounds, `marks` what was run, `root` the stage to open.
+writes their opinions, `extent` the Volume's bounds, `marks` what was run, `root` the stage to open,
+`asset` the one with a variant for each look, `reach` what a reference leaves behind.
 Opinions go to new layers through Sdf; the source's layers and the session layer are only read.
 """
 
+from usdsmoke.layer.asset import check_asset
 from usdsmoke.layer.look import author_look
 from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
 
-__all__ = ["LookFiles", "StylizedVolume", "author_look", "look_files"]
+__all__ = ["LookFiles", "StylizedVolume", "author_look", "check_asset", "look_files"]

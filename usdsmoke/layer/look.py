@@ -8,6 +8,8 @@ from pxr import Sdf, Tf, Usd
 
 from usdsmoke.diagnostics import captured_diagnostics, short_reason
 from usdsmoke.errors import LayerError, WriteFailed
+from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.layer.asset import author_asset
 from usdsmoke.layer.extent import author_extent
 from usdsmoke.layer.field_prims import choose_field_prims, count_field_uses
 from usdsmoke.layer.fields import author_field, held_files, retarget
@@ -56,7 +58,11 @@ def author_look(
     look = _author_look_layer(stage, volumes, folder, config, provenance)
     _publish(look, files.look_layer)
     if files.root_stage is not None:
-        _publish(author_root(stage, files.look_layer, folder), files.root_stage)
+        if config.mode == "reference":
+            root = author_asset(stage, config.look, files.look_layer, folder)
+        else:
+            root = author_root(stage, files.look_layer, folder)
+        _publish(root, files.root_stage)
     return files
 
 
@@ -74,7 +80,9 @@ def _author_look_layer(
         f"Stylized smoke of {names}. Mute this layer to see the source; "
         "customLayerData.usdsmoke tells how it was made."
     )
-    layer.customLayerData = custom_layer_data(provenance, result_hashes(volumes, folder))
+    source = relative_asset_path(stage.GetRootLayer().realPath, folder)
+    record = {**provenance, "look": config.look, "stage": source}
+    layer.customLayerData = custom_layer_data(record, result_hashes(volumes, folder))
     uses = count_field_uses(stage)
     taken: set[Sdf.Path] = set()
     for volume in volumes:

@@ -11,8 +11,9 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.naming import ASSET_SOURCE
 
-__all__ = ["author_root", "copy_stage_metadata"]
+__all__ = ["author_root", "copied_layer_data", "copy_stage_metadata"]
 
 # Composition, the source's own story, and rights of its owner: they stay with the source.
 _NOT_COPIED = (
@@ -64,11 +65,17 @@ def author_root(stage: Usd.Stage, look_layer: Path, folder: Path) -> Sdf.Layer:
     root = Sdf.Layer.CreateAnonymous(".usda")
     copy_stage_metadata(stage, root, folder)
     root.documentation = f"A stylized look over {Path(source.realPath).name}; made by usdsmoke."
-    if source.customLayerData:
-        root.customLayerData = _reanchored(source.customLayerData, source, folder)
+    root.customLayerData = copied_layer_data(source, folder)
     root.subLayerPaths.append(relative_asset_path(look_layer, folder))
     root.subLayerPaths.append(relative_asset_path(source.realPath, folder))
     return root
+
+
+def copied_layer_data(source: Sdf.Layer, folder: Path) -> dict[str, Any]:
+    """``customLayerData`` of a source's root layer, for a layer in ``folder``."""
+    copied: dict[str, Any] = _reanchored(source.customLayerData, source, folder)
+    copied.pop(ASSET_SOURCE, None)  # it tells of that layer alone
+    return copied
 
 
 def _reanchored(value: Any, layer: Sdf.Layer, folder: Path) -> Any:

@@ -1,0 +1,173 @@
+"""An asset around the source: each root prim by reference, and a variant for every look.
+
+A variant is weaker than what stands locally, so it can only replace opinions that come from
+further away. The source's root prims are therefore referenced, one by one and under their own
+paths, and the variants of the set ``look`` reference the look layers. ``original`` is empty.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Sdf, Tf, Usd
+
+from usdsmoke.diagnostics import captured_diagnostics
+from usdsmoke.errors import LayerError
+from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.layer.reach import Reach, find_reach, leads_out, root_of
+from usdsmoke.layer.root import copied_layer_data, copy_stage_metadata
+from usdsmoke.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+
+__all__ = ["author_asset", "check_asset"]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A look layer of the folder, as far as the asset has to know it."""
+
+    file_path: Path
+    roots: tuple[Sdf.Path, ...]  # root prims that it has opinions on
+    relationships: Mapping[Sdf.Path, list[Sdf.Path]]  # that it authors, with their targets
+
+
+def check_asset(stage: Usd.Stage) -> None:
+    """Refuse a source that an asset cannot hold, before anything is computed.
+
+    Raises:
+        LayerError: see ``find_reach``; or a root prim has a variant set called look already.
+    """
+    _checked_reach(stage)
+
+
+def _checked_reach(stage: Usd.Stage) -> Reach:
+    reach = find_reach(stage)
+    for prim in reach.roots:
+        if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
+            raise LayerError(
+                f"<{prim.GetPath()}> has a variant set {VARIANT_SET!r} of its own, which an "
+                "asset's looks would be mixed with; set layer.mode to sublayer (--mode sublayer)"
+            )
+    return reach
+
+
+def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) -> Sdf.Layer:
+    """A new layer for ``folder`` with all looks of this source that lie there as variants.
+
+    Args:
+        stage: the source.
+        look: the name of the look that is to be selected.
+        look_layer: its file, in ``folder``; written before.
+        folder: where the asset will be.
+
+    Raises:
+        LayerError: see ``check_asset``.
+    """
+    source, reach = stage.GetRootLayer(), _checked_reach(stage)
+    looks = {**_find_looks(folder, Path(source.realPath)), look: _read_look(look_layer)}
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    copy_stage_metadata(stage, layer, folder)
+    path_to_source = relative_asset_path(source.realPath, folder)
+    layer.documentation = (
+        f"{Path(source.realPath).name} with its stylized looks as variants; made by usdsmoke, "
+        "which writes it anew when a look is added."
+    )
+    layer.customLayerData = {**copied_layer_data(source, folder), ASSET_SOURCE: path_to_source}
+    for prim in reach.roots:
+        spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
+        reference = Sdf.Reference(path_to_source, prim.GetPath())
+        spec.referenceList.prependedItems = [reference]
+        if prim.GetMetadata("instanceable") and not prim.IsInstance():
+            spec.instanceable = False  # without a reference it had no effect
+    for path in sorted({path for item in looks.values() for path in item.roots}):
+        _author_variants(Sdf.CreatePrimInLayer(layer, path), looks, look, folder)
+    _author_targets(layer, stage, reach, looks)
+    return layer
+
+
+def _find_looks(folder: Path, source_file: Path) -> dict[str, _Look]:
+    """The looks of this source by name, in the order of names."""
+    found = {}
+    for file_path in sorted([*folder.glob("look*.usda"), *folder.glob("look*.usdc")]):
+        try:
+            with captured_diagnostics():
+                layer = Sdf.Layer.OpenAsAnonymous(str(file_path), metadataOnly=True)
+        except Tf.ErrorException:
+            continue  # no layer
+        record = layer.customLayerData.get("usdsmoke", {})
+        name, theirs = record.get("look", ""), record.get("stage", "")
+        if name and theirs and (folder / theirs).resolve() == source_file.resolve():
+            found[str(name)] = _read_look(file_path)
+    return dict(sorted(found.items()))
+
+
+def _read_look(file_path: Path) -> _Look:
+    layer = Sdf.Layer.OpenAsAnonymous(str(file_path))
+    relationships: dict[Sdf.Path, list[Sdf.Path]] = {}
+
+    def visit(path: Sdf.Path) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if isinstance(spec, Sdf.RelationshipSpec):
+            relationships[path] = list(spec.targetPathList.explicitItems)
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return _Look(file_path, tuple(spec.path for spec in layer.rootPrims), relationships)
+
+
+def _author_variants(
+    spec: Sdf.PrimSpec, looks: Mapping[str, _Look], selected: str, folder: Path
+) -> None:
+    """The variant set on a root prim, the same names everywhere."""
+    spec.variantSetNameList.prependedItems = [VARIANT_SET]
+    spec.variantSelections[VARIANT_SET] = selected
+    variants = Sdf.VariantSetSpec(spec, VARIANT_SET)
+    Sdf.VariantSpec(variants, ORIGINAL)
+    for name, look in looks.items():
+        variant = Sdf.VariantSpec(variants, name)
+        if spec.path in look.roots:
+            reference = Sdf.Reference(relative_asset_path(look.file_path, folder), spec.path)
+            variant.primSpec.referenceList.prependedItems = [reference]
+
+
+def _author_targets(
+    layer: Sdf.Layer, stage: Usd.Stage, reach: Reach, looks: Mapping[str, _Look]
+) -> None:
+    """Say again what references have dropped: of the source, and of each look in its variant."""
+    by_looks = {path for look in looks.values() for path in look.relationships}
+    for path, targets in reach.relationships.items():
+        if path not in by_looks:
+            _relationship(layer, path.GetPrimPath(), path, targets)
+    for path in sorted(by_looks):
+        source = reach.relationships.get(path)
+        said = {name: look.relationships.get(path, source) for name, look in looks.items()}
+        for name, targets_there in {ORIGINAL: source, **said}.items():
+            if targets_there and leads_out(path, targets_there):
+                _relationship(layer, _in_variant(path.GetPrimPath(), name), path, targets_there)
+    for path, targets in reach.connections.items():
+        _attribute(layer, stage.GetAttributeAtPath(path)).connectionPathList.explicitItems = targets
+    for path, expression in reach.expressions.items():
+        _attribute(layer, stage.GetAttributeAtPath(path)).default = expression
+
+
+def _in_variant(prim_path: Sdf.Path, name: str) -> Sdf.Path:
+    """The place of a prim's opinions in a variant of its root prim."""
+    root = root_of(prim_path)
+    return prim_path.ReplacePrefix(root, root.AppendVariantSelection(VARIANT_SET, name))
+
+
+def _relationship(
+    layer: Sdf.Layer, owner: Sdf.Path, path: Sdf.Path, targets: list[Sdf.Path]
+) -> None:
+    spec = Sdf.RelationshipSpec(Sdf.CreatePrimInLayer(layer, owner), path.name, custom=False)
+    spec.targetPathList.explicitItems = targets
+
+
+def _attribute(layer: Sdf.Layer, composed: Usd.Attribute) -> Sdf.AttributeSpec:
+    """The attribute's place in the layer; one with both a value and connections has one."""
+    found = layer.GetAttributeAtPath(composed.GetPath())
+    return found or Sdf.AttributeSpec(
+        Sdf.CreatePrimInLayer(layer, composed.GetPrim().GetPath()),
+        composed.GetName(),
+        composed.GetTypeName(),
+        composed.GetVariability(),
+        composed.IsCustom(),
+    )
