@@ -80,7 +80,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("grids.worker", GROUND | {"grids*", "publish"}, {"numpy"} | OPENVDB),
     ("grids.write", GROUND | {"grids*", "publish"}, {"numpy"} | OPENVDB),
     ("grids*", GROUND | {"grids*", "publish"}, {"numpy"}),
-    ("images", {"errors", "publish"}, {"numpy", "OpenEXR", "PIL"}),
+    ("images*", {"errors", "publish"}, {"numpy", "OpenEXR", "PIL"}),
     ("contact_sheet*", GROUND | {"images", "publish"}, {"numpy", "PIL"}),
     ("core*", {"errors", "sections", "config", "volume", "core*"}, {"numpy", "torch"}),
     ("run_progress", GROUND | WITHOUT_TORCH, set()),
@@ -100,6 +100,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("cluster", {"*"}, {"distributed"}),
     ("pipeline_features", {"core.definition", "core.vgg19_file", "provenance", "sections"}, set()),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
+    ("preview*", {"*"}, {"pxr", "numpy"}),
     ("cli*", {"*"}, {"rich"}),
     # Qt comes through pxr.Usdviewq, which only usdview has; only this module needs it.
     ("usdview.container", set(), {"pxr"}),

@@ -6,6 +6,7 @@
 
     usdsmoke.inspect("shot.usda")                                     what is on the stage
     usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the main job
+    usdsmoke.preview("look/shot_look.usda", "look.png")               what it looks like
     usdsmoke.validate("look/look.usda")                               is the result sound
 
 Importing this package loads nothing heavy: each public name is looked up when it is first used.
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from usdsmoke.inspection import inspect
     from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
     from usdsmoke.pipeline_submit import submit
+    from usdsmoke.preview_stage import preview
     from usdsmoke.validators import validate
 
 __all__ = [
@@ -32,6 +34,7 @@ __all__ = [
     "__version__",
     "assemble",
     "inspect",
+    "preview",
     "resolve_config",
     "run_coarse",
     "run_window",
@@ -48,6 +51,7 @@ _HOME = {
     "UsdSmokeError": "usdsmoke.errors",
     "assemble": "usdsmoke.pipeline",
     "inspect": "usdsmoke.inspection",
+    "preview": "usdsmoke.preview_stage",
     "resolve_config": "usdsmoke.config",
     "run_coarse": "usdsmoke.pipeline",
     "run_window": "usdsmoke.pipeline",

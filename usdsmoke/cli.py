@@ -19,6 +19,7 @@ from types import FrameType
 
 from usdsmoke.cli_arguments import build_parser
 from usdsmoke.cli_look import run_inspect, run_plugin_path, run_settings, run_validate
+from usdsmoke.cli_preview import run_preview
 from usdsmoke.cli_text import print_json
 from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
 from usdsmoke.errors import Interrupted, UsdSmokeError
@@ -33,6 +34,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "assemble": run_assemble,
     "validate": run_validate,
     "plugin-path": run_plugin_path,
+    "preview": run_preview,
     "settings": run_settings,
 }
 

@@ -31,6 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
+    _add_preview(commands)
     _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
     return parser
 
@@ -134,6 +135,40 @@ def _add_submit(commands: Any) -> None:
         metavar="PROGRAM",
         help="what the machines of the queue start; default: usdsmoke",
     )
+
+
+def _add_preview(commands: Any) -> None:
+    parser = _add_command(commands, "preview", "draw the smoke of a stage, looks included")
+    parser.add_argument("stage", metavar="STAGE", help="a USD file; of a look its root stage")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="FILE",
+        help=".png: a picture, or a contact sheet of several; .exr: scene-linear, a file a frame",
+    )
+    _add_selection(parser)
+    parser.add_argument(
+        "--camera", default="", metavar="PATH", help="a Camera prim; default: a fitted front view"
+    )
+    parser.add_argument(
+        "--compare", action="store_true", help="draw the stage without its look as well"
+    )
+    parser.add_argument("--width", type=int, metavar="N", help="pixels; default: 512 at most")
+    parser.add_argument("--size", type=_size_value, metavar="WxH", help="pixels each way")
+    parser.add_argument(
+        "--background",
+        choices=("grey", "black", "none"),
+        default="grey",
+        help="of a PNG; none: transparent, for one picture",
+    )
+
+
+def _size_value(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r}; wanted WIDTHxHEIGHT, as in 960x540")
+    return int(width), int(height)
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:

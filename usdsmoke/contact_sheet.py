@@ -9,7 +9,9 @@ from PIL import Image, ImageDraw, ImageFont
 from usdsmoke.errors import ShapeError
 from usdsmoke.naming import DEFAULT_LOOK, look_suffix
 
-__all__ = ["compose_sheet", "sheet_files"]
+__all__ = ["BACKGROUND", "compose_cells", "compose_sheet", "sheet_files"]
+
+BACKGROUND = 0.03  # linear, behind the smoke; on black the style's dark colours would be lost
 
 _CELL = 256  # pixels of a picture's cell along each side, at most
 _GAP = 8
@@ -62,21 +64,57 @@ def compose_sheet(
                 f"row {name!r} has {len(pictures)} pictures for {len(columns)} columns; "
                 "wanted one for each"
             )
-    step = _CELL + _LABEL + _GAP
-    width = 2 * _MARGIN + (len(columns) + bool(styles)) * (_CELL + _GAP) - _GAP
-    height = 2 * _MARGIN + _LABEL + max(len(rows), 1) * step
+    cells = [
+        [
+            (f"{name}, {heading}", picture)
+            for heading, picture in zip(columns, pictures, strict=True)
+        ]
+        for name, pictures in rows
+    ]
+    return compose_cells(title, cells, styles, n_columns=len(columns))
+
+
+def compose_cells(
+    title: str,
+    rows: Sequence[Sequence[tuple[str, np.ndarray]]],
+    styles: Sequence[np.ndarray] = (),
+    cell: tuple[int, int] = (_CELL, _CELL),
+    n_columns: int | None = None,
+) -> np.ndarray:
+    """Labelled pictures in rows, and style images, if there are any, at the right.
+
+    Args:
+        title: above everything.
+        rows: labels and pictures, [H W 3] display-encoded in [0, 1]; scaled into their cells
+            without changing their proportions.
+        styles: of the same kind; they share the last column.
+        cell: height and width of a picture's cell, pixels.
+        n_columns: None takes the longest row's.
+
+    Returns:
+        [H W 3] float32, display-encoded, in [0, 1].
+
+    Raises:
+        ShapeError: one is no picture.
+    """
+    tall, wide = cell
+    if n_columns is None:
+        n_columns = max((len(row) for row in rows), default=0)
+    width = 2 * _MARGIN + n_columns * (wide + _GAP) + bool(styles) * (_CELL + _GAP) - _GAP
+    height = 2 * _MARGIN + _LABEL + max(len(rows), 1) * (tall + _LABEL + _GAP)
     sheet = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(_TEXT_SIZE)
     draw.text((_MARGIN, _MARGIN), title, _INK, font)
-    for number, (name, pictures) in enumerate(rows):
-        top = _MARGIN + _LABEL + number * step
-        for column, (heading, picture) in enumerate(zip(columns, pictures, strict=True)):
-            left = _MARGIN + column * (_CELL + _GAP)
-            draw.text((left, top), f"{name}, {heading}", _INK, font)
-            _paste(sheet, picture, left, top + _LABEL, _CELL, _CELL)
+    for number, row in enumerate(rows):
+        top = _MARGIN + _LABEL + number * (tall + _LABEL + _GAP)
+        for column, (label, picture) in enumerate(row):
+            left = _MARGIN + column * (wide + _GAP)
+            draw.text((left, top), label, _INK, font)
+            _paste(sheet, picture, left, top + _LABEL, wide, tall)
     if styles:
-        _paste_styles(sheet, draw, font, styles, len(columns), height)
+        left = _MARGIN + n_columns * (wide + _GAP)
+        _paste_styles(sheet, draw, font, styles, left, height)
     return np.asarray(sheet, np.float32) / 255.0
 
 
@@ -85,10 +123,10 @@ def _paste_styles(
     draw: ImageDraw.ImageDraw,
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     styles: Sequence[np.ndarray],
-    column: int,
+    left: int,
     height: int,
 ) -> None:
-    left, top = _MARGIN + column * (_CELL + _GAP), _MARGIN + _LABEL
+    top = _MARGIN + _LABEL
     draw.text((left, top), "style", _INK, font)
     top += _LABEL
     each = min(_CELL, (height - _MARGIN - top) // len(styles) - _GAP)

@@ -104,7 +104,9 @@ def look_suffix(look: str) -> str:
     return "" if look == DEFAULT_LOOK else f"_{look}"
 
 
-def frame_file_names(stem: str, time_codes: Sequence[float]) -> tuple[str, ...]:
+def frame_file_names(
+    stem: str, time_codes: Sequence[float], suffix: str = ".vdb"
+) -> tuple[str, ...]:
     """``STEM.####.vdb`` for each timeCode; the numbers are the timeCodes, padded to one width.
 
     With any timeCode that is no whole number, all get the same count of decimals.
@@ -125,7 +127,7 @@ def frame_file_names(stem: str, time_codes: Sequence[float]) -> tuple[str, ...]:
     names = []
     for code in time_codes:
         sign = "-" if code < 0 else ""
-        names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}.vdb")
+        names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}{suffix}")
     if len(set(names)) < len(names):
         raise LayerError(
             f"timeCodes of {stem} lie closer than 1e-{_DECIMALS}; wanted each far enough from the "

@@ -8,28 +8,23 @@ import numpy as np
 
 from usdsmoke.colour_grids import absolute_emission
 from usdsmoke.config import Config
-from usdsmoke.contact_sheet import compose_sheet
+from usdsmoke.contact_sheet import BACKGROUND, compose_sheet
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.images import write_png
 from usdsmoke.layer.records import EMISSION
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.time_codes import format_time_code
+from usdsmoke.time_codes import format_time_code, spread
 from usdsmoke.volume import DenseField, VolumeFrame
 
 __all__ = ["sample_frames", "write_contact_sheet"]
 
 _PICTURE_SIZE = 300  # pixels of the longer side
-_BACKGROUND = 0.03  # linear; on black the style's dark colours would be lost
 
 
 def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
     """At most ``count`` frames with smoke, spread from the first to the last; in order."""
-    filled = [frame for frame in volume.frames if not frame.is_empty]
-    if len(filled) <= count:
-        return filled
-    places = np.linspace(0, len(filled) - 1, count).round().astype(int)
-    return [filled[place] for place in places]
+    return spread([frame for frame in volume.frames if not frame.is_empty], count)
 
 
 def write_contact_sheet(
@@ -110,4 +105,4 @@ def _picture(
         config.views.centre_elevation,
         _PICTURE_SIZE,
     )
-    return grey_picture(picture) if emission is None else display_picture(picture, _BACKGROUND)
+    return grey_picture(picture) if emission is None else display_picture(picture, BACKGROUND)

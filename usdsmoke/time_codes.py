@@ -3,10 +3,20 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from usdsmoke.errors import ConfigError
 
-__all__ = ["FrameRange", "format_time_code", "format_time_codes", "parse_frames", "select_frames"]
+__all__ = [
+    "FrameRange",
+    "format_time_code",
+    "format_time_codes",
+    "parse_frames",
+    "select_frames",
+    "spread",
+]
+
+_Item = TypeVar("_Item")
 
 _TOLERANCE = 1e-6  # layer offsets with a scale leave rounding in timeCodes
 _NUMBER = r"-?\d+(?:\.\d+)?"
@@ -102,6 +112,18 @@ def format_time_codes(time_codes: Iterable[float]) -> str:
         parts.append(f"{format_time_code(codes[start])}-{format_time_code(codes[end])}{suffix}")
         start = end + 1
     return ",".join(parts)
+
+
+def spread(items: Sequence[_Item], count: int = 3) -> list[_Item]:
+    """At most ``count`` of some items, at least 2, evenly from the first to the last; in order.
+
+    >>> spread([1, 2, 3, 4, 5, 6, 7])
+    [1, 4, 7]
+    """
+    if len(items) <= count:
+        return list(items)
+    step = (len(items) - 1) / (count - 1)
+    return [items[round(number * step)] for number in range(count)]
 
 
 def _end_of_run(codes: Sequence[float], start: int) -> int:

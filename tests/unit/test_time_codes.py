@@ -10,6 +10,7 @@ from usdsmoke.time_codes import (
     format_time_codes,
     parse_frames,
     select_frames,
+    spread,
 )
 
 
@@ -85,3 +86,10 @@ def test_what_is_written_short_selects_exactly_the_same_again(codes):
 @pytest.mark.parametrize(("code", "text"), [(7.0, "7"), (-0.5, "-0.5"), (1234567.0, "1234567")])
 def test_a_time_code_is_written_as_people_write_it(code, text):
     assert format_time_code(code) == text
+
+
+@pytest.mark.parametrize(
+    ("count", "wanted"), [(0, []), (1, [0]), (3, [0, 1, 2]), (4, [0, 2, 3]), (9, [0, 4, 8])]
+)
+def test_some_are_taken_evenly_from_the_first_to_the_last(count: int, wanted: list[int]) -> None:
+    assert spread(range(count)) == wanted

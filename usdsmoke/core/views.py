@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from usdsmoke.config import ViewsConfig
+from usdsmoke.errors import ShapeError
 from usdsmoke.volume import CameraSource
 
 __all__ = [
@@ -14,12 +15,15 @@ __all__ = [
     "camera_orbit",
     "camera_view",
     "draw_views",
+    "frame_points",
     "orbit_view",
     "rigid_axes",
     "sample_angles",
     "view_of_camera",
+    "view_rays",
 ]
 
+MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
 
 
@@ -76,6 +80,35 @@ def orbit_view(
         right, up, forward, np.asarray(centre, float), height, width, pixel_size,
         azimuth=azimuth, elevation=elevation,
     )  # fmt: skip
+
+
+def frame_points(view: View, points: np.ndarray, height: int | None, width: int | None) -> View:
+    """The same orthographic view, moved and scaled so that its picture holds all points.
+
+    Args:
+        view: gives the direction alone.
+        points: [N 3], stage space, at least one.
+        height, width: pixels; one of them may be None and follows from the other. There is a
+            margin of a fiftieth at least.
+    """
+    seen = np.asarray(points, float) @ np.stack([view.right, view.up, view.forward], axis=1)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    largest = float((high - low).max()) or 1.0
+    sides = np.maximum((high - low)[:2] * (1 + 2 * MARGIN), 1e-3 * largest)
+    if height is None and width is None:
+        raise ShapeError("neither height nor width of a picture was given; wanted one at least")
+    pixel_size = max(
+        sides[0] / width if width is not None else 0.0,
+        sides[1] / height if height is not None else 0.0,
+    )
+    centre = (low + high) / 2 @ np.stack([view.right, view.up, view.forward])
+    return replace(
+        view,
+        centre=centre,
+        height=height if height is not None else max(1, math.ceil(sides[1] / pixel_size - 1e-6)),
+        width=width if width is not None else max(1, math.ceil(sides[0] / pixel_size - 1e-6)),
+        pixel_size=float(pixel_size),
+    )
 
 
 def camera_view(
@@ -151,6 +184,27 @@ def camera_orbit(
     return replace(
         turned, right=turned.right @ axes, up=turned.up @ axes, forward=turned.forward @ axes
     )
+
+
+def view_rays(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and unit directions of the rays through points of the picture, [N 3], stage space.
+
+    Distances along an orthographic view's rays are depths from its ``centre``; a perspective one's
+    rays start in its eye.
+
+    Args:
+        view: orthographic or perspective.
+        x, y: [N], pixels; a pixel's centre is a whole number, y goes down.
+    """
+    across = np.asarray(x, float)[:, None] - (view.width - 1) / 2 - view.shift[0]
+    above = (view.height - 1) / 2 + view.shift[1] - np.asarray(y, float)[:, None]
+    offset = across * view.right + above * view.up
+    if view.focal is None:
+        start = view.centre + view.pixel_size * offset
+        return start, np.broadcast_to(view.forward, start.shape)
+    direction = offset / view.focal + view.forward
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.broadcast_to(view.centre, direction.shape), direction
 
 
 def rigid_axes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,12 +2,21 @@
 
 `opening` opens a stage, `volumes` chooses the Volumes and their timeCodes, `fields` follows a
 Volume's relationships to its field prims, `assets` says which file and grid those show when,
-`cameras` reads a shot's camera.
+`cameras` reads a shot's camera, `shown` tells what is to be seen at any timeCode.
 """
 
 from usdsmoke.stage.cameras import read_camera, seen_through
 from usdsmoke.stage.opening import open_stage
+from usdsmoke.stage.shown import open_original, shown_volumes
 from usdsmoke.stage.volumes import find_volumes
 from usdsmoke.time_codes import parse_frames
 
-__all__ = ["find_volumes", "open_stage", "parse_frames", "read_camera", "seen_through"]
+__all__ = [
+    "find_volumes",
+    "open_original",
+    "open_stage",
+    "parse_frames",
+    "read_camera",
+    "seen_through",
+    "shown_volumes",
+]

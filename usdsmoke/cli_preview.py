@@ -1,0 +1,61 @@
+"""The command that draws a stage's smoke."""
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.cli_text import print_json
+from usdsmoke.time_codes import format_time_codes
+
+if TYPE_CHECKING:
+    from usdsmoke.preview_stage import PreviewResult
+
+__all__ = ["run_preview"]
+
+
+def run_preview(arguments: argparse.Namespace) -> int:
+    """``usdsmoke preview``; the exit code."""
+    from usdsmoke.preview_stage import preview
+
+    result = preview(
+        arguments.stage,
+        arguments.output,
+        camera=arguments.camera,
+        frames=arguments.frames or "",
+        compare=arguments.compare,
+        prims=arguments.prim,
+        width=arguments.width,
+        size=arguments.size,
+        background=arguments.background,
+    )
+    for note in result.notes:
+        print(f"note: {note}", file=sys.stderr)
+    if arguments.json:
+        print_json(_as_dict(result))
+    else:
+        print(_text(result))
+    return 0
+
+
+def _text(result: "PreviewResult") -> str:
+    seen = f"camera <{result.camera}>" if result.camera else "the front view"
+    lines = [str(file_path) for file_path in result.files]
+    lines.append(
+        f"  timeCodes {format_time_codes(result.time_codes)} through {seen}, "
+        f"{result.width} x {result.height} pixels each"
+    )
+    for path, extinction in result.extinctions.items():
+        lines.append(f"  <{path}>: extinction {extinction:.4g} per density and stage unit")
+    return "\n".join(lines)
+
+
+def _as_dict(result: "PreviewResult") -> dict[str, Any]:
+    return {
+        "files": [str(file_path) for file_path in result.files],
+        "time_codes": list(result.time_codes),
+        "width": result.width,
+        "height": result.height,
+        "camera": result.camera,
+        "extinction_per_density": result.extinctions,
+        "notes": list(result.notes),
+    }

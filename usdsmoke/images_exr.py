@@ -1,0 +1,107 @@
+"""OpenEXR out: scene-linear pictures in the parts of one file."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from usdsmoke.errors import ImageError, WriteFailed
+from usdsmoke.publish import publish_file
+
+__all__ = ["write_exr"]
+
+# Red, green, blue and white of Rec.709 [ITU-R BT.709].
+_REC709 = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
+
+# What OpenEXR raises on what it cannot write or read.
+_ERRORS = (RuntimeError, TypeError, ValueError)
+
+
+def write_exr(
+    file_path: str | os.PathLike[str],
+    parts: Mapping[str, tuple[str, np.ndarray]],
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write 32-bit float parts as one OpenEXR file, in one step.
+
+    Args:
+        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        parts: by name; channel letters such as "RGBA" or "Y", and [H W] or [H W C] of all the same
+            height and width. Readers that know one part only take the first.
+        attributes: texts that go into every part's header.
+
+    Raises:
+        ImageError: shapes that do not fit, or numbers that are NaN or infinite.
+        WriteFailed: the operating system refused, or the file came back different.
+    """
+    where = os.fspath(file_path)
+    pixels = {name: _checked(where, name, *part) for name, part in parts.items()}
+    if len({array.shape[:2] for array in pixels.values()}) != 1:
+        raise ImageError(f"cannot write {where}: its parts differ in size, or there are none")
+
+    def write(temporary: Path) -> None:
+        made = []
+        for name, array in pixels.items():
+            header = {
+                **(attributes or {}),
+                "name": name,
+                "type": OpenEXR.scanlineimage,
+                "compression": OpenEXR.ZIP_COMPRESSION,
+                "chromaticities": _REC709,
+            }
+            letters = parts[name][0]
+            channels = {
+                letter: np.ascontiguousarray(array[..., n]) for n, letter in enumerate(letters)
+            }
+            made.append(OpenEXR.Part(header, channels, name))
+        try:
+            OpenEXR.File(made).write(os.fspath(temporary))
+        except _ERRORS as error:
+            raise WriteFailed(
+                f"cannot write {where}: {error}; check the folder and the disk's space"
+            ) from None
+
+    def check(temporary: Path) -> None:
+        if not _holds(temporary, {name: (part[0], pixels[name]) for name, part in parts.items()}):
+            raise WriteFailed(
+                f"{where} did not come back from disk as it was written; look whether the disk is "
+                "full, and write it again"
+            )
+
+    publish_file(Path(file_path), write, check)
+
+
+def _checked(where: str, name: str, letters: str, array: np.ndarray) -> np.ndarray:
+    """[H W C] float32."""
+    found = np.asarray(array, np.float32)
+    found = found[..., None] if found.ndim == 2 else found
+    if found.ndim != 3 or found.shape[2] != len(letters) or 0 in found.shape:
+        raise ImageError(
+            f"cannot write {where}: the part {name} has the shape {list(np.shape(array))}; wanted "
+            f"[H W {len(letters)}] for the channels {', '.join(letters)}"
+        )
+    count = int((~np.isfinite(found)).sum())
+    if count:
+        raise ImageError(
+            f"cannot write {where}: the part {name} has {count} numbers that are NaN or infinite; "
+            "wanted finite ones: look at the grids' values"
+        )
+    return found
+
+
+def _holds(file_path: Path, parts: Mapping[str, tuple[str, np.ndarray]]) -> bool:
+    try:
+        with OpenEXR.File(os.fspath(file_path), separate_channels=True) as image:
+            found = {
+                part.name(): {key: channel.pixels for key, channel in part.channels.items()}
+                for part in image.parts
+            }
+    except _ERRORS:
+        return False
+    return list(found) == list(parts) and all(
+        set(found[name]) == set(letters)
+        and all(np.array_equal(found[name][key], array[..., n]) for n, key in enumerate(letters))
+        for name, (letters, array) in parts.items()
+    )

@@ -1,0 +1,260 @@
+"""The smoke of a preview: which Volumes, which fields, how opaque, where."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pxr import Usd
+
+from usdsmoke.colour_grids import absolute_emission
+from usdsmoke.config import Config, StageConfig
+from usdsmoke.errors import AssetNotResolved, UsdSmokeError, VolumeNotFound
+from usdsmoke.grids.header import GridHeader, read_header
+from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
+from usdsmoke.schema import EMISSION_PER_DENSITY
+from usdsmoke.stage import find_volumes, shown_volumes
+from usdsmoke.time_codes import format_time_code, spread
+from usdsmoke.volume import (
+    DenseField,
+    FieldSource,
+    FrameSource,
+    ShownVolume,
+    StageSource,
+    VolumeFrame,
+    VolumeSource,
+)
+
+if TYPE_CHECKING:
+    from usdsmoke.core.media import Medium
+    from usdsmoke.core.scene import Scene
+
+__all__ = ["GREY", "Smoke", "find_smoke"]
+
+GREY = 0.5  # scene-linear light of thick smoke that has no emission
+
+
+@dataclass
+class Smoke:
+    """The Volumes of a stage, ready to be looked at; remembers what it has measured and met."""
+
+    stage: Usd.Stage
+    selected: StageSource  # the frames that were asked for
+    whole: StageSource  # all frames, so that nothing depends on which were asked for
+    config: Config = field(default_factory=Config)
+    extinctions: dict[str, float] = field(default_factory=dict)  # used last, by Volume
+    notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
+    _scenes: dict[str, "Scene"] = field(default_factory=dict)
+
+    @property
+    def time_codes(self) -> list[float]:
+        """All timeCodes that were selected, of any animated Volume; of a static stage its one."""
+        return _time_codes(self.selected)
+
+    def shown(self, time_code: float) -> list[ShownVolume]:
+        """What there is at a timeCode, from headers alone.
+
+        Raises:
+            StageError, GridError: a field cannot be used.
+        """
+        return [
+            self._with_light(volume)
+            for volume in shown_volumes(self.stage, self.selected, time_code)
+        ]
+
+    def points(self, time_codes: Iterable[float]) -> np.ndarray:
+        """Corners of the boxes of smoke in all frames, selected or not, [N 3], stage space.
+
+        Args:
+            time_codes: those that will be drawn; a file whose header does not tell its box is
+                opened for these alone.
+        """
+        wanted = set(time_codes)
+        corners = []
+        for time_code in sorted(wanted | set(_time_codes(self.whole))):
+            for volume in shown_volumes(self.stage, self.whole, time_code):
+                box = self._box(volume.density, time_code in wanted)
+                if box is not None:
+                    corners.append(_corners(*box))
+        return np.concatenate(corners) if corners else np.zeros((0, 3))
+
+    def media(self, shown: Iterable[ShownVolume]) -> list["Medium"]:
+        """The smoke of some Volumes as rays take it.
+
+        Raises:
+            GridError, NonFiniteError: a grid cannot be used.
+            ShapeError: a field is flattened on the stage.
+        """
+        from usdsmoke.core.media import make_media
+
+        media = []
+        for volume in shown:
+            density, light = self._fields(volume)
+            light = None if light is None else self._absolute(volume, density, light)
+            if density.is_empty:
+                continue
+            lit = light is not None and bool(light.values.any())
+            gamma_w = self._extinction(volume, lit)
+            place = None if volume.emission is None else volume.emission.field_to_stage
+            media += make_media(
+                density,
+                light if lit else None,
+                volume.density.field_to_stage,
+                place if lit else None,
+                gamma_w,
+                GREY,
+            )
+        return media
+
+    def _with_light(self, volume: ShownVolume) -> ShownVolume:
+        """Without an emission that is no colour; the density has to be usable."""
+        _grid(volume.density, 1)
+        if volume.emission is None:
+            return volume
+        grid = _grid(volume.emission, None)
+        if grid.value_type == "vec3s":
+            return volume
+        self.notes[
+            f"the emission of <{volume.prim_path}> holds {grid.value_type} values and no colours; "
+            "it is left out"
+        ] = None
+        return replace(volume, emission=None)
+
+    def _fields(self, volume: ShownVolume) -> tuple[DenseField, DenseField | None]:
+        density = _request(volume.density, 1)
+        if volume.emission is None:
+            return read_grids(volume.density.file_path, [density], self.config.grids)[0], None
+        light = _request(volume.emission, 3)
+        if volume.emission.file_path == volume.density.file_path:
+            both = read_grids(volume.density.file_path, [density, light], self.config.grids)
+            return both[0], both[1]
+        return (
+            read_grids(volume.density.file_path, [density], self.config.grids)[0],
+            read_grids(volume.emission.file_path, [light], self.config.grids)[0],
+        )
+
+    def _absolute(
+        self, volume: ShownVolume, density: DenseField, light: DenseField
+    ) -> DenseField | None:
+        """Emission that is added as it stands; it may be stored divided by the density."""
+        if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
+            return light
+        places = [
+            field.index_to_world @ source.field_to_stage
+            for field, source in ((density, volume.density), (light, volume.emission))
+        ]
+        if np.allclose(places[0], places[1], rtol=1e-9, atol=0):
+            return absolute_emission(density, light, volume.emission_mode)
+        self.notes[
+            f"the emission of <{volume.prim_path}> is stored per density and has other voxels than "
+            "the density; it is left out"
+        ] = None
+        return None
+
+    def _extinction(self, volume: ShownVolume, lit: bool) -> float:
+        """As the look says, else as a run would choose it for the shot."""
+        gamma_w = volume.extinction
+        if gamma_w is None:
+            scene = self._scene(volume.prim_path)
+            gamma_w = scene.gamma_w if lit else scene.gamma_w_shape
+        self.extinctions[volume.prim_path] = gamma_w
+        return gamma_w
+
+    def _scene(self, prim_path: str) -> "Scene":
+        from usdsmoke.core.scene import measure_scene
+
+        if prim_path not in self._scenes:
+            volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)
+            filled = [frame for frame in volume.frames if _is_filled(volume, frame)]
+            frames = [_read_density(volume, frame, self.config) for frame in spread(filled)]
+            self._scenes[prim_path] = measure_scene(frames, self.config, self.whole.up_axis)
+        return self._scenes[prim_path]
+
+    def _box(
+        self, source: FieldSource, may_read: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """First and last voxel, and the way from indices to the stage; None without smoke."""
+        grid = _grid(source, 1)
+        if grid.active_voxels == 0:
+            return None
+        matrix = np.asarray(grid.index_to_world, float) @ source.field_to_stage
+        if grid.bbox_min is not None and grid.bbox_max is not None:
+            return np.array(grid.bbox_min), np.array(grid.bbox_max), matrix
+        if not may_read:
+            return None
+        (density,) = read_grids(source.file_path, [_request(source, 1)], self.config.grids)
+        if density.is_empty:
+            return None
+        low = np.array(density.ijk_min)
+        return low, low + np.array(density.values.shape) - 1, matrix
+
+
+def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
+    """The Volumes of a stage at the timeCodes asked for.
+
+    Args:
+        stage: from ``open_stage``.
+        prims: Volume prim paths; none means all.
+        frames: a selection such as ``1-24``; empty means all there are.
+
+    Raises:
+        StageError: no Volume, an unknown one, a timeCode or file that is not there; or a look
+            layer without its source.
+    """
+    everything = StageConfig(prims=list(prims))
+    try:
+        selected = find_volumes(stage, replace(everything, frames=frames))
+    except VolumeNotFound:
+        if "usdsmoke" not in stage.GetRootLayer().customLayerData:
+            raise
+        raise VolumeNotFound(
+            f"{stage.GetRootLayer().realPath} is a look layer by itself, over nothing; wanted a "
+            "stage with Volumes: draw the root stage that was written beside it, NAME_look.usda"
+        ) from None
+    try:
+        whole = find_volumes(stage, everything) if frames else selected
+    except AssetNotResolved:
+        whole = selected  # files of frames that nobody asked for may be missing
+    smoke = Smoke(stage, selected, whole)
+    for path, reason in selected.omitted.items():
+        smoke.notes[f"<{path}> is not drawn: {reason}"] = None
+    return smoke
+
+
+def _time_codes(source: StageSource) -> list[float]:
+    animated = [volume for volume in source.volumes if volume.animated]
+    return sorted(
+        {frame.time_code for volume in animated or source.volumes for frame in volume.frames}
+    )
+
+
+def _request(source: FieldSource, components: int | None) -> GridRequest:
+    where = f"field <{source.prim_path}>, timeCode {format_time_code(source.time_code)}"
+    return GridRequest(source.grid_name, source.grid_index, where, components)
+
+
+def _grid(source: FieldSource, components: int | None) -> GridHeader:
+    header, request = read_header(source.file_path), _request(source, components)
+    grid = find_grid(header, request)
+    check_readable(header, grid, request)
+    return grid
+
+
+def _is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
+    try:
+        return _grid(frame.fields[volume.density], 1).active_voxels != 0
+    except UsdSmokeError:
+        return False  # a frame that is drawn says so itself
+
+
+def _read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> VolumeFrame:
+    source = frame.fields[volume.density]
+    (density,) = read_grids(source.file_path, [_request(source, 1)], config.grids)
+    return VolumeFrame(frame.time_code, density, source.field_to_stage)
+
+
+def _corners(low: np.ndarray, high: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """[8 3] of a box of voxels, stage space; interpolated, smoke ends at the next ones' centres."""
+    choice = np.array(list(np.ndindex(2, 2, 2)), bool)
+    corners: np.ndarray = np.where(choice, high + 1, low - 1) @ matrix[:3, :3] + matrix[3, :3]
+    return corners

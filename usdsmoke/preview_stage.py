@@ -1,0 +1,243 @@
+"""A stage's smoke as a picture, drawn by our own rays: what a result looks like without a client.
+
+Read voxels, march rays, write PNG or OpenEXR; nothing of the stage is changed. docs/preview.md
+explains what is drawn and what is not.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usdsmoke.config import ViewsConfig
+from usdsmoke.contact_sheet import BACKGROUND, compose_cells
+from usdsmoke.errors import ConfigError
+from usdsmoke.images import encode_srgb, write_png
+from usdsmoke.images_exr import write_exr
+from usdsmoke.naming import frame_file_names
+from usdsmoke.preview_request import BACKGROUNDS, PreviewRequest, check_pixels, make_request
+from usdsmoke.preview_smoke import Smoke, find_smoke
+from usdsmoke.stage import open_original, open_stage, read_camera
+from usdsmoke.time_codes import format_time_code, spread
+from usdsmoke.volume import CameraSource
+
+if TYPE_CHECKING:
+    from usdsmoke.core.march import Picture
+    from usdsmoke.core.views import View
+
+__all__ = ["PreviewResult", "preview"]
+
+_LOOK, _ORIGINAL = "look", "original"
+_MOST_COLUMNS = 6  # of a contact sheet
+
+# How a timeCode is seen: the view, and nearest and farthest depth.
+_Views = dict[float, tuple["View", tuple[float, float]]]
+
+
+@dataclass(frozen=True)
+class PreviewResult:
+    """What was drawn."""
+
+    files: tuple[Path, ...]  # one PNG, or one OpenEXR file a frame
+    time_codes: tuple[float, ...]
+    width: int  # of one picture
+    height: int
+    camera: str  # prim path; "" is the front view
+    extinctions: dict[str, float]  # by Volume of the look, per density, 1/stage unit
+    notes: tuple[str, ...]
+
+
+def preview(
+    stage: str | PathLike[str],
+    output: str | PathLike[str],
+    camera: str = "",
+    frames: str = "",
+    compare: bool = False,
+    prims: Sequence[str] | None = None,
+    width: int | None = None,
+    size: tuple[int, int] | None = None,
+    background: str = BACKGROUNDS[0],
+    progress: Callable[[int, int], None] | None = None,
+) -> PreviewResult:
+    """Draw a stage's Volumes, all of them in one picture, and write what was seen.
+
+    Args:
+        stage: a USD file; for a look its root stage, ``NAME_look.usda``.
+        output: ``.png`` for a screen, one picture or a contact sheet of several; ``.exr`` for
+            scene-linear parts, one file a frame. An old file is replaced. The folder must exist.
+        camera: prim path of a Camera; empty takes a front view that just holds the smoke of all
+            frames.
+        frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last.
+        compare: draw the stage without its looks as well.
+        prims: Volume prim paths; None means all.
+        width: pixels; the height follows from the camera's film or the smoke.
+        size: width and height, pixels.
+        background: of a PNG: ``grey`` (dark), ``black`` or ``none`` (transparent; one picture only
+            and nothing to compare).
+        progress: called with the number of pictures done and of all.
+
+    Raises:
+        ConfigError: the request cannot be fulfilled as it stands.
+        StageError, GridError, NonFiniteError, ShapeError: stage or files cannot be used.
+        WriteFailed: the output could not be written.
+    """
+    request = make_request(stage, output, camera, frames, compare, prims, width, size, background)
+    smokes = _open(request)
+    codes = smokes[_LOOK].time_codes
+    codes = codes if request.frames else spread(codes)
+    for smoke in smokes.values():
+        for code in codes:
+            smoke.shown(code)  # whatever headers tell against it, before any file is written
+    views = _views(request, smokes, codes)
+    view = views[codes[0]][0]
+    drawn = _draw(smokes, views, progress)
+    if request.is_exr:
+        files = _write_layers(request, codes, drawn)
+    else:
+        n_pictures = len(codes) * len(smokes)
+        check_pixels(view.width, view.height, n_pictures)
+        if request.background == "none" and n_pictures > 1:
+            raise ConfigError(
+                f"a contact sheet of {n_pictures} pictures has no transparent background; wanted "
+                "one frame (--frames 12) that is compared with nothing, or an .exr"
+            )
+        files = _write_picture(request, codes, drawn, n_pictures)
+    look = smokes[_LOOK]
+    notes = dict.fromkeys(note for smoke in smokes.values() for note in smoke.notes)
+    return PreviewResult(
+        files, tuple(codes), view.width, view.height, request.camera, look.extinctions, tuple(notes)
+    )
+
+
+def _open(request: PreviewRequest) -> dict[str, Smoke]:
+    """By label, in the order of drawing."""
+    look = find_smoke(open_stage(request.stage), request.prims, request.frames)
+    if not request.compare:
+        return {_LOOK: look}
+    original = find_smoke(open_original(request.stage), request.prims, request.frames)
+    return {_ORIGINAL: original, _LOOK: look}
+
+
+def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]) -> _Views:
+    from usdsmoke.core.views import frame_points, orbit_view, view_of_camera
+
+    look = smokes[_LOOK]
+    if request.camera:
+        views: _Views = {}
+        height = width = 0
+        for code in codes:
+            camera = read_camera(look.stage, request.camera, code)
+            if not views:  # the film may be animated; pictures of one sheet have one size
+                height, width = request.pixels(_aspect(camera))
+            views[code] = (view_of_camera(camera, height, width), camera.clipping_range)
+        return views
+    settings = ViewsConfig()
+    direction = orbit_view(
+        settings.centre_azimuth,
+        settings.centre_elevation,
+        look.selected.up_axis,
+        np.zeros(3),
+        1,
+        1,
+        1.0,
+    )
+    points = np.concatenate([smoke.points(codes) for smoke in smokes.values()])
+    if len(points) == 0:
+        look.notes["there is no smoke in any of these frames"] = None
+        points = np.array([[-0.5] * 3, [0.5] * 3])
+    fitted = frame_points(direction, points, None, 1_000_000)  # for its proportions
+    height, width = request.pixels(fitted.width / fitted.height)
+    view = frame_points(direction, points, height, width)
+    return dict.fromkeys(codes, (view, (-np.inf, np.inf)))
+
+
+def _aspect(camera: CameraSource) -> float:
+    return camera.horizontal_aperture / camera.vertical_aperture
+
+
+def _draw(
+    smokes: dict[str, Smoke], views: _Views, progress: Callable[[int, int], None] | None
+) -> Iterator[tuple[str, float, "Picture"]]:
+    """One picture after the other: the label, the timeCode, what is seen."""
+    from usdsmoke.core.march import march
+
+    done, total = 0, len(smokes) * len(views)
+    for label, smoke in smokes.items():
+        for code, (view, clip) in views.items():
+            picture = march(smoke.media(smoke.shown(code)), view, clip)
+            done += 1
+            if progress is not None:
+                progress(done, total)
+            yield label, code, picture
+
+
+def _write_layers(
+    request: PreviewRequest,
+    codes: Sequence[float],
+    drawn: Iterator[tuple[str, float, "Picture"]],
+) -> tuple[Path, ...]:
+    files = []
+    for label, code, picture in drawn:
+        stem = request.output.stem + (f".{_ORIGINAL}" if label == _ORIGINAL else "")
+        name = f"{stem}{request.output.suffix}"
+        if len(codes) > 1:
+            names = frame_file_names(stem, codes, request.output.suffix)
+            name = dict(zip(codes, names, strict=True))[code]
+        parts = {
+            "rgba": ("RGBA", picture.rgba),
+            "emission": ("RGB", picture.emission),
+            "alpha": ("A", picture.alpha),
+            "density": ("Y", picture.depth),
+        }
+        facts = {
+            "usdsmoke:stage": Path(request.stage).name,
+            "usdsmoke:camera": request.camera or "front view",
+            "usdsmoke:timeCode": format_time_code(code),
+        }
+        files.append(request.output.with_name(name))
+        write_exr(files[-1], parts, facts)
+    return tuple(files)
+
+
+def _write_picture(
+    request: PreviewRequest,
+    codes: Sequence[float],
+    drawn: Iterator[tuple[str, float, "Picture"]],
+    n_pictures: int,
+) -> tuple[Path, ...]:
+    from usdsmoke.core.render import display_picture
+
+    if request.background == "none":
+        ((_, _, picture),) = drawn
+        write_png(request.output, _straight(picture.rgba))
+        return (request.output,)
+    behind = BACKGROUND if request.background == "grey" else 0.0
+    shown = {(label, code): display_picture(seen.rgba, behind) for label, code, seen in drawn}
+    if n_pictures == 1:
+        write_png(request.output, next(iter(shown.values())))
+        return (request.output,)
+    labels = list(dict.fromkeys(label for label, _ in shown))
+    rows = []
+    for start in range(0, len(codes), _MOST_COLUMNS):
+        for label in labels:
+            name = f"{label}, " if len(labels) > 1 else ""
+            rows.append(
+                [
+                    (f"{name}timeCode {format_time_code(code)}", shown[label, code])
+                    for code in codes[start : start + _MOST_COLUMNS]
+                ]
+            )
+    title = f"{Path(request.stage).name}, {request.camera or 'front view'}"
+    height, width = next(iter(shown.values())).shape[:2]
+    write_png(request.output, compose_cells(title, rows, cell=(height, width)))
+    return (request.output,)
+
+
+def _straight(rgba: np.ndarray) -> np.ndarray:
+    """[H W 4] as PNG wants it: display-encoded colour that alpha has not been multiplied into."""
+    alpha = rgba[..., 3:]
+    linear = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
+    return np.concatenate([encode_srgb(np.clip(linear, 0.0, 1.0)), alpha], axis=-1)
