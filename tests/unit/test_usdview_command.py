@@ -1,5 +1,6 @@
 """The command that the menu copies: parsed back by usdsmoke's own parser."""
 
+import dataclasses
 import json
 import shlex
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd, UsdVol
 
+from tests.pipeline_fixtures import Shot, run
 from tests.usd_fixtures import (
     density_prim,
     make_look,
@@ -17,7 +19,7 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.cli_arguments import build_parser
+from usdsmoke.cli_arguments import build_parser, options_as_sections
 from usdsmoke.config import config_to_dict, resolve_config
 from usdsmoke.layer import LookFiles
 from usdsmoke.request_attributes import STYLE_IMAGES
@@ -152,3 +154,18 @@ def test_volumes_that_name_their_images_themselves_get_no_others(tmp_path: Path)
     api, _ = open_in_usdview(stage_file)
     window = do("copy_all", api)
     assert "--style" not in window.copied[0] and window.texts == []
+
+
+@pytest.mark.usefixtures("core")
+def test_the_command_of_a_finished_run_asks_for_the_same_run_again(shot: Shot) -> None:
+    result = run(shot, "windows.size=2", "optimize.seed=5", "stage.frames=1-2")
+    assert result.root_stage is not None
+    api, _ = open_in_usdview(result.root_stage, "/World/smoke")
+    window = do("copy_all", api)
+    arguments = build_parser().parse_args(shlex.split(window.copied[0])[1:])
+    assert window.texts == []
+    assert (arguments.stage, arguments.style) == (str(shot.stage), [str(shot.style)])
+    asked = resolve_config(options_as_sections(arguments), assignments=arguments.set)
+    made = result.plan.config
+    named = dataclasses.replace(made.stage, prims=["/World/smoke"], frames="1-3")
+    assert asked == dataclasses.replace(made, stage=named)

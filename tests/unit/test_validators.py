@@ -81,9 +81,9 @@ def test_a_missing_extent_is_found(tmp_path):
 @pytest.mark.parametrize(
     ("relation", "words"),
     [
-        ("rel field:temp", "has 0 targets; wanted one"),
+        ("rel field:temp", "has no target; wanted one OpenVDBAsset"),
         ("rel field:temp = </World/none>", "leads to </World/none>, where there is no prim"),
-        ("rel field:temp = </World>", "of type Xform; wanted an OpenVDBAsset"),
+        ("rel field:temp = </World>", "of type Xform; wanted one OpenVDBAsset"),
         ("rel field:temp = </World/smoke.extent>", "where there is no prim"),
     ],
 )

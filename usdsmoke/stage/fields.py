@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.errors import FieldNotFound, StageError
-from usdsmoke.relationships import FIELD_PREFIX, field_targets
+from usdsmoke.relationships import FIELD_PREFIX, field_prim, field_targets
 from usdsmoke.request_attributes import MASK
 from usdsmoke.volume import VELOCITY_NAMES
 
@@ -80,7 +80,7 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
     if mask:
         prims[mask] = _wanted_prim(volume, mask, relationships[mask])
     names = velocity_relationships(sorted(relationships), velocity)
-    found = {name: _field_prim(volume, relationships[name]) for name in names}
+    found = {name: _openvdb_prim(volume, relationships[name]) for name in names}
     if all(isinstance(prim, Usd.Prim) for prim in found.values()):
         prims.update({name: prim for name, prim in found.items() if isinstance(prim, Usd.Prim)})
     else:
@@ -114,7 +114,7 @@ def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Us
 
 def _wanted_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.Prim:
     """The field prim of a relationship that has to lead to one."""
-    prim = _field_prim(volume, targets)
+    prim = _openvdb_prim(volume, targets)
     if isinstance(prim, str):
         raise FieldNotFound(
             f"the {_where(volume, name)} {prim}; wanted one OpenVDBAsset prim: correct its target"
@@ -127,19 +127,8 @@ def _where(volume: Usd.Prim, name: str) -> str:
     return f'relationship "{prefix}{name}" of Volume <{volume.GetPath()}>'
 
 
-def _field_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
-    """The OpenVDBAsset at the one target, or what is wrong in words."""
-    if not targets:
-        return "has no target"
-    if len(targets) > 1:
-        return f"has {len(targets)} targets ({', '.join(f'<{path}>' for path in targets)})"
-    prim = volume.GetStage().GetPrimAtPath(targets[0].GetPrimPath())
-    if not prim or not targets[0].IsPrimPath():
-        return f"leads to <{targets[0]}>, where there is no prim"
-    if not prim.IsA(UsdVol.OpenVDBAsset):
-        kind = prim.GetTypeName() or "none"
-        return f"leads to <{targets[0]}>, which is of type {kind}"
-    return prim
+def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
+    return field_prim(volume.GetStage(), targets, UsdVol.OpenVDBAsset)
 
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:

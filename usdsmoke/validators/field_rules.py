@@ -10,7 +10,7 @@ from pxr import Usd, UsdValidation, UsdVol
 from usdsmoke.errors import GridError, StageError
 from usdsmoke.grids.header import GridHeader
 from usdsmoke.grids.read import GridRequest, find_grid
-from usdsmoke.relationships import field_targets
+from usdsmoke.relationships import field_prim, field_targets
 from usdsmoke.time_codes import format_time_code
 from usdsmoke.validators.facts import (
     FieldFacts,
@@ -55,19 +55,11 @@ def check_targets(
     """Every field relationship leads to one field prim."""
     problems = []
     for name, targets in field_targets(volume).items():
-        trouble = ""
-        if len(targets) != 1:
-            trouble = f"has {len(targets)} targets; wanted one"
-        else:
-            prim = volume.GetStage().GetPrimAtPath(targets[0].GetPrimPath())
-            if not prim or not targets[0].IsPrimPath():
-                trouble = f"leads to <{targets[0]}>, where there is no prim; correct its target"
-            elif not prim.IsA(_FIELD_BASE):
-                kind = prim.GetTypeName() or "none"
-                trouble = f"leads to <{targets[0]}> of type {kind}; wanted an OpenVDBAsset"
-        if trouble:
+        found = field_prim(volume.GetStage(), targets, _FIELD_BASE)
+        if isinstance(found, str):
             where = f"{volume.GetPath()}.field:{name}"
-            problems.append(Problem(Severity.ERROR, where, f"the relationship {trouble}"))
+            message = f"the relationship {found}; wanted one OpenVDBAsset prim: correct its target"
+            problems.append(Problem(Severity.ERROR, where, message))
     return problems
 
 
