@@ -20,12 +20,12 @@ GROUND = {
     "errors", "sections", "look_sections", "setting_checks", "config", "volume", "time_codes",
     "naming",
 }  # fmt: skip
-PLAN = {"plan", "needs", "camera_needs", "estimate", "frames", "windows"}
-WITHOUT_TORCH = {
-    "core.schedule",
-    "core.progress",
-    "core.frustum",
-}  # modules of core that planning may count with
+REQUESTS = {"request_attributes", "volume_requests"}
+PLAN = {
+    "plan", "plan_record", "volume_settings", "needs", "camera_needs", "estimate", "frames",
+    "windows",
+}  # fmt: skip
+WITHOUT_TORCH = {"core.schedule", "core.progress", "core.frustum"}  # planning may count with these
 
 # module: (what else of ours it may import, packages it may import); the first match counts.
 TABLE: list[tuple[str, set[str], set[str]]] = [
@@ -52,16 +52,12 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("asset_files", set(), {"pxr"}),
     ("request_attributes", set(), set()),
     ("request_values", set(), {"pxr"}),
-    (
-        "volume_requests",
-        GROUND | {"schema", "relationships", "request_attributes", "request_values"},
-        {"pxr"},
-    ),
+    ("volume_requests", GROUND | {"schema", "relationships", "request_*"}, {"pxr"}),
     (
         "stage*",
         GROUND
         | {"stage*", "schema", "diagnostics", "relationships", "provenance"}
-        | {"asset_files", "request_attributes", "volume_requests"},
+        | {"asset_files", *REQUESTS},
         {"pxr", "numpy"},
     ),
     (
@@ -73,7 +69,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
         "validat*",
         GROUND
         | {"validat*", "schema", "diagnostics", "relationships", "provenance", "grids.*"}
-        | {"asset_files", "request_attributes", "volume_requests"},
+        | {"asset_files", *REQUESTS},
         {"pxr", "numpy"},
     ),
     ("grids.binding", GROUND | {"grids*"}, {"numpy"} | OPENVDB),
@@ -89,6 +85,8 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("run_windows", GROUND | {"publish", "provenance", "locks", "run_folder"}, set()),
     ("progress", GROUND | {"run_progress"}, {"rich"}),
     ("frames", GROUND | PLAN | {"grids*"}, {"numpy"}),
+    ("volume_settings", GROUND | {"request_attributes"}, set()),
+    ("plan_record", PLAN, set()),
     ("plan", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("camera_needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),

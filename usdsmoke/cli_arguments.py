@@ -6,9 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, LayerConfig, config_to_dict
+from usdsmoke.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
 
-__all__ = ["build_parser", "options_as_sections"]
+__all__ = ["build_parser", "given_settings"]
 
 _EXIT_CODES = "exit codes: 0 ok, 1 a named error, 2 wrong usage, 130 stopped by Ctrl-C"
 
@@ -36,8 +36,19 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """The options of ``stylize`` that stand for settings, as sections of a configuration."""
+def given_settings(arguments: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The sections of the configuration, and those of all options that stand for settings.
+
+    Raises:
+        ConfigError: a file or an option cannot be read.
+    """
+    config = read_config(arguments.config) if arguments.config else {}
+    overrides = read_config(arguments.overrides) if arguments.overrides else {}
+    options = _options_as_sections(arguments)
+    return config, merge_settings(overrides, options, assignments=arguments.set)
+
+
+def _options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     options = {
         "stage": {
             "prims": arguments.prim,
@@ -179,12 +190,10 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--style",
         action="append",
-        required=True,
         metavar="IMAGE",
-        help="an image to take the style from; may be repeated",
+        help="an image to take the style from; may be repeated; default: the Volumes' own",
     )
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
-    parser.add_argument("--config", metavar="FILE.yaml", help="settings; see 'usdsmoke settings'")
     _add_selection(parser)
     _add_layer(parser)
     parser.add_argument(
@@ -192,6 +201,28 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
         action="store_const",
         const=True,
         help="take smoke that is stylized already as the source, not the original",
+    )
+    _add_settings(parser)
+    parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")
+    _add_client_options(parser)
+    parser.add_argument(
+        "--repair",
+        type=_repair_value,
+        metavar="nan=0",
+        help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+    )
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--config",
+        metavar="FILE.yaml",
+        help="settings, weaker than what a Volume asks for itself; see 'usdsmoke settings'",
+    )
+    parser.add_argument(
+        "--overrides",
+        metavar="FILE.yaml",
+        help="settings, stronger than what a Volume asks for itself, as all options are",
     )
     parser.add_argument(
         "--set",
@@ -206,14 +237,6 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
         help="the shot's Camera prim: only what it sees is stylized, seen from its direction",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
-    parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")
-    _add_client_options(parser)
-    parser.add_argument(
-        "--repair",
-        type=_repair_value,
-        metavar="nan=0",
-        help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
-    )
 
 
 def _add_client_options(parser: argparse.ArgumentParser) -> None:

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from usdsmoke.cli_arguments import options_as_sections
+from usdsmoke.cli_arguments import given_settings
 from usdsmoke.cli_text import job_text, plan_text, print_json, result_text, step_text
-from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
+from usdsmoke.config import config_to_dict
 
 if TYPE_CHECKING:
     from usdsmoke.pipeline import StepResult, StylizeResult
@@ -21,22 +21,22 @@ def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
     from usdsmoke.pipeline import plan_stylize
 
-    config = _config(arguments)
+    config, settings = given_settings(arguments)
     if arguments.dry_run:
-        plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config)
+        plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config, settings)
         if arguments.json:
-            print_json(plan.to_dict() | {"config": config_to_dict(config)})
+            print_json(plan.to_dict() | {"config": config_to_dict(plan.config)})
         else:
             print(plan_text(plan))
         return 0
     if arguments.coarse or arguments.window is not None:
-        step = _with_progress(_step_call(arguments), arguments, config)
+        step = _with_progress(_step_call(arguments), arguments)
         if arguments.json:
             print_json(_step_as_dict(step))
         else:
             print(step_text(step))
         return 0
-    _show_result(_with_progress(_whole_call(arguments), arguments, config), arguments)
+    _show_result(_with_progress(_whole_call(arguments), arguments), arguments)
     return 0
 
 
@@ -44,11 +44,13 @@ def run_submit(arguments: argparse.Namespace) -> int:
     """``usdsmoke submit``; the exit code."""
     from usdsmoke.pipeline_submit import submit
 
+    config, settings = given_settings(arguments)
     bundle = submit(
         arguments.stage,
         arguments.style,
         arguments.output,
-        _config(arguments),
+        config,
+        settings,
         template=arguments.template,
         command=arguments.program,
     )
@@ -99,25 +101,20 @@ def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
     return run_coarse if arguments.coarse else partial(run_window, window=arguments.window)
 
 
-def _config(arguments: argparse.Namespace) -> Config:
-    sections = read_config(arguments.config) if arguments.config else {}
-    return resolve_config(sections, options_as_sections(arguments), assignments=arguments.set)
-
-
-def _with_progress(
-    call: Callable[..., _Result], arguments: argparse.Namespace, config: Config
-) -> _Result:
+def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) -> _Result:
     """Call ``stylize`` or a part of it, telling the plan and the progress on stderr."""
     from rich.console import Console
 
     from usdsmoke.progress import ConsoleProgress
 
+    config, settings = given_settings(arguments)
     with ConsoleProgress(Console(stderr=True)) as progress:
         result = call(
             stage=arguments.stage,
             style=arguments.style,
             output=arguments.output,
             config=config,
+            settings=settings,
             force=arguments.force,
             progress=progress,
             planned=lambda plan: progress.say(plan_text(plan)),

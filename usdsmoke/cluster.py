@@ -11,7 +11,6 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +24,19 @@ from usdsmoke.errors import (
     WriteFailed,
 )
 from usdsmoke.pipeline import (
-    Settings,
     StylizeResult,
     assemble,
     plan_stylize,
     run_coarse,
     run_window,
+)
+from usdsmoke.pipeline_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    explicit_values,
+    resolve_settings,
+    style_paths,
 )
 from usdsmoke.plan import Plan
 from usdsmoke.publish import make_folders, remove_empty
@@ -40,8 +46,6 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 __all__ = ["TaskRequest", "stylize_on_cluster"]
-
-FilePath = str | PathLike[str]
 
 _CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
@@ -60,13 +64,14 @@ class TaskRequest:
     styles: tuple[str, ...]
     output: str
     config: Config
+    explicit: frozenset[str] = frozenset()
     force: bool = False
 
 
 def stylize_on_cluster(
     address: str,
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
@@ -83,7 +88,7 @@ def stylize_on_cluster(
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.
         stage: as in ``stylize``, like those that follow it.
-        style: one image file or several.
+        style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result.
         config: settings.
         settings: further ones, stronger than ``config``.
@@ -97,7 +102,8 @@ def stylize_on_cluster(
         UsdSmokeError: what ``stylize`` raises; a task's own error is raised here.
         Interrupted: by Ctrl-C; workers end the windows they are at.
     """
-    styles = [style] if isinstance(style, (str, PathLike)) else list(style)
+    styles = style_paths(style)
+    resolved, explicit = resolve_settings(config, settings)
     plan = plan_stylize(stage, styles, output, config, settings, fits=False)
     if planned is not None:
         planned(plan)
@@ -105,11 +111,12 @@ def stylize_on_cluster(
         stage=str(Path(stage).absolute()),
         styles=tuple(str(Path(image).absolute()) for image in styles),
         output=str(Path(output).absolute()),
-        config=plan.config,
+        config=resolved,
+        explicit=explicit,
         force=force,
     )
     with _connected(address) as client:
-        notes = _check_workers(client, request)
+        notes = _check_workers(client, request, plan)
         _compute(client, request, plan, progress or (lambda report: None))
     layer = plan.config.layer
     result = assemble(output, progress, layer.look, layer.mode)
@@ -138,7 +145,7 @@ def _connected(address: str) -> "Iterator[Client]":
         yield client
 
 
-def _check_workers(client: "Client", request: TaskRequest) -> list[str]:
+def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[str]:
     """Refuse workers that would give another result or none; what is worth knowing otherwise."""
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
@@ -151,7 +158,8 @@ def _check_workers(client: "Client", request: TaskRequest) -> list[str]:
     token_path = Path(request.output) / f".usdsmoke-{token}"
     try:
         _write_token(token_path, token)
-        files = [request.stage, *request.styles]
+        asked_for = [image for volume in plan.volumes for image in volume.source.request.styles]
+        files = [request.stage, *request.styles, *asked_for]
         answers = client.run(look_around, str(token_path), files, on_error="return")
     finally:
         token_path.unlink(missing_ok=True)
@@ -210,14 +218,14 @@ def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
     config = request.config
     threads = config.optimize.threads or get_worker().state.nthreads
     config = replace(config, optimize=replace(config.optimize, threads=threads))
+    settings = explicit_values(config, request.explicit)
+    files = (request.stage, request.styles, request.output)
     with _one_at_a_time:
         try:
             if window is None:
-                run_coarse(
-                    request.stage, request.styles, request.output, config, force=request.force
-                )
+                run_coarse(*files, config, settings, force=request.force)
             else:
-                run_window(request.stage, request.styles, request.output, window, config)
+                run_window(*files, window, config, settings)
         except (WriteFailed, FileUnreadable):
             raise  # a file server may be well again the next time
         except UsdSmokeError as error:

@@ -48,6 +48,8 @@ __all__ = [
     "check_value",
     "config_to_dict",
     "config_to_yaml",
+    "explicit_names",
+    "merge_settings",
     "read_config",
     "resolve_config",
     "style_shares",
@@ -115,6 +117,28 @@ def resolve_config(*sources: Mapping[str, Any], assignments: Sequence[str] = ())
         ConfigError: an unknown section or key (names the nearest), a wrong type or range, or
             settings that contradict each other.
     """
+    values = merge_settings(*sources, assignments=assignments)
+    config = Config(
+        **{
+            name: _build_section(name, section_class, values.get(name, {}))
+            for name, section_class in typing.get_type_hints(Config).items()
+        }
+    )
+    _check_together(config)
+    return config
+
+
+def merge_settings(
+    *sources: Mapping[str, Any], assignments: Sequence[str] = ()
+) -> dict[str, dict[str, Any]]:
+    """Settings of several sources in one, by section and key; the values themselves unchecked.
+
+    Args:
+        sources, assignments: as in ``resolve_config``.
+
+    Raises:
+        ConfigError: an unknown section, or an assignment that cannot be read.
+    """
     values: dict[str, dict[str, Any]] = {}
     for source in sources:
         for section, settings in source.items():
@@ -130,14 +154,16 @@ def resolve_config(*sources: Mapping[str, Any], assignments: Sequence[str] = ())
     for assignment in assignments:
         section, key, value = _split_assignment(assignment)
         values.setdefault(section, {})[key] = value
-    config = Config(
-        **{
-            name: _build_section(name, section_class, values.get(name, {}))
-            for name, section_class in typing.get_type_hints(Config).items()
-        }
-    )
-    _check_together(config)
-    return config
+    return values
+
+
+def explicit_names(settings: Mapping[str, Mapping[str, Any]]) -> frozenset[str]:
+    """The dotted names of settings.
+
+    >>> sorted(explicit_names({"windows": {"size": 3}, "optimize": {"seed": 7, "threads": 1}}))
+    ['optimize.seed', 'optimize.threads', 'windows.size']
+    """
+    return frozenset(f"{section}.{key}" for section, keys in settings.items() for key in keys)
 
 
 def check_value(section: str, key: str, value: Any, where: str) -> Any:

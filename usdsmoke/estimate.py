@@ -36,6 +36,7 @@ from usdsmoke.sections import LayerConfig
 __all__ = [
     "Estimate",
     "FrameSize",
+    "add_estimates",
     "available_memory_gib",
     "estimate_run",
     "free_disk_bytes",
@@ -122,6 +123,15 @@ def estimate_run(
         bytes_written=sum(_frame_bytes(frame, config) for frame in frames)
         + sum(2 * _frame_bytes(frame, parts) for frame in again)
         + sum(_coarse_bytes(frame, config, finest) for frame in coarse),
+    )
+
+
+def add_estimates(parts: Sequence[Estimate]) -> Estimate:
+    """The costs of several Volumes in one run, one after the other: it starts once."""
+    return Estimate(
+        memory_gib=max((part.memory_gib for part in parts), default=BASE / GIB),
+        seconds=sum(part.seconds for part in parts) - (len(parts) - 1) * START,
+        bytes_written=sum(part.bytes_written for part in parts),
     )
 
 

@@ -26,45 +26,33 @@ class Omission:
     reason: str
 
 
-def list_needed(
-    source: StageSource, config: Config, volumes: Sequence["VolumePlan"]
-) -> tuple[str, ...]:
-    """What will be read, computed and written, one sentence each."""
+def list_needed(config: Config, volumes: Sequence["VolumePlan"]) -> tuple[str, ...]:
+    """What will be read, computed and written, one sentence each.
+
+    Args:
+        config: the run's settings.
+        volumes: with settings of their own; sentences tell for which Volumes where these differ.
+    """
     needed = [
         f"density of <{volume.source.prim_path}> at timeCodes "
         f"{format_time_codes(frame.source.time_code for frame in volume.frames)}"
         for volume in volumes
     ]
+    needed += _describe_requests(volumes)
     with_velocity = [frame for frame in _frames(volumes) if frame.velocity]
     if with_velocity:
         needed.append(f"velocity of {len(with_velocity)} frames")
-    if n_masked := sum(frame.mask is not None for frame in _frames(volumes)):
-        needed.append(
-            f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
-            "scales the effect"
-        )
-    if config.stage.motion == "estimate" and optimizes(config):
-        needed.append("the smoke's motion, estimated from neighbouring frames (stage.motion)")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
         needed.append(f"velocity copied into {n_copied} files, so that a frame is one file")
-    if optimizes(config):
-        layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
-        needed.append(f"features of the {config.features.network} network{layers}")
-        n_views = n_different_views(config.views)
-        count = min(config.views.count, n_views)
-        needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
-        needed += camera_needed(config, volumes)
-        needed += [_describe_step(step, config) for step in config.optimize.steps]
+    groups = _by_config(volumes)
+    for own, members in groups:
+        where = _where(members, " for ") if len(groups) > 1 else ""
+        needed += [f"{sentence}{where}" for sentence in _needed_by(own, members)]
     needed += _describe_windows(volumes)
-    gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
-    for step, gamma in gammas:
-        if gamma is None and step in config.optimize.steps:
-            needed.append(
-                f"extinction of the {step} step, measured on up to three frames of the shot"
-            )
     kind = "half" if config.grids.half else "float"
+    coloured = next((own for own, _ in groups if "colour" in own.optimize.steps), config)
     needed.append(
-        f"one VDB file a frame with {_describe_grids(config)} ({kind}), and the "
+        f"one VDB file a frame with {_describe_grids(coloured)} ({kind}), and the "
         f"{config.layer.format} layer"
     )
     return tuple(needed)
@@ -73,10 +61,78 @@ def list_needed(
 def list_omitted(
     source: StageSource, config: Config, volumes: Sequence["VolumePlan"]
 ) -> tuple[Omission, ...]:
-    """What is left out, and why."""
+    """What is left out, and why; of which Volumes, where their settings differ."""
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
-    omitted += _omitted_steps(config)
-    omitted += _omitted_views(config)
+    groups = _by_config(volumes) or [(config, [])]
+    for own, members in groups:
+        where = _where(members, " of ") if len(groups) > 1 else ""
+        omitted += [
+            Omission(f"{omission.what}{where}", omission.reason)
+            for omission in _omitted_by(own, members)
+        ]
+    for volume in volumes:
+        omitted += _omitted_of_volume(volume)
+    return tuple(omitted)
+
+
+def _by_config(volumes: Sequence["VolumePlan"]) -> list[tuple[Config, list["VolumePlan"]]]:
+    """Volumes of equal settings together, in order."""
+    groups: list[tuple[Config, list[VolumePlan]]] = []
+    for volume in volumes:
+        members = next((members for own, members in groups if own == volume.config), None)
+        if members is None:
+            groups.append((volume.config, [volume]))
+        else:
+            members.append(volume)
+    return groups
+
+
+def _where(volumes: Sequence["VolumePlan"], link: str) -> str:
+    return link + ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
+
+
+def _describe_requests(volumes: Sequence["VolumePlan"]) -> list[str]:
+    """What prims ask for themselves and get."""
+    sentences = []
+    for volume in volumes:
+        request = volume.source.request
+        names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
+        names = [*(["style images"] if request.styles else []), *names]
+        if names:
+            sentences.append(f"what <{volume.source.prim_path}> asks for: {', '.join(names)}")
+    return sentences
+
+
+def _needed_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
+    """What Volumes of one configuration need."""
+    needed = []
+    if n_masked := sum(frame.mask is not None for frame in _frames(volumes)):
+        needed.append(
+            f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
+            "scales the effect"
+        )
+    if config.stage.motion == "estimate" and optimizes(config):
+        needed.append("the smoke's motion, estimated from neighbouring frames (stage.motion)")
+    if optimizes(config):
+        layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
+        needed.append(f"features of the {config.features.network} network{layers}")
+        n_views = n_different_views(config.views)
+        count = min(config.views.count, n_views)
+        needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
+        needed += camera_needed(config, volumes)
+        needed += [_describe_step(step, config) for step in config.optimize.steps]
+    gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
+    for step, gamma in gammas:
+        if gamma is None and step in config.optimize.steps:
+            needed.append(
+                f"extinction of the {step} step, measured on up to three frames of the shot"
+            )
+    return needed
+
+
+def _omitted_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[Omission]:
+    """What Volumes of one configuration do without."""
+    omitted = [*_omitted_steps(config), *_omitted_views(config)]
     if optimizes(config):
         omitted += [Omission(*pair) for pair in camera_omitted(config, volumes)]
     frames = _frames(volumes)
@@ -84,9 +140,7 @@ def list_omitted(
         omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
     if all(frame.mask is None for frame in frames):
         omitted.append(Omission("mask field", _why_no_mask(config)))
-    for volume in volumes:
-        omitted += _omitted_of_volume(volume)
-    return tuple(omitted)
+    return omitted
 
 
 def _frames(volumes: Sequence["VolumePlan"]) -> list["FramePlan"]:
@@ -201,6 +255,13 @@ def _why_no_mask(config: Config) -> str:
 def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
     omitted = []
     where = f"of <{volume.source.prim_path}>"
+    if volume.source.request.ignored:
+        omitted.append(
+            Omission(
+                f"{', '.join(volume.source.request.ignored)} {where}",
+                "UsdSmokeStyleAPI is not applied to the prim; apply it, and they count",
+            )
+        )
     if volume.source.other_fields:
         omitted.append(
             Omission(

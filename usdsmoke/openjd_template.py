@@ -43,7 +43,7 @@ def job_template(
     Args:
         name: of the shot; what a job's name may not hold is taken out.
         n_windows: of the plan, all Volumes together, at least 1.
-        n_styles: style images, at least 1.
+        n_styles: style images that are given for the run; 0 where Volumes bring their own.
         memory_gib: what a task needs, GiB; asked of the machine that takes it.
         command: one program, by name or path, without arguments.
         assembly: what else ``usdsmoke assemble`` is told.
@@ -60,7 +60,7 @@ def job_template(
         )
     styles = [part for n in range(n_styles) for part in ("--style", f"{{{{Param.Style{n + 1}}}}}")]
     stylize = ["stylize", "{{Param.Stage}}", *styles, "-o", "{{Param.Output}}"]
-    stylize += ["--config", "{{Param.Settings}}"]
+    stylize += ["--config", "{{Param.Settings}}", "--overrides", "{{Param.Overrides}}"]
     space = {"name": "Window", "type": "INT", "range": f"0-{n_windows - 1}"}
     return {
         "specificationVersion": "jobtemplate-2023-09",
@@ -83,7 +83,9 @@ def job_template(
     }
 
 
-def job_parameters(stage: str, styles: Sequence[str], output: str, settings: str) -> dict[str, str]:
+def job_parameters(
+    stage: str, styles: Sequence[str], output: str, settings: str, overrides: str
+) -> dict[str, str]:
     """The values of the template's parameters that have no default.
 
     Args:
@@ -91,11 +93,12 @@ def job_parameters(stage: str, styles: Sequence[str], output: str, settings: str
         styles: the style images.
         output: the result's folder.
         settings: the YAML file of settings.
+        overrides: the YAML file of those that are stronger than what a Volume asks for itself.
 
     Raises:
         PlanError: a path is longer than a parameter's value may be.
     """
-    values = {"Stage": stage, "Output": output, "Settings": settings}
+    values = {"Stage": stage, "Output": output, "Settings": settings, "Overrides": overrides}
     values |= {f"Style{n}": style for n, style in enumerate(styles, 1)}
     for value in values.values():
         if len(value) > _LONGEST_VALUE:
@@ -166,6 +169,7 @@ def _parameter_definitions(n_styles: int, command: str) -> list[dict[str, Any]]:
         # INOUT: a job that is sent again finds what the first one finished.
         _path("Output", "DIRECTORY", "INOUT", "The result's folder, the same for every task."),
         _path("Settings", "FILE", "IN", "Settings, as written by 'usdsmoke submit'."),
+        _path("Overrides", "FILE", "IN", "Those that are stronger than a Volume's own request."),
         {
             "name": "Command",
             "type": "STRING",

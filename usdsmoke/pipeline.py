@@ -3,11 +3,9 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
 from usdsmoke.errors import Interrupted, LayerError
 from usdsmoke.locks import lock_output
 from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_result
@@ -24,13 +22,19 @@ from usdsmoke.pipeline_runs import (
     run_to_assemble,
     tidy_end,
 )
+from usdsmoke.pipeline_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    resolve_settings,
+    style_paths,
+)
 from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
 from usdsmoke.run_windows import finished_window, manifest_path
 
 __all__ = [
-    "Settings",
     "StepResult",
     "StylizeResult",
     "assemble",
@@ -39,9 +43,6 @@ __all__ = [
     "run_window",
     "stylize",
 ]
-
-FilePath = str | PathLike[str]
-Settings = Config | Mapping[str, Any] | FilePath | None
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class StepResult:
 
 def plan_stylize(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
@@ -66,7 +67,7 @@ def plan_stylize(
 
     Args:
         stage: as in ``stylize``, like those that follow it.
-        style: one image file or several.
+        style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result.
         config: settings.
         settings: further ones, stronger than ``config``.
@@ -75,12 +76,13 @@ def plan_stylize(
     Raises:
         UsdSmokeError: everything that can be known before voxels are read.
     """
-    return prepare_job(stage, _paths(style), Path(output), _resolve(config, settings), fits).plan
+    resolved, explicit = resolve_settings(config, settings)
+    return prepare_job(stage, style_paths(style), Path(output), resolved, fits, explicit).plan
 
 
 def stylize(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
@@ -97,11 +99,11 @@ def stylize(
 
     Args:
         stage: a .usda, .usdc or .usd file.
-        style: one image file or several.
+        style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result; made if missing.
         config: a YAML file, a mapping of sections, or ready made; None takes the defaults.
-        settings: further ones, stronger than ``config``: a mapping of sections, or texts such as
-            ``windows.size=3``.
+        settings: further ones, stronger than ``config`` and than what a Volume's prim asks for:
+            a mapping of sections, or texts such as ``windows.size=3``.
         force: replace an earlier result, which stays whole until the new one is.
         progress: called often, with how far the run is.
         planned: called once with the plan, before anything heavy is loaded.
@@ -114,7 +116,11 @@ def stylize(
     tell = progress or _tell_nobody
     with lock_output(job.output) as lock:
         job, run, redone = open_or_redo(
-            job, force, lambda config: prepare_job(stage, _paths(style), job.output, config)
+            job,
+            force,
+            lambda config: prepare_job(
+                stage, style_paths(style), job.output, config, explicit=job.explicit
+            ),
         )
         to_do = [
             task
@@ -132,7 +138,7 @@ def stylize(
 
 def run_coarse(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
@@ -164,7 +170,7 @@ def run_coarse(
 
 def run_window(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     window: int,
     config: Settings = None,
@@ -181,7 +187,7 @@ def run_window(
 
     Args:
         stage: as in ``stylize``, like those that follow it.
-        style: one image file or several.
+        style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result.
         window: its number, from 0, in the order of the plan's ``windows``.
         config: settings.
@@ -252,7 +258,7 @@ def assemble(
 
 def _prepare(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings,
     settings: Mapping[str, Any] | Sequence[str],
@@ -260,26 +266,11 @@ def _prepare(
 ) -> Job:
     # Threads that spin while they wait slow each other down many times where processors are shared.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, later
-    job = prepare_job(stage, _paths(style), Path(output), _resolve(config, settings))
+    resolved, explicit = resolve_settings(config, settings)
+    job = prepare_job(stage, style_paths(style), Path(output), resolved, explicit=explicit)
     if planned is not None:
         planned(job.plan)
     return job
-
-
-def _paths(style: FilePath | Sequence[FilePath]) -> list[FilePath]:
-    return [style] if isinstance(style, (str, PathLike)) else list(style)
-
-
-def _resolve(config: Settings, settings: Mapping[str, Any] | Sequence[str]) -> Config:
-    if isinstance(config, Config):
-        sections: Mapping[str, Any] = config_to_dict(config)
-    elif config is None or isinstance(config, Mapping):
-        sections = config or {}
-    else:
-        sections = read_config(Path(config))
-    if isinstance(settings, Mapping):
-        return resolve_config(sections, settings)
-    return resolve_config(sections, assignments=settings)
 
 
 def _tell_nobody(report: RunProgress) -> None:

@@ -113,7 +113,7 @@ def assemble_run(
     windows = collect_windows(run, job.plan)
     _collect_frames(job, run, windows, tell)
     volumes = [
-        collect_volume(run, volume, scene["gamma_w"], job.config)
+        collect_volume(run, volume, scene["gamma_w"], job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     temporal, overlap = _temporal_error(run), _overlap_difference(run)
@@ -164,7 +164,7 @@ def _collect_frames(
         if name in kept and kept[name].get("parts") == pair.digests:
             continue
         tell(RunProgress("blend", pair.frame.source.time_code, number, len(versions), 1.0))
-        run.finish_frame(name, _blend(job, run, pair))
+        run.finish_frame(name, _blend(run, pair))
 
 
 def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
@@ -181,10 +181,10 @@ def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> di
     return found
 
 
-def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
+def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
     """Write the blend of both versions of a frame; its record."""
-    volume, frame, config = pair.volume, pair.frame, job.config
-    tail, head = (_read_part(job, run, pair, window) for window in (pair.tail, pair.head))
+    volume, frame, config = pair.volume, pair.frame, pair.volume.config
+    tail, head = (_read_part(run, pair, window) for window in (pair.tail, pair.head))
     names = ("density", "emission")
     difference = {
         name: relative_difference(one, other)
@@ -210,13 +210,14 @@ def _blend(job: Job, run: RunFolder, pair: _Versions) -> dict[str, Any]:
     return {**record, "part": False, "parts": pair.digests, "report": report}
 
 
-def _read_part(job: Job, run: RunFolder, pair: _Versions, window: WindowRecord) -> list[DenseField]:
+def _read_part(run: RunFolder, pair: _Versions, window: WindowRecord) -> list[DenseField]:
     """Density and, after a colour step, emission of one version."""
     names = [pair.volume.source.density]
-    if "colour" in job.config.optimize.steps:
+    config = pair.volume.config
+    if "colour" in config.optimize.steps:
         names.append(EMISSION)
     part = run.folder / pair.part_of(window)
-    return read_grids(part, [GridRequest(name) for name in names], job.config.grids)
+    return read_grids(part, [GridRequest(name) for name in names], config.grids)
 
 
 def _blend_errors(reports: Sequence[Mapping[str, Any]], weight: float) -> dict[str, float]:
@@ -237,13 +238,13 @@ def _draw_sheets(
 ) -> tuple[str, ...]:
     """The contact sheets; what went wrong, as the result is whole without them."""
     plan, warnings = job.plan, []
-    pixels = [style.pixels for style in job.styles]
     sheets = _sheets(job)
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         scene = run.scenes[number]
         try:
-            write_contact_sheet(sheet, plan, volume, reader, run.folder, scene, pixels)
+            pictures = job.pictures(volume)
+            write_contact_sheet(sheet, plan, volume, reader, run.folder, scene, pictures)
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for
             warnings.append(f"no contact sheet: {error}")
     return tuple(warnings)

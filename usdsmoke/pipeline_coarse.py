@@ -50,7 +50,7 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     scenes = []
     for volume in plan.volumes:
         frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
-        scene = measure_scene(frames, plan.config, plan.source.up_axis)
+        scene = measure_scene(frames, volume.config, plan.source.up_axis)
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
 
@@ -156,9 +156,9 @@ def _run_chain(
 
     starts = coarse_frames(
         (reader.read(volume, frame) for frame in frames),
-        [style.pixels for style in job.styles],
+        job.pictures(volume),
         read_scene(run, number),
-        job.config,
+        volume.config,
         report,
         job.plan.source.time_codes_per_second,
     )

@@ -35,7 +35,7 @@ class FrameReader:
         if frame.file_name in self._kept:
             return self._kept[frame.file_name]
         rate = self._plan.source.time_codes_per_second
-        config = self._plan.config
+        config = volume.config
         read = read_frame(volume.source, frame.source, config, frame.velocity, rate, frame.mask)
         fields = (read.density, read.velocity, read.mask)
         n_bytes = sum(field.values.nbytes for field in fields if field is not None)

@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -14,17 +14,18 @@ import numpy as np
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.config import Config, config_to_dict, resolve_config
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import ConfigError, ImageError, LayerError
+from usdsmoke.errors import ConfigError, LayerError
 from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
-from usdsmoke.plan import Plan, check_plan, make_plan
+from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
 from usdsmoke.stage import find_volumes, open_stage, seen_through
-from usdsmoke.volume import StageSource
+from usdsmoke.volume import StageSource, VolumeSource
+from usdsmoke.volume_settings import resolve_volumes
 
 __all__ = [
     "Job",
@@ -34,6 +35,7 @@ __all__ = [
     "prepare_job",
     "published_runs",
     "requested_job",
+    "requested_values",
 ]
 
 # Settings that change when or whether a result comes about, but not the result.
@@ -51,13 +53,18 @@ class Job:
     stage: Usd.Stage
     plan: Plan
     styles: tuple[StyleImage, ...]
-    style_files: tuple[Path, ...]
+    style_files: tuple[Path, ...]  # those given for the run, absolute; none: Volumes bring theirs
     output: Path
     targets: LookFiles
+    explicit: frozenset[str] = frozenset()  # settings that are stronger than a Volume's own
+
+    def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
+        """The pixels of a Volume's style images."""
+        return [self.styles[place].pixels for place in volume.styles]
 
     @property
     def config(self) -> Config:
-        """The resolved settings."""
+        """The run's settings; a Volume's own are in its plan."""
         return self.plan.config
 
 
@@ -67,39 +74,42 @@ def prepare_job(
     output: Path,
     config: Config,
     fits: bool = True,
+    explicit: Collection[str] = (),
 ) -> Job:
     """Open the stage, find its Volumes, read the style images, make the plan and see that it fits.
 
     Args:
-        stage_path, style_paths: files.
+        stage_path: a file.
+        style_paths: files; none where every Volume brings its own.
         output: the output folder.
-        config: the resolved settings.
+        config: the run's settings.
         fits: whether memory and disk must be large enough for the whole work.
+        explicit: dotted names of the settings that are stronger than a Volume's own.
 
     Raises:
         UsdSmokeError: everything that can be wrong without a voxel being read.
     """
-    if not style_paths:
-        raise ImageError("no style image was given; wanted one at least")
-    style_shares(config.style, len(style_paths))
     output = Path(output).absolute()
+    style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
     stage = open_stage(stage_path)
-    source = find_volumes(stage, config.stage)
-    source = seen_through(stage, source, config.views.camera)
-    _check_names(source, config)
-    styles = tuple(read_style_image(style_path) for style_path in style_paths)
+    found = find_volumes(stage, config.stage, explicit)
+    resolved = resolve_volumes(found, config, style_files, explicit)
+    cameras = [own.config.views.camera for own in resolved.volumes]
+    source = seen_through(stage, resolved.source, cameras)
+    for volume, own in zip(source.volumes, resolved.volumes, strict=True):
+        _check_names(volume, own.config)
+    styles = tuple(read_style_image(style_file) for style_file in resolved.style_files)
     if config.layer.mode == "reference":
         check_asset(stage)
-    plan = make_plan(source, config, len(styles))
+    plan = make_plan(source, config, resolved.volumes)
     targets = look_files(source, output, config.layer)
     stems = [volume.stem for volume in plan.volumes]
     sheets = sheet_files(stems, output, config.layer.look)
-    inputs = _input_files(stage, source, [Path(style_path) for style_path in style_paths])
+    inputs = _input_files(stage, source, resolved.style_files)
     check_output_folder(output, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)
-    style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
-    return Job(stage, plan, styles, style_files, output, targets)
+    return Job(stage, plan, styles, style_files, output, targets, frozenset(explicit))
 
 
 def published_runs(job: Job) -> frozenset[str]:
@@ -112,22 +122,21 @@ def published_runs(job: Job) -> frozenset[str]:
     return frozenset(found)
 
 
-def _check_names(source: StageSource, config: Config) -> None:
+def _check_names(volume: VolumeSource, config: Config) -> None:
     """Refuse to write a colour under a name that the Volume uses for something else."""
     if "colour" not in config.optimize.steps:
         return
     colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
-    for volume in source.volumes:
-        uses = {volume.density: "density", volume.mask: "mask"}
-        uses |= dict.fromkeys(volume.velocity, "velocity")
-        for name in colours:
-            if name in uses:
-                raise ConfigError(
-                    f"the colour field {name} of the result would take the place of the "
-                    f"{uses[name]} of <{volume.prim_path}>, which is called the same; wanted "
-                    "another name for it: rename the field on the stage, or change "
-                    "optimize.steps, layer.scatter_colour or layer.split_rgb"
-                )
+    uses = {volume.density: "density", volume.mask: "mask"}
+    uses |= dict.fromkeys(volume.velocity, "velocity")
+    for name in colours:
+        if name in uses:
+            raise ConfigError(
+                f"the colour field {name} of the result would take the place of the "
+                f"{uses[name]} of <{volume.prim_path}>, which is called the same; wanted "
+                "another name for it: rename the field on the stage, or change "
+                "optimize.steps, layer.scatter_colour or layer.split_rgb"
+            )
 
 
 def _input_files(stage: Usd.Stage, source: StageSource, styles: Iterable[Path]) -> list[Path]:
@@ -184,7 +193,9 @@ def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
     """
     source = job.plan.source
     folder = Path(source.file_path).parent
+    requests = requested_values(job.plan, job.styles)
     return {
+        **({"requests": requests} if requests else {}),
         "version": __version__,
         "settings": _deciding_settings(job.config),
         "stage": _stage_digest(source),
@@ -197,11 +208,39 @@ def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
     }
 
 
+def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]:
+    """What each Volume's prim asks for and gets, as JSON values that name no folder.
+
+    Args:
+        plan: of the run.
+        styles: all images of the run.
+
+    Returns:
+        ``settings`` and ``styles`` (name and SHA-256) by prim path; nothing for Volumes that ask
+        for nothing.
+    """
+    found = {}
+    for volume in plan.volumes:
+        request = volume.source.request
+        if request.settings or request.styles:
+            images = [styles[place] for place in volume.styles] if request.styles else []
+            found[volume.source.prim_path] = {
+                "settings": {key: dict(values) for key, values in request.settings.items()},
+                "styles": [f"{image.name} {image.sha256}" for image in images],
+            }
+    return found
+
+
 def describe_request(job: Job) -> dict[str, Any]:
     """What it takes to make the job again, as JSON values; files relative to the output folder."""
     files = [Path(job.plan.source.file_path), *job.style_files]
     stage, *styles = [os.path.relpath(file_path, job.output) for file_path in files]
-    return {"stage": stage, "styles": styles, "config": config_to_dict(job.config)}
+    return {
+        "stage": stage,
+        "styles": styles,
+        "config": config_to_dict(job.config),
+        "explicit": sorted(job.explicit),
+    }
 
 
 def requested_job(output: Path, request: Mapping[str, Any], mode: str | None = None) -> Job:
@@ -219,8 +258,8 @@ def requested_job(output: Path, request: Mapping[str, Any], mode: str | None = N
         os.path.normpath(output / name) for name in (request["stage"], *request["styles"])
     ]
     other = {"layer": {"mode": mode}} if mode else {}
-    config = resolve_config(request["config"], other)
-    return prepare_job(stage, styles, output, config, fits=False)
+    config, explicit = resolve_config(request["config"], other), request.get("explicit", ())
+    return prepare_job(stage, styles, output, config, fits=False, explicit=explicit)
 
 
 def _named_run(look_layer: Path) -> str:

@@ -12,6 +12,7 @@ from usdsmoke.config import Config
 from usdsmoke.frames import read_velocity_grids
 from usdsmoke.grids.transform import field_extent
 from usdsmoke.grids.write import write_frame
+from usdsmoke.images import StyleImage
 from usdsmoke.layer.records import EMISSION, StylizedVolume
 from usdsmoke.naming import colour_names
 from usdsmoke.pipeline_records import frame_metadata
@@ -132,17 +133,26 @@ def frame_record(
 
 
 def collect_volume(
-    run: RunFolder, volume: VolumePlan, extinction_per_density: float, config: Config
+    run: RunFolder,
+    volume: VolumePlan,
+    extinction_per_density: float,
+    styles: Sequence[StyleImage],
 ) -> StylizedVolume:
     """What the layer has to know of one Volume's finished frames.
 
     When only a part of a sequence was stylized, a file with empty colours is written for the
     timeCodes that go on showing the source.
 
+    Args:
+        run: complete but for the layer.
+        volume: one of its Volumes.
+        extinction_per_density: of its scene.
+        styles: all images of the run.
+
     Raises:
         WriteFailed: that file could not be written.
     """
-    written = []
+    written, config = [], volume.config
     for frame in volume.frames:
         record = run.frames[frame.file_name]
         written.append(
@@ -170,6 +180,8 @@ def collect_volume(
         empty_file=empty_file,
         empty_hash=empty_hash,
         emission_mode=config.layer.emission_mode,
+        styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
+        seed=config.optimize.seed,
     )
 
 

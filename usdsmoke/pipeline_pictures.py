@@ -40,7 +40,7 @@ def write_contact_sheet(
 
     Args:
         target: the PNG.
-        plan: gives the settings.
+        plan: gives the stage.
         volume: what is shown.
         reader: of the source's frames.
         folder: of the result's VDB files.
@@ -55,8 +55,8 @@ def write_contact_sheet(
     rows: dict[str, list[np.ndarray]] = {}
     for frame in frames:
         source = reader.read(volume, frame)
-        result = _read_result(plan.config, volume, folder / frame.file_name)
-        for name, picture in _frame_pictures(plan.config, source, result, scene).items():
+        result = _read_result(volume.config, volume, folder / frame.file_name)
+        for name, picture in _frame_pictures(volume.config, source, result, scene).items():
             rows.setdefault(name, []).append(picture)
     columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import GridsConfig, config_to_dict
+from usdsmoke.config import GridsConfig, config_to_dict, merge_settings
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import read_binding_version
 from usdsmoke.images import StyleImage
@@ -50,6 +50,8 @@ def frame_metadata(
     header = read_header(source_file).metadata
     theirs = {key: value for key, value in header.items() if not key.startswith(_OURS)}
     described = run.description
+    nothing: dict[str, Any] = {"settings": {}, "styles": []}
+    asked = described.get("requests", {}).get(volume.source.prim_path, nothing)
     packages = sorted(_versions(config).items())
     return {
         "creator": f"usdsmoke {__version__}",
@@ -59,12 +61,12 @@ def frame_metadata(
         "usdsmoke:platform": platform_name(),
         "usdsmoke:run": run.run_id,
         "usdsmoke:created": run.created,
-        "usdsmoke:seed": described["settings"]["optimize"]["seed"],
-        "usdsmoke:config": _as_json(described["settings"]),
+        "usdsmoke:seed": volume.config.optimize.seed,
+        "usdsmoke:config": _as_json(merge_settings(described["settings"], asked["settings"])),
         "usdsmoke:params_sha256": run.settings_hash,
-        "usdsmoke:features": described["settings"]["features"]["network"],
+        "usdsmoke:features": volume.config.features.network,
         "usdsmoke:featuresHash": described["features_hash"],
-        "usdsmoke:styles": _as_json(described["styles"]),
+        "usdsmoke:styles": _as_json(asked["styles"] or described["styles"]),
         "usdsmoke:source": Path(source_file).name,
         **{f"usdsmoke:{_source_key(name)}": digest for name, digest in source_hashes.items()},
         "usdsmoke:prim": volume.source.prim_path,
@@ -101,7 +103,9 @@ def make_provenance(
         config=config_to_dict(config),
         inputs=_inputs(run, plan),
         styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
-        features=config.features.network,
+        features=", ".join(
+            dict.fromkeys(volume.config.features.network for volume in plan.volumes)
+        ),
         features_hash=run.description["features_hash"],
         packages=_versions(config.grids),
         platform=platform_name(),

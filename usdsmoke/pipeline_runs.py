@@ -55,12 +55,9 @@ def open_or_redo(
                 stage = dataclasses.replace(job.config.stage, frames=frames)
                 whole = prepare(dataclasses.replace(job.config, stage=stage))
                 redone = _windows_of(whole.plan, job.plan)
-                if (
-                    redone
-                    and describe_run(whole, features_hash(whole.config.features)) == run.description
-                ):
+                if redone and describe_run(whole, _features_hash(whole.plan)) == run.description:
                     return whole, run, redone
-    description = describe_run(job, features_hash(job.config.features))
+    description = describe_run(job, _features_hash(job.plan))
     return job, open_run(job.output, description, published, force), frozenset()
 
 
@@ -72,7 +69,7 @@ def joined_run(job: Job, force: bool) -> Iterator[tuple[RunFolder, OutputLock]]:
         OutputExists: the folder holds a run or result of other settings or inputs, and ``force``
             does not say to begin beside it.
     """
-    description = describe_run(job, features_hash(job.config.features))
+    description = describe_run(job, _features_hash(job.plan))
     if force and _equal_run(job.output, description) is None:
         with lock_output(job.output):  # unfinished runs of other settings go: nobody may be at them
             open_run(job.output, description, published_runs(job), force)
@@ -241,3 +238,9 @@ def _as_stored(description: dict[str, Any]) -> dict[str, Any]:
     """As it comes back from a record."""
     stored: dict[str, Any] = json.loads(json.dumps(description))
     return stored
+
+
+def _features_hash(plan: Plan) -> str:
+    """What pictures are compared by; where Volumes have different networks, all of them."""
+    hashes = [features_hash(volume.config.features) for volume in plan.volumes]
+    return " ".join(dict.fromkeys(hashes))

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,20 @@ from usdsmoke.openjd_template import (
     job_template,
     parameter_values,
 )
-from usdsmoke.pipeline import Settings, plan_stylize
+from usdsmoke.pipeline import plan_stylize
+from usdsmoke.pipeline_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    explicit_values,
+    resolve_settings,
+    style_paths,
+)
 from usdsmoke.plan import Plan
 from usdsmoke.publish import make_folders, publish_file
 from usdsmoke.stage import open_stage
 
 __all__ = ["JobBundle", "submit"]
-
-FilePath = str | PathLike[str]
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class JobBundle:
 
 def submit(
     stage: FilePath,
-    style: FilePath | Sequence[FilePath],
+    style: Styles,
     output: FilePath,
     config: Settings = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
@@ -52,7 +57,7 @@ def submit(
 
     Args:
         stage: as in ``stylize``, like those that follow it.
-        style: one image file or several.
+        style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result.
         config: settings.
         settings: further ones, stronger than ``config``.
@@ -65,23 +70,25 @@ def submit(
         OutputExists: a file of another origin stands where one of the bundle goes.
         WriteFailed: the operating system refused.
     """
-    styles = [style] if isinstance(style, (str, PathLike)) else list(style)
+    styles = style_paths(style)
+    resolved, explicit = resolve_settings(config, settings)
+    resolved = _with_network_file(resolved)
     plan = plan_stylize(stage, styles, output, config, settings, fits=False)
     folder = Path(output).absolute()
     target = Path(template).absolute() if template is not None else folder / "job/template.yaml"
     images = [str(Path(image).absolute()) for image in styles]
     beside = {
         name: target.with_name(f"{name}.yaml")
-        for name in ("settings", "parameter_values", "asset_references")
+        for name in ("settings", "overrides", "parameter_values", "asset_references")
     }
     n_windows = sum(len(volume.windows) for volume in plan.volumes)
-    parameters = job_parameters(
-        str(Path(stage).absolute()), images, str(folder), str(beside["settings"])
-    )
+    given = [str(beside[name]) for name in ("settings", "overrides")]
+    parameters = job_parameters(str(Path(stage).absolute()), images, str(folder), *given)
     memory, layer = plan.estimate.memory_gib, plan.config.layer
     assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
-        beside["settings"]: f"{FIRST_LINE}\n{_settings_text(plan.config)}",
+        beside["settings"]: f"{FIRST_LINE}\n{config_to_yaml(resolved, comments=False)}",
+        beside["overrides"]: bundle_text(explicit_values(resolved, explicit)),
         beside["parameter_values"]: bundle_text(parameter_values(parameters)),
         beside["asset_references"]: bundle_text(
             asset_references([*_read_files(plan), *images], str(folder))
@@ -90,20 +97,16 @@ def submit(
             job_template(Path(stage).stem, n_windows, len(images), memory, command, assembly)
         ),
     }
-    for file_path in texts:
-        _refuse_foreign(file_path)
-    make_folders(target.parent)
-    for file_path, text in texts.items():
-        _publish_text(file_path, text)
+    _publish_texts(texts)
     return JobBundle(target, tuple(beside.values()), parameters, n_windows)
 
 
-def _settings_text(config: Config) -> str:
-    """All settings, resolved: the queue's machines look up no file of their own."""
-    if config.features.vgg19_file:
-        found = str(Path(config.features.vgg19_file).absolute())
-        config = replace(config, features=replace(config.features, vgg19_file=found))
-    return config_to_yaml(config, comments=False)
+def _with_network_file(config: Config) -> Config:
+    """Its path absolute: the queue's machines look up no file of their own."""
+    if not config.features.vgg19_file:
+        return config
+    found = str(Path(config.features.vgg19_file).absolute())
+    return replace(config, features=replace(config.features, vgg19_file=found))
 
 
 def _read_files(plan: Plan) -> list[str]:
@@ -116,8 +119,9 @@ def _read_files(plan: Plan) -> list[str]:
         for frame in volume.frames
         for field in frame.fields.values()
     ]
+    images = [image for volume in plan.volumes for image in volume.source.request.styles]
     network = [plan.config.features.vgg19_file] if plan.config.features.vgg19_file else []
-    return [str(Path(file_path).absolute()) for file_path in (*layers, *grids, *network)]
+    return [str(Path(file_path).absolute()) for file_path in (*layers, *grids, *images, *network)]
 
 
 def _refuse_foreign(file_path: Path) -> None:
@@ -134,6 +138,14 @@ def _refuse_foreign(file_path: Path) -> None:
             f"{file_path} stands where a file of the job goes and was not written by 'usdsmoke "
             "submit'; choose another folder with --template"
         )
+
+
+def _publish_texts(texts: Mapping[Path, str]) -> None:
+    for file_path in texts:
+        _refuse_foreign(file_path)
+    for file_path, text in texts.items():
+        make_folders(file_path.parent)
+        _publish_text(file_path, text)
 
 
 def _publish_text(target: Path, text: str) -> None:

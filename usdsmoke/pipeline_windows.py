@@ -118,7 +118,8 @@ def stylize_windows(
         UsdSmokeError: whatever the core or the writing of files raises.
     """
     warm = [bool(place) for task in tasks for place, _ in enumerate(task.frames)]
-    meter, done = WorkMeter(job.config, warm), 0
+    configs = [task.volume.config for task in tasks for _ in task.frames]
+    meter, done = WorkMeter(configs, warm), 0
     tell = _never_back(tell)
     for task in tasks:
         with hold_work(run, task.window.index):
@@ -183,15 +184,15 @@ def _stylize_window(
 ) -> None:
     from usdsmoke.core.stylize import stylize_window
 
-    plan, started = job.plan, time.monotonic()
+    config, started = task.volume.config, time.monotonic()
     gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
     results = stylize_window(
         (reader.read(task.volume, frame) for frame in task.frames),
-        [style.pixels for style in job.styles],
+        job.pictures(task.volume),
         read_scene(run, task.volume_number),
-        plan.config,
+        config,
         progress.translate(),
-        plan.source.time_codes_per_second,
+        job.plan.source.time_codes_per_second,
         coarse_starts(run, task.volume),
     )
     records = {}
@@ -199,7 +200,7 @@ def _stylize_window(
         progress.writing(frame.source.time_code, place)
         name, hashes = task.file_name(frame), source_hashes[frame.file_name]
         records[name] = write_result(
-            run, name, task.volume, frame, stylized, gamma_w, plan.config, hashes
+            run, name, task.volume, frame, stylized, gamma_w, config, hashes
         )
     window = WindowRecord(
         run_id=run.run_id,

@@ -3,9 +3,8 @@
 Only the stage's own values and the headers of VDB files are looked at: no voxel, no torch.
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from usdsmoke.errors import PlanError
 from usdsmoke.estimate import (
     Estimate,
     FrameSize,
+    add_estimates,
     available_memory_gib,
     estimate_run,
     free_disk_bytes,
@@ -32,7 +32,9 @@ from usdsmoke.frames import (
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.naming import frame_file_names, volume_stems
 from usdsmoke.needs import Omission, list_needed, list_omitted, optimizes
+from usdsmoke.plan_record import describe_plan
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.volume_settings import VolumeSettings
 from usdsmoke.windows import Window, coarse_runs, split_windows
 
 __all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan", "result_file_names"]
@@ -66,6 +68,8 @@ class VolumePlan:
     stem: str
     frames: tuple[FramePlan, ...]
     windows: tuple[Window, ...]
+    config: Config  # its own: the run's with what the prim asks for
+    styles: tuple[int, ...]  # places of its images among the run's
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes with a coarse step in common
 
     @property
@@ -86,7 +90,7 @@ class Plan:
     """Everything that was decided before the run."""
 
     source: StageSource
-    config: Config
+    config: Config  # the run's; a Volume's own is in its plan
     volumes: tuple[VolumePlan, ...]
     needed: tuple[str, ...]
     omitted: tuple[Omission, ...]
@@ -99,30 +103,18 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON: volumes, frames, windows, needed, omitted, estimate."""
-        return {
-            "stage": self.source.file_path,
-            "volumes": [_volume_dict(volume) for volume in self.volumes],
-            "frames": [
-                _frame_dict(volume, frame) for volume in self.volumes for frame in volume.frames
-            ],
-            "windows": [
-                {"volume": volume.source.prim_path, **asdict(window)}
-                for volume in self.volumes
-                for window in volume.windows
-            ],
-            "needed": list(self.needed),
-            "omitted": [asdict(omission) for omission in self.omitted],
-            "estimate": asdict(self.estimate),
-        }
+        return describe_plan(self)
 
 
-def make_plan(source: StageSource, config: Config, n_styles: int = 1) -> Plan:
+def make_plan(
+    source: StageSource, config: Config, settings: Sequence[VolumeSettings] | None = None
+) -> Plan:
     """The plan of a stylization, from USD values and VDB headers.
 
     Args:
         source: the selected Volumes and timeCodes.
-        config: the resolved settings.
-        n_styles: style images.
+        config: the run's settings.
+        settings: those of each Volume; None takes the run's, and one style image.
 
     Raises:
         GridError: a header shows that a density cannot be used, or a velocity or mask that was
@@ -130,22 +122,29 @@ def make_plan(source: StageSource, config: Config, n_styles: int = 1) -> Plan:
         LayerError: two timeCodes are too close for file names of their own.
     """
     stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
+    if settings is None:
+        settings = [VolumeSettings(config, (0,))] * len(stems)
     headers: dict[str, FileHeader] = {}
     volumes: list[VolumePlan] = []
-    for volume, stem in zip(source.volumes, stems, strict=True):
+    for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
         first_index = sum(len(earlier.windows) for earlier in volumes)
-        volumes.append(_plan_volume(volume, stem, config, headers, first_index))
-    sizes = [frame.size for planned in volumes for frame in planned.frames]
-    twice = [frame.size for planned in volumes for frame in planned.twice_frames]
-    coarse = [frame.size for planned in volumes for frame in planned.coarse_frames]
+        volumes.append(_plan_volume(volume, stem, own, headers, first_index))
     return Plan(
         source=source,
         config=config,
         volumes=tuple(volumes),
-        needed=list_needed(source, config, volumes),
+        needed=list_needed(config, volumes),
         omitted=list_omitted(source, config, volumes),
-        estimate=estimate_run(sizes, config, n_styles, twice=twice, coarse=coarse),
+        estimate=add_estimates([_estimate(planned) for planned in volumes]),
     )
+
+
+def _estimate(volume: VolumePlan) -> Estimate:
+    sizes, twice, coarse = (
+        [frame.size for frame in frames]
+        for frames in (volume.frames, volume.twice_frames, volume.coarse_frames)
+    )
+    return estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
 
 
 def check_plan(plan: Plan, output: Path | None = None) -> None:
@@ -202,10 +201,11 @@ def _all_frames(plan: Plan) -> list[tuple[VolumePlan, FramePlan]]:
 def _plan_volume(
     volume: VolumeSource,
     stem: str,
-    config: Config,
+    own: VolumeSettings,
     headers: dict[str, FileHeader],
     first_index: int,
 ) -> VolumePlan:
+    config = own.config
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows, first_index)
     if not optimizes(config):  # the source is given back: there is nothing to carry or to blend
@@ -218,7 +218,7 @@ def _plan_volume(
         code = frame.time_code
         frames.append(_plan_frame(volume, frame, window_of[code], names[code], config, headers))
     runs = coarse_runs(windows) if optimizes(config) and coarse_factor(config) > 1 else ()
-    return VolumePlan(volume, stem, tuple(frames), windows, runs)
+    return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs)
 
 
 def _plan_frame(
@@ -263,38 +263,3 @@ def _frame_size(
 ) -> FrameSize:
     active, box = grid_size(file_path, grid)
     return FrameSize(active, box, window_start, 0 if copied is None else 3)
-
-
-def _volume_dict(volume: VolumePlan) -> dict[str, Any]:
-    first = volume.frames[0]
-    fields: Mapping[str, Any] = first.source.fields
-    return {
-        "prim_path": volume.source.prim_path,
-        "stem": volume.stem,
-        "animated": volume.source.animated,
-        "fields": sorted(fields),
-        "density_prim": fields[volume.source.density].prim_path,
-        "grid": first.grid.label,
-        "time_codes": [frame.source.time_code for frame in volume.frames],
-        "largest_box": list(max((frame.size.box for frame in volume.frames), key=math.prod)),
-        "most_active_voxels": max(frame.size.active_voxels for frame in volume.frames),
-    }
-
-
-def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
-    window = next(
-        window.index for window in volume.windows if frame.source.time_code in window.time_codes
-    )
-    return {
-        "volume": volume.source.prim_path,
-        "time_code": frame.source.time_code,
-        "window": window,
-        "source_file": frame.source.fields[volume.source.density].file_path,
-        "grid": frame.grid.label,
-        "active_voxels": frame.grid.active_voxels,
-        "box": list(frame.size.box),
-        "velocity": [grid.label for grid in frame.velocity.grids] if frame.velocity else [],
-        "mask": frame.mask.grid.label if frame.mask else "",
-        "empty": frame.is_empty,
-        "output_file": frame.file_name,
-    }

@@ -33,19 +33,15 @@ class WorkMeter:
     """The share of a run that is done, counted in iterations weighted by what an octave costs.
 
     Args:
-        config: gives steps, octaves and iterations.
+        config: gives steps, octaves and iterations; one for all frames, or one for each.
         warm: for every frame to do, whether it starts from its neighbour's result.
     """
 
-    def __init__(self, config: Config, warm: Sequence[bool]) -> None:
-        self._steps = list(config.optimize.steps)
-        cold = {
-            step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-            for step in self._steps
-        }
-        share = config.windows.warm_iterations
-        carried = {step: warm_iterations(octaves, share) for step, octaves in cold.items()}
-        self._iterations = [carried if is_warm else cold for is_warm in warm]
+    def __init__(self, config: Config | Sequence[Config], warm: Sequence[bool]) -> None:
+        configs = [config] * len(warm) if isinstance(config, Config) else config
+        self._iterations = [
+            _frame_iterations(own, is_warm) for own, is_warm in zip(configs, warm, strict=True)
+        ]
         self._total = sum(self._frame_work(frame) for frame in range(len(warm)))
 
     def share(self, report: Progress, frame: int) -> float:
@@ -56,7 +52,8 @@ class WorkMeter:
             frame: 0-based, among the frames to do.
         """
         before = sum(self._frame_work(earlier) for earlier in range(frame))
-        steps = self._steps[: self._steps.index(report.step)]
+        steps = list(self._iterations[frame])
+        steps = steps[: steps.index(report.step)]
         before += sum(self._step_work(frame, step, 1.0) for step in steps)
         part = min((report.iteration + 1) / max(report.n_iterations, 1), 1.0)
         done = before + self._step_work(frame, report.step, part)
@@ -68,7 +65,7 @@ class WorkMeter:
         return done / self._total if self._total else 1.0
 
     def _frame_work(self, frame: int) -> float:
-        return sum(self._step_work(frame, step, 1.0) for step in self._steps)
+        return sum(self._step_work(frame, step, 1.0) for step in self._iterations[frame])
 
     def _step_work(self, frame: int, step: str, part: float) -> float:
         """Work of a step when this part of its iterations is done, all octaves taken together.
@@ -84,3 +81,15 @@ class WorkMeter:
             work += done * (_FIXED_WORK + OCTAVE_SCALE ** (-2 * coarseness))
             left -= done
         return work
+
+
+def _frame_iterations(config: Config, is_warm: bool) -> dict[str, list[int]]:
+    """A frame's iterations by step, octave by octave."""
+    cold = {
+        step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+        for step in config.optimize.steps
+    }
+    if not is_warm:
+        return cold
+    share = config.windows.warm_iterations
+    return {step: warm_iterations(octaves, share) for step, octaves in cold.items()}

@@ -43,10 +43,19 @@ def created(template: dict[str, Any], folder: Path, **values: str) -> Any:
     return model.create_job(job_template=job, job_parameter_values=parameters)
 
 
+VALUES = {
+    "Stage": "/a.usd",
+    "Style1": "/s.png",
+    "Output": "/out",
+    "Settings": "/c.yaml",
+    "Overrides": "/o.yaml",
+}
+
+
 @pytest.mark.parametrize("n_windows", [1, 2, 3000])
 def test_the_model_makes_one_task_of_each_window(tmp_path: Path, n_windows: int) -> None:
     model = pytest.importorskip("openjd.model", reason="openjd-model is not installed")
-    values = {"Stage": "/a.usd", "Style1": "/s.png", "Output": "/out", "Settings": "/c.yaml"}
+    values = dict(VALUES)
     job = created(job_template("shot", n_windows, 1, 2.5), tmp_path, **values)
     steps = {step.name: step for step in job.steps}
     assert list(steps) == ["Coarse", "Windows", "Assemble"]
@@ -57,7 +66,7 @@ def test_the_model_makes_one_task_of_each_window(tmp_path: Path, n_windows: int)
 
 def test_windows_wait_for_the_coarse_step_and_the_assembly_for_both(tmp_path: Path) -> None:
     model = pytest.importorskip("openjd.model", reason="openjd-model is not installed")
-    values = {"Stage": "/a.usd", "Style1": "/s.png", "Output": "/out", "Settings": "/c.yaml"}
+    values = dict(VALUES)
     graph = model.StepDependencyGraph(job=created(job_template("s", 2, 1, 1.0), tmp_path, **values))
     order = [step.name for step in graph.topo_sorted()]
     assert order == ["Coarse", "Windows", "Assemble"]
@@ -84,6 +93,7 @@ def test_files_that_tasks_read_and_write_are_marked_for_job_attachments() -> Non
         "Style1": ("FILE", "IN"),
         "Output": ("DIRECTORY", "INOUT"),
         "Settings": ("FILE", "IN"),
+        "Overrides": ("FILE", "IN"),
     }
 
 
@@ -105,14 +115,14 @@ def test_a_command_that_no_queue_can_run_is_refused(command: str) -> None:
 
 
 def test_more_styles_than_a_template_can_name_are_refused() -> None:
-    decoded(job_template("shot", 1, 46, 1.0))
-    with pytest.raises(PlanError, match="47 style images make 51 job parameters"):
-        job_template("shot", 1, 47, 1.0)
+    decoded(job_template("shot", 1, 45, 1.0))
+    with pytest.raises(PlanError, match="46 style images make 51 job parameters"):
+        job_template("shot", 1, 46, 1.0)
 
 
 def test_a_path_too_long_for_a_parameter_is_refused() -> None:
     with pytest.raises(PlanError, match="has 1025 letters"):
-        job_parameters("/" + "s" * 1024, [], "/out", "/settings.yaml")
+        job_parameters("/" + "s" * 1024, [], "/out", "/settings.yaml", "/overrides.yaml")
 
 
 @pytest.mark.usefixtures("core")
@@ -134,6 +144,7 @@ def test_equal_runs_give_equal_files_and_the_template_names_no_folder(shot: Shot
     assert {path.name for path in bundle.template.parent.iterdir()} == {
         "template.yaml",
         "settings.yaml",
+        "overrides.yaml",
         "parameter_values.yaml",
         "asset_references.yaml",
     }
@@ -142,7 +153,8 @@ def test_equal_runs_give_equal_files_and_the_template_names_no_folder(shot: Shot
 def test_the_bundle_holds_all_settings_and_lists_every_file_that_is_read(shot: Shot) -> None:
     config = {"windows": {"size": 2}}
     bundle = submit(shot.stage, shot.style, shot.output, config, ["optimize.seed=5"])
-    settings, values, references = bundle.files
+    settings, overrides, values, references = bundle.files
+    assert read(overrides) == {"optimize": {"seed": 5}}
     expected = resolve_config(config, assignments=["optimize.seed=5"])
     assert resolve_config(read_config(settings)) == expected
     pairs = {pair["name"]: pair["value"] for pair in read(values)["parameterValues"]}

@@ -43,14 +43,17 @@ def mark_volume(
         "apiSchemas",
         Sdf.TokenListOp.Create(prependedItems=[schema.LOOK_API, f"AuthorshipAPI:{instance}"]),
     )
-    styles = [_name_and_hash(text) for text in provenance.get("styles", [])]
+    styles = volume.styles
+    if styles is None:
+        styles = tuple(_name_and_hash(text) for text in provenance.get("styles", []))
+    seed = provenance.get("seed", 0) if volume.seed is None else volume.seed
     look = {
         schema.EXTINCTION_PER_DENSITY: (_TYPES.Float, volume.extinction_per_density),
         schema.EMISSION_MODE: (_TYPES.Token, volume.emission_mode),
         schema.COLOR_SPACE: (_TYPES.Token, schema.LIN_REC709),
         schema.RUN: (_TYPES.String, str(provenance["run"])),
         schema.STYLE: (_TYPES.StringArray, Vt.StringArray(styles)),
-        schema.SEED: (_TYPES.Int64, int(provenance.get("seed", 0))),
+        schema.SEED: (_TYPES.Int64, int(seed)),
     }
     for name, (type_name, value) in look.items():
         Sdf.AttributeSpec(volume_spec, name, type_name).default = value

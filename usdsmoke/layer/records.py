@@ -31,6 +31,8 @@ class StylizedVolume:
     empty_file: str = ""  # absolute; a VDB whose colour grids have no voxel
     empty_hash: str = ""  # its content hash, see grids.content_hash; "" when it is not known
     emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
+    styles: tuple[str, ...] | None = None  # "name sha256" of each image; None: those of the run
+    seed: int | None = None  # None: the run's
 
 
 @dataclass(frozen=True)

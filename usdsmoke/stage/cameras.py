@@ -1,6 +1,7 @@
 """What a stage's Camera shows at one timeCode: its place, its film and its lens."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,30 +63,31 @@ def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSou
     return source
 
 
-def seen_through(stage: Usd.Stage, source: StageSource, prim_path: str) -> StageSource:
+def seen_through(
+    stage: Usd.Stage, source: StageSource, prim_paths: str | Sequence[str]
+) -> StageSource:
     """The same Volumes, with a camera at every selected timeCode.
 
     Args:
         stage: from ``open_stage``.
         source: from ``find_volumes``.
-        prim_path: of a prim of type Camera; "" changes nothing.
+        prim_paths: of a prim of type Camera, for all Volumes or one for each; "" is none.
 
     Raises:
         StageError: see ``read_camera``.
     """
-    if not prim_path:
-        return source
-    codes = {frame.time_code for volume in source.volumes for frame in volume.frames}
-    cameras = {code: read_camera(stage, prim_path, code) for code in sorted(codes)}
-    volumes = (
-        replace(
-            volume,
-            frames=tuple(
-                replace(frame, camera=cameras[frame.time_code]) for frame in volume.frames
-            ),
+    if isinstance(prim_paths, str):
+        prim_paths = [prim_paths] * len(source.volumes)
+    cameras: dict[tuple[str, float], CameraSource] = {}
+    volumes = []
+    for volume, path in zip(source.volumes, prim_paths, strict=True):
+        for code in (frame.time_code for frame in volume.frames) if path else ():
+            if (path, code) not in cameras:
+                cameras[path, code] = read_camera(stage, path, code)
+        frames = tuple(
+            replace(frame, camera=cameras.get((path, frame.time_code))) for frame in volume.frames
         )
-        for volume in source.volumes
-    )
+        volumes.append(replace(volume, frames=frames))
     return replace(source, volumes=tuple(volumes))
 
 

@@ -1,0 +1,66 @@
+"""What a run is called with: files in any spelling, settings from files, mappings and texts."""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.config import (
+    Config,
+    config_to_dict,
+    explicit_names,
+    merge_settings,
+    read_config,
+    resolve_config,
+)
+
+__all__ = ["FilePath", "Settings", "Styles", "explicit_values", "resolve_settings", "style_paths"]
+
+FilePath = str | PathLike[str]
+Styles = FilePath | Sequence[FilePath] | None
+Settings = Config | Mapping[str, Any] | FilePath | None
+
+
+def style_paths(style: Styles) -> list[FilePath]:
+    """The image files of a call; none where Volumes bring their own."""
+    if style is None:
+        return []
+    return [style] if isinstance(style, (str, PathLike)) else list(style)
+
+
+def resolve_settings(
+    config: Settings, settings: Mapping[str, Any] | Sequence[str]
+) -> tuple[Config, frozenset[str]]:
+    """The run's settings, and the dotted names of those that are stronger than a Volume's own.
+
+    Args:
+        config: a YAML file, a mapping of sections, or ready made; a Volume's own are stronger.
+        settings: explicit ones, stronger than a Volume's own.
+
+    Raises:
+        ConfigError: see ``resolve_config``.
+    """
+    if isinstance(config, Config):
+        sections: Mapping[str, Any] = config_to_dict(config)
+    elif config is None or isinstance(config, Mapping):
+        sections = config or {}
+    else:
+        sections = read_config(Path(config))
+    if isinstance(settings, Mapping):
+        explicit = merge_settings(settings)
+    else:
+        explicit = merge_settings(assignments=settings)
+    return resolve_config(sections, explicit), explicit_names(explicit)
+
+
+def explicit_values(config: Config, explicit: frozenset[str]) -> dict[str, dict[str, Any]]:
+    """The settings of these dotted names, to be handed on as ``settings=``.
+
+    >>> explicit_values(Config(), frozenset({"windows.size"}))
+    {'windows': {'size': 8}}
+    """
+    return {
+        section: kept
+        for section, values in config_to_dict(config).items()
+        if (kept := {k: v for k, v in values.items() if f"{section}.{k}" in explicit})
+    }

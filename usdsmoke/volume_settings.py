@@ -1,0 +1,138 @@
+"""Which settings and style images each Volume is stylized with.
+
+A setting is the strongest of: its default, the configuration, what the Volume's prim asks for
+itself, and what was given explicitly for this run (the command line's options, ``settings=``).
+"""
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.errors import ConfigError, ImageError
+from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.time_codes import format_time_code
+from usdsmoke.volume import FrameControls, StageSource, StyleRequest, VolumeSource
+
+__all__ = ["ResolvedVolumes", "VolumeSettings", "resolve_volumes"]
+
+
+@dataclass(frozen=True)
+class VolumeSettings:
+    """What one Volume is stylized with."""
+
+    config: Config
+    styles: tuple[int, ...]  # places of its images among the run's
+
+
+@dataclass(frozen=True)
+class ResolvedVolumes:
+    """All Volumes with their settings, and every style image that any of them takes, each once."""
+
+    source: StageSource  # its requests and controls are those that count
+    volumes: tuple[VolumeSettings, ...]  # in the order of the source's
+    style_files: tuple[Path, ...]  # absolute
+
+
+def resolve_volumes(
+    source: StageSource,
+    config: Config,
+    styles: Sequence[Path] = (),
+    explicit: Collection[str] = (),
+) -> ResolvedVolumes:
+    """The settings of every Volume; its own request counts where nothing stronger was said.
+
+    Images belong together with their weights: a Volume that takes the run's images leaves its own
+    weights aside, and one that brings its images does not take the configuration's weights.
+
+    Args:
+        source: the selected Volumes with their requests.
+        config: the run's settings, explicit ones among them.
+        styles: absolute paths of the images that were given for the run; they are stronger than a
+            Volume's own.
+        explicit: dotted names of the settings that are stronger than a Volume's own.
+
+    Raises:
+        ImageError: there are Volumes without images; the message names them.
+        ConfigError: a Volume's settings contradict each other.
+    """
+    _refuse_without_images(source, styles)
+    given = frozenset(explicit) | ({"style.weights"} if styles else set())
+    volumes = [_effective(volume, given, bool(styles)) for volume in source.volumes]
+    files: dict[Path, int] = {}
+    resolved = []
+    for volume in volumes:
+        images = [*styles] or [Path(name) for name in volume.request.styles]
+        own = _own_settings(volume.request, "style.weights" in given)
+        places = tuple(files.setdefault(image, len(files)) for image in images)
+        resolved.append(VolumeSettings(_resolve(volume, config, own, len(images)), places))
+    source = dataclasses.replace(source, volumes=tuple(volumes))
+    return ResolvedVolumes(source, tuple(resolved), tuple(files))
+
+
+def _refuse_without_images(source: StageSource, styles: Sequence[Path]) -> None:
+    bare = [f"<{volume.prim_path}>" for volume in source.volumes if not volume.request.styles]
+    if bare and not styles:
+        raise ImageError(
+            f"no style image was given for {', '.join(bare)}; wanted one at least: give --style, "
+            f"or author {STYLE_IMAGES} on the prim"
+        )
+
+
+def _effective(volume: VolumeSource, given: Collection[str], has_styles: bool) -> VolumeSource:
+    """The Volume with as much of its request and controls as nothing stronger stands against."""
+    settings = {
+        section: kept
+        for section, values in volume.request.settings.items()
+        if (kept := {k: v for k, v in values.items() if f"{section}.{k}" not in given})
+    }
+    styles = () if has_styles else volume.request.styles
+    request = StyleRequest(styles, settings, volume.request.ignored)
+    silent = {row.control for row in REQUEST_ATTRIBUTES if row.control and row.setting in given}
+    frames = tuple(
+        dataclasses.replace(frame, controls=_without(frame.controls, silent))
+        for frame in volume.frames
+    )
+    return dataclasses.replace(volume, request=request, frames=frames)
+
+
+def _without(controls: FrameControls, silent: Collection[str]) -> FrameControls:
+    return FrameControls(
+        **{
+            name: None if name in silent else value
+            for name, value in dataclasses.asdict(controls).items()
+        }
+    )
+
+
+def _own_settings(request: StyleRequest, given_weights: bool) -> Mapping[str, Mapping[str, Any]]:
+    if not request.styles or given_weights:
+        return request.settings
+    style = {"weights": [], **request.settings.get("style", {})}
+    return {**request.settings, "style": style}
+
+
+def _resolve(
+    volume: VolumeSource, config: Config, own: Mapping[str, Mapping[str, Any]], n_styles: int
+) -> Config:
+    try:
+        resolved = resolve_config(config_to_dict(config), own) if own else config
+        style_shares(resolved.style, n_styles)
+        for frame in volume.frames:
+            if (weights := frame.controls.style_weights) is not None:
+                style = dataclasses.replace(resolved.style, weights=list(weights))
+                _check_shares(style, n_styles, frame.time_code)
+    except ConfigError as error:
+        if not (volume.request.settings or volume.request.styles):
+            raise
+        raise ConfigError(f"Volume <{volume.prim_path}>: {error}") from None
+    return resolved
+
+
+def _check_shares(style: Any, n_styles: int, time_code: float) -> None:
+    try:
+        style_shares(style, n_styles)
+    except ConfigError as error:
+        raise ConfigError(f"at timeCode {format_time_code(time_code)}: {error}") from None
