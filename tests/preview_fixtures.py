@@ -10,11 +10,11 @@ from pxr import Usd, UsdGeom
 from tests.usd_fixtures import make_look, plume_stage
 
 
-def look_of_four_frames(folder: Path) -> Path:
+def look_of_four_frames(folder: Path, mode: str = "sublayer") -> Path:
     """The root stage of a look; its extinction per density is 0.5, its emission 1 everywhere."""
     stage = plume_stage(folder / "in", (1, 2, 3, 4))
     (folder / "out").mkdir()
-    return Path(make_look(stage, folder / "out").root_stage)
+    return Path(make_look(stage, folder / "out", mode=mode).root_stage)
 
 
 def pixels(file_path: Path) -> np.ndarray:

@@ -105,6 +105,27 @@ def test_an_emission_that_is_no_colour_is_left_out_and_said(tmp_path: Path) -> N
     assert "float values and no colours" in result.notes[0]
 
 
+def test_an_emission_per_density_is_drawn_as_its_product_with_it(tmp_path: Path) -> None:
+    write_vdb(tmp_path / "smoke.vdb", ("density", "emission"), value=3.0)
+    files = "asset filePath = @./smoke.vdb@"
+    body = density_prim(files) + density_prim(
+        files, "emission", grid='token fieldName = "emission"'
+    )
+    relations = """rel field:density = </World/smoke/density>
+        rel field:emission = </World/smoke/emission>
+        float usdSmoke:extinctionPerDensity = 0.25
+        token usdSmoke:emissionMode = """
+    light = {}
+    for mode in ("absolute", "perDensity"):
+        text = world(volume_prim(body, relations=f'{relations}"{mode}"'))
+        stage = write_text(tmp_path / f"{mode}.usda", text)
+        preview(stage, tmp_path / "a.exr", size=(61, 41))
+        light[mode] = parts(tmp_path / "a.exr")["emission"][1][20, 30]
+    alpha = 1 - np.exp(-0.25 * 3.0 * LENGTH)
+    assert light["absolute"] == pytest.approx([3.0 / 0.75 * alpha] * 3, rel=1e-5)
+    assert light["perDensity"] == pytest.approx([9.0 / 0.75 * alpha] * 3, rel=1e-5)
+
+
 def two_volumes(folder: Path) -> Path:
     """Two equal boxes, the second 20 units to the right and hidden at timeCode 3."""
     stage_file = plume_stage(folder, (1, 2, 3))
@@ -195,7 +216,9 @@ def test_several_frames_are_a_contact_sheet_first_middle_and_last_by_default(
     assert len(found) == 3 and len({row for row, _ in found}) == 1  # side by side, pixel for pixel
 
 
-def test_comparing_puts_the_original_beside_the_look(look: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["sublayer", "reference"])
+def test_comparing_puts_the_original_beside_the_look(mode: str, tmp_path: Path) -> None:
+    look = look_of_four_frames(tmp_path, mode)
     result = preview(look, tmp_path / "a.exr", frames="2-3", compare=True, width=32)
     names = ["a.original.0002.exr", "a.original.0003.exr", "a.0002.exr", "a.0003.exr"]
     assert [file_path.name for file_path in result.files] == names

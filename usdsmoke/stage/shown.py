@@ -8,6 +8,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import StageError
+from usdsmoke.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.relationships import field_targets
 from usdsmoke.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
 from usdsmoke.stage.assets import check_assets, field_source
@@ -61,14 +62,17 @@ def shown_volumes(
 
 
 def open_original(file_path: str | os.PathLike[str]) -> Usd.Stage:
-    """The stage as it is without usdsmoke's looks: every layer that usdsmoke has made is muted.
+    """The stage as it is without usdsmoke's looks.
+
+    Of an asset the variant without a look is selected, in the session layer; look layers that are
+    in use after that are muted.
 
     Raises:
         StageError: the stage cannot be opened, no layer of it was made by usdsmoke, or its root
             layer was, which cannot be muted.
     """
     stage = open_stage(file_path)
-    ours = [layer for layer in stage.GetUsedLayers() if _RECORD in layer.customLayerData]
+    ours = _looks(stage)
     if stage.GetRootLayer() in ours:
         raise StageError(
             f"{os.fspath(file_path)} is a look layer itself, and a stage's root layer cannot be "
@@ -80,8 +84,27 @@ def open_original(file_path: str | os.PathLike[str]) -> Usd.Stage:
             "look to compare with; wanted a root stage such as NAME_look.usda: leave out --compare"
         )
     with captured_diagnostics():
-        stage.MuteAndUnmuteLayers([layer.identifier for layer in ours], [])
+        _select_original(stage)
+        stage.MuteAndUnmuteLayers([layer.identifier for layer in _looks(stage)], [])
     return stage
+
+
+def _looks(stage: Usd.Stage) -> list[Sdf.Layer]:
+    """The layers in use that hold a look."""
+    return [layer for layer in stage.GetUsedLayers() if _RECORD in layer.customLayerData]
+
+
+def _select_original(stage: Usd.Stage) -> None:
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        found = [
+            prim.GetPath()
+            for prim in stage.TraverseAll()
+            if ORIGINAL in prim.GetVariantSet(VARIANT_SET).GetVariantNames()
+        ]
+        for path in found:
+            prim = stage.GetPrimAtPath(path)
+            if prim:  # a selection above may have taken it away
+                prim.GetVariantSet(VARIANT_SET).SetVariantSelection(ORIGINAL)
 
 
 def _shown_field(
