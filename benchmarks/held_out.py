@@ -12,10 +12,12 @@ from pxr import Usd, UsdGeom, UsdVol
 from benchmarks.display import composite, mean_colour
 from benchmarks.measures import score_views
 from benchmarks.raymarch import march_rays
+from usdsmoke.colour_grids import absolute_emission
 from usdsmoke.config import GridsConfig
 from usdsmoke.core.render import render_fields
 from usdsmoke.core.views import View, orbit_view
 from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.schema import EMISSION_ABSOLUTE, EMISSION_MODE
 from usdsmoke.volume import DenseField
 
 __all__ = [
@@ -73,6 +75,8 @@ def read_result(stage: Usd.Stage, volume_path: str = "", time_code: float = 1.0)
         file_path = asset.GetFilePathAttr().Get(time).resolvedPath
         fields += read_grids(file_path, [request], GridsConfig())
     density, emission = fields
+    mode = chosen[0].GetAttribute(EMISSION_MODE).Get() or EMISSION_ABSOLUTE
+    emission = absolute_emission(density, emission, mode)
     to_stage = np.array(UsdGeom.Imageable(asset).ComputeLocalToWorldTransform(time))
     up_axis = str(UsdGeom.GetStageUpAxis(stage))
     return Result(density, cover_box(emission, density), to_stage, float(extinction.Get()), up_axis)

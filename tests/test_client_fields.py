@@ -116,3 +116,15 @@ def test_a_colour_never_takes_the_name_of_the_density(
         run(shot, setting, f"stage.density={name}")
     assert not shot.output.exists() and core.stylized == []
     run(shot, setting, f"stage.density={name}", "optimize.steps=shape")
+
+
+def test_in_a_variant_every_colour_comes_and_goes_with_the_look(plume: Shot) -> None:
+    stage = Usd.Stage.Open(str(run(plume, *ALL, "layer.mode=reference").root_stage))
+    prims = fields_of(stage)
+    assert set(prims) == {"density", *VECTORS, *PARTS}
+    shown = {prim.GetAttribute("filePath").Get(2).resolvedPath for prim in prims.values()}
+    assert len(shown) == 1
+    (chosen,) = [prim for prim in stage.Traverse() if "look" in prim.GetVariantSets().GetNames()]
+    stage.SetEditTarget(stage.GetSessionLayer())
+    chosen.GetVariantSet("look").SetVariantSelection("original")
+    assert set(fields_of(stage)) == {"density"}
