@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd
 
+from tests.shot_fixtures import PLUME, make_big_shot
 from tests.usd_fixtures import (
     HEADER,
     density_prim,
@@ -72,7 +73,7 @@ def test_one_look_goes_and_comes_back_and_files_stay_as_they_are(tmp_path: Path)
     assert toggle(api) == "original: muted look.usda"
     assert shown(api) == "cache"
     assert not api.stage.GetPrimAtPath("/World/smoke/emission")
-    assert toggle(api) == f"look.usda, run {FIRST}"
+    assert toggle(api) == f"stylized: look.usda, run {FIRST}"
     assert shown(api) == "vdb"
     assert file_hashes(tmp_path) == before
 
@@ -172,3 +173,40 @@ def test_without_a_session_layer_a_variant_cannot_be_chosen(tmp_path: Path) -> N
     window = FakeWindow()
     run_action("toggle", "Toggle", FakeApi(stage, [], Usd.TimeCode(1)), window)
     assert "no session layer" in window.warnings[0][1]
+
+
+def test_an_asset_of_several_root_prims_is_switched_as_a_whole(tmp_path: Path) -> None:
+    shot = make_big_shot(tmp_path)
+    for look, run_id in (("ember", FIRST), ("frost", SECOND)):
+        files = make_look(shot.stage, shot.output, mode="reference", look=look, run_id=run_id)
+    assert files.root_stage is not None
+    api, _ = open_in_usdview(files.root_stage, PLUME)
+    seen = []
+    for _ in range(4):
+        said = toggle(api).split(":")[0]
+        roots = [api.stage.GetPrimAtPath(path) for path in ("/World", "/Caches")]
+        assert {prim.GetVariantSet("look").GetVariantSelection() for prim in roots} == {said}
+        run = api.stage.GetPrimAtPath(PLUME).GetAttribute("usdSmoke:run")
+        seen.append((said, run.Get() if run else None))
+        api.selectedPrims = [api.stage.GetPrimAtPath(PLUME)]
+    assert seen == [("original", None), ("ember", FIRST), ("frost", SECOND), ("original", None)]
+    assert api.stage.GetMutedLayers() == []
+
+
+def test_two_copies_of_an_asset_are_switched_one_by_one(tmp_path: Path) -> None:
+    variant_stage(tmp_path)
+    copies = "".join(f'def "{n}" (references = @./asset.usda@</Asset>) {{}}\n' for n in "ab")
+    api, _ = open_in_usdview(write_text(tmp_path / "set.usda", HEADER + copies), "/a")
+    assert toggle(api) == "original: variant of </a>"
+    selections = {n: api.stage.GetPrimAtPath(f"/{n}").GetVariantSet("look") for n in "ab"}
+    found = {n: item.GetVariantSelection() for n, item in selections.items()}
+    assert found == {"a": "original", "b": "stylized"}
+
+
+def test_volumes_below_several_root_prims_of_an_asset_go_one_step_together(tmp_path: Path) -> None:
+    file_path = variant_stage(tmp_path)
+    text = file_path.read_text()
+    second = text[text.index("def Xform") :].replace("Asset", "Other")
+    api, _ = open_in_usdview(write_text(file_path, text + second))
+    for expected in ("original", "fire", "stylized"):
+        assert toggle(api) == f"{expected}: variant of </Asset>; {expected}: variant of </Other>"

@@ -9,11 +9,9 @@ from pxr import Sdf, Tf, Usd
 from usdsmoke import schema
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import StageError
+from usdsmoke.naming import ORIGINAL, VARIANT_SET
 
-__all__ = ["ORIGINAL", "VARIANT_SET", "Look", "find_looks", "looks_of", "show_next", "shown_run"]
-
-VARIANT_SET = "look"
-ORIGINAL = "original"  # the variant that shows the source
+__all__ = ["Look", "find_looks", "looks_of", "show_next", "shown_run"]
 
 # A muted layer belongs to nobody and would be gone, with edits that were not saved. What FindOrOpen
 # gives keeps a layer alive; what stages give does not.
@@ -68,8 +66,9 @@ def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
     """Show the next look of the Volumes, after the last the source, and so on; what is shown now.
 
     Where a Volume or a prim above it has the variant set ``look``, its selection is switched in the
-    session layer. Otherwise look layers are muted and unmuted, which concerns all the Volumes they
-    style. No file is touched, and no layer loses edits.
+    session layer, with that of the asset's other root prims. Otherwise look layers are muted and
+    unmuted, which concerns all the Volumes they style. No file is touched, and no layer loses
+    edits.
 
     Args:
         stage: that of the Volumes.
@@ -78,9 +77,9 @@ def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
     Raises:
         StageError: there is no look to switch, it cannot be muted, or there is no session layer.
     """
-    owners = {owner.GetPath(): owner for volume in volumes if (owner := _variant_owner(volume))}
+    owners = [owner.GetPath() for volume in volumes if (owner := _variant_owner(volume))]
     if owners:
-        return "; ".join(_switch_variant(stage, owner) for owner in owners.values())
+        return _switch_variants(stage, owners)
     looks = looks_of(volumes, find_looks(stage))
     if not looks:
         names = ", ".join(f"<{volume.GetPath()}>" for volume in volumes)
@@ -108,32 +107,72 @@ def _switch_layers(stage: Usd.Stage, volumes: Sequence[Usd.Prim], looks: Sequenc
     if chosen is None:
         return f"{ORIGINAL}: muted {', '.join(look.layer.GetDisplayName() for look in looks)}"
     _HELD.pop(chosen.layer.identifier, None)
-    return f"{chosen.layer.GetDisplayName()}, run {chosen.run}"
+    name = str(chosen.record.get("look", "")) or "look"
+    return f"{name}: {chosen.layer.GetDisplayName()}, run {chosen.run}"
 
 
-def _switch_variant(stage: Usd.Stage, owner: Usd.Prim) -> str:
+def _switch_variants(stage: Usd.Stage, owners: Sequence[Sdf.Path]) -> str:
     session = stage.GetSessionLayer()
     if session is None:
         raise StageError(
             "this stage has no session layer, in which a look could be chosen without a change of "
             "files; open it with one"
         )
-    variants = owner.GetVariantSet(VARIANT_SET)
-    names = [ORIGINAL, *(name for name in variants.GetVariantNames() if name != ORIGINAL)]
-    now = variants.GetVariantSelection()
-    chosen = names[((names.index(now) if now in names else 0) + 1) % len(names)]
-    with Usd.EditContext(stage, session):
-        variants.SetVariantSelection(chosen)
-    return f"{chosen}: variant of <{owner.GetPath()}>"
+    switched: dict[Sdf.Path, str] = {}
+    for path in owners:
+        owner = stage.GetPrimAtPath(path)
+        if path in switched or not owner:
+            continue
+        chosen = _next_variant(owner)
+        prims = [prim for prim in _switched_together(owner) if chosen in _variants(prim)]
+        switched.update({prim.GetPath(): chosen for prim in prims})
+        with Sdf.ChangeBlock():
+            for prim in prims:
+                spec = Sdf.CreatePrimInLayer(session, prim.GetPath())
+                spec.variantSelections[VARIANT_SET] = chosen
+    return "; ".join(f"{chosen}: variant of <{path}>" for path, chosen in switched.items())
+
+
+def _next_variant(prim: Usd.Prim) -> str:
+    names = [ORIGINAL, *(name for name in _variants(prim) if name != ORIGINAL)]
+    now = prim.GetVariantSet(VARIANT_SET).GetVariantSelection()
+    return names[((names.index(now) if now in names else 0) + 1) % len(names)]
+
+
+def _switched_together(owner: Usd.Prim) -> list[Usd.Prim]:
+    """A prim with looks and its neighbours that the same asset gives theirs.
+
+    An asset of several root prims has the same looks on each: one look is all of them.
+    """
+    made = _variant_sites(owner)
+    neighbours = [prim for prim in owner.GetParent().GetChildren() if prim != owner]
+    assets = {layer for layer, _ in made}
+    return [owner] + [
+        prim
+        for prim in neighbours
+        if (sites := _variant_sites(prim)) - made and assets & {layer for layer, _ in sites}
+    ]
+
+
+def _variant_sites(prim: Usd.Prim) -> set[tuple[Sdf.Layer, Sdf.Path]]:
+    """Where the looks of a prim are authored; none where it has no such variants."""
+    if ORIGINAL not in _variants(prim):
+        return set()
+    return {
+        (spec.layer, spec.path) for spec in prim.GetPrimStack() if VARIANT_SET in spec.variantSets
+    }
+
+
+def _variants(prim: Usd.Prim) -> list[str]:
+    return list(prim.GetVariantSet(VARIANT_SET).GetVariantNames())
 
 
 def _variant_owner(volume: Usd.Prim) -> Usd.Prim | None:
     """The Volume or the nearest prim above it that has looks as variants and can be authored."""
     prim = volume
     while prim and not prim.IsPseudoRoot():
-        if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(VARIANT_SET):
-            if ORIGINAL in prim.GetVariantSet(VARIANT_SET).GetVariantNames():
-                return prim
+        if not prim.IsInstanceProxy() and ORIGINAL in _variants(prim):
+            return prim
         prim = prim.GetParent()
     return None
 
