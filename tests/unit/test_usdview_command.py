@@ -19,7 +19,7 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.cli_arguments import build_parser, options_as_sections
+from usdsmoke.cli_arguments import build_parser, given_settings
 from usdsmoke.config import config_to_dict, resolve_config
 from usdsmoke.layer import LookFiles
 from usdsmoke.request_attributes import STYLE_IMAGES
@@ -153,7 +153,7 @@ def test_volumes_that_name_their_images_themselves_get_no_others(tmp_path: Path)
     write_text(stage_file, text.replace("rel field", images))
     api, _ = open_in_usdview(stage_file)
     window = do("copy_all", api)
-    assert "--style" not in window.copied[0] and window.texts == []
+    assert parsed(window.copied[0])["style"] is None and window.texts == []
 
 
 @pytest.mark.usefixtures("core")
@@ -165,7 +165,7 @@ def test_the_command_of_a_finished_run_asks_for_the_same_run_again(shot: Shot) -
     arguments = build_parser().parse_args(shlex.split(window.copied[0])[1:])
     assert window.texts == []
     assert (arguments.stage, arguments.style) == (str(shot.stage), [str(shot.style)])
-    asked = resolve_config(options_as_sections(arguments), assignments=arguments.set)
+    asked = resolve_config(*given_settings(arguments))
     made = result.plan.config
     named = dataclasses.replace(made.stage, prims=["/World/smoke"], frames="1-3")
     assert asked == dataclasses.replace(made, stage=named)
