@@ -1,8 +1,9 @@
 """The command ``usdsmoke``: arguments in, one call of the package, results out.
 
 Results go to stdout, progress and messages to stderr. Exit codes: 0 ok, 1 a named error (or, for
-``inspect`` and ``validate``, a problem that was found), 2 wrong usage, 128 + n when stopped by
-signal n: 130 after Ctrl-C, 143 after a polite kill, 141 when nobody reads stdout any more.
+``inspect``, ``validate``, ``verify`` and ``rerun``, a problem that was found), 2 wrong usage,
+128 + n when stopped by signal n: 130 after Ctrl-C, 143 after a polite kill, 141 when nobody reads
+stdout any more.
 
 With ``--json`` stdout holds exactly one JSON value, whatever happens: the result, or
 ``{"error": {"type": ..., "message": ...}}``.
@@ -20,6 +21,7 @@ from types import FrameType
 from usdsmoke.cli_arguments import build_parser
 from usdsmoke.cli_look import run_inspect, run_plugin_path, run_settings, run_validate
 from usdsmoke.cli_preview import run_preview
+from usdsmoke.cli_record import run_provenance, run_rerun, run_verify
 from usdsmoke.cli_text import print_json
 from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
 from usdsmoke.errors import Interrupted, UsdSmokeError
@@ -35,6 +37,9 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "validate": run_validate,
     "plugin-path": run_plugin_path,
     "preview": run_preview,
+    "provenance": run_provenance,
+    "verify": run_verify,
+    "rerun": run_rerun,
     "settings": run_settings,
 }
 

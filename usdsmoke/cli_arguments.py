@@ -3,9 +3,11 @@
 import argparse
 import math
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 from usdsmoke import __version__
+from usdsmoke.cli_record_arguments import add_record_commands
 from usdsmoke.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
 
 __all__ = ["build_parser", "given_settings"]
@@ -32,6 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
     _add_preview(commands)
+    add_record_commands(partial(_add_command, commands))
     _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
     return parser
 

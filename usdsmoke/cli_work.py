@@ -12,7 +12,7 @@ from usdsmoke.config import config_to_dict
 if TYPE_CHECKING:
     from usdsmoke.pipeline import StepResult, StylizeResult
 
-__all__ = ["run_assemble", "run_stylize", "run_submit"]
+__all__ = ["result_as_dict", "run_assemble", "run_stylize", "run_submit"]
 
 _Result = TypeVar("_Result")
 
@@ -126,7 +126,7 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
 
 def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
     if arguments.json:
-        print_json(_result_as_dict(result))
+        print_json(result_as_dict(result))
     else:
         print(result_text(result))
 
@@ -136,7 +136,8 @@ def _step_as_dict(step: "StepResult") -> dict[str, Any]:
     return {"folder": str(step.folder), "manifest": manifest, "was_done": step.was_done}
 
 
-def _result_as_dict(result: "StylizeResult") -> dict[str, Any]:
+def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
+    """A result as plain values."""
     return {
         "root_stage": str(result.root_stage) if result.root_stage else None,
         "look_layer": str(result.look_layer),

@@ -36,6 +36,7 @@ class StyleImage:
     name: str  # the file's name
     pixels: np.ndarray  # [H W 3] float32, display-encoded sRGB in [0, 1], row 0 at the top
     sha256: str  # of the file's bytes, 64 hexadecimal digits
+    file_path: str = ""  # absolute
 
 
 def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
@@ -71,7 +72,8 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         share = alpha[..., None].astype(np.float64)
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
-    return StyleImage(where.name, np.ascontiguousarray(pixels, np.float32), sha256)
+    pixels = np.ascontiguousarray(pixels, np.float32)
+    return StyleImage(where.name, pixels, sha256, str(where.absolute()))
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

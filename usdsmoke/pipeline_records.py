@@ -121,6 +121,9 @@ def make_provenance(
         stage_values=stage_values(plan.source),
         request=run.request,
         input_state=state,
+        style_files={
+            relative_asset_path(style.file_path, run.output): style.sha256 for style in styles
+        },
         frames=[
             _frame_entry(run, volume, frame) for volume in plan.volumes for frame in volume.frames
         ],

@@ -64,6 +64,7 @@ class RunFacts:
     # What it takes to run again; files relative to the layer.
     request: Mapping[str, Any] = field(default_factory=dict)
     input_state: Mapping[str, Any] = field(default_factory=dict)  # digests of what was read
+    style_files: Mapping[str, str] = field(default_factory=dict)  # image file: SHA-256
     frames: Sequence[Mapping[str, Any]] = ()  # of the result: file, Volume, timeCode, sources
 
 
@@ -146,6 +147,7 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "stageValues": [f"{name}={value}" for name, value in facts.stage_values.items()],
         "request": _as_json(facts.request),
         "inputState": _as_json(facts.input_state),
+        "styleFiles": [f"{file_path}={digest}" for file_path, digest in facts.style_files.items()],
         "frames": [_as_json(frame) for frame in facts.frames],
     }
 

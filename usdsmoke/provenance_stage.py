@@ -25,19 +25,25 @@ _METADATA = (
 def stage_values(source: StageSource) -> dict[str, str]:
     """Stage metadata as texts by name, and by ``<prim path>`` a digest of each Volume's values.
 
-    A Volume's values are its timeCodes, fields, grids, places, cameras and settings; where its
-    files and style images lie on the disk is no part of them.
+    A Volume's values are its timeCodes, fields, grids, places, cameras and controls; where its
+    files lie on the disk is no part of them. What its prim asks for itself stands by the name
+    ``<prim path> request``, where there is anything.
     """
     values = {
         _camel(name): "none" if (value := getattr(source, name)) is None else str(value)
         for name in _METADATA
     }
-    return values | {f"<{volume.prim_path}>": _digest(volume) for volume in source.volumes}
+    for volume in source.volumes:
+        values[f"<{volume.prim_path}>"] = _digest(volume)
+        if volume.request.settings:
+            settings = {key: dict(value) for key, value in volume.request.settings.items()}
+            values[f"<{volume.prim_path}> request"] = json.dumps(settings, sort_keys=True)
+    return values
 
 
 def _digest(volume: VolumeSource) -> str:
     values = dataclasses.asdict(volume)
-    del values["request"]["styles"]
+    del values["request"]
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]

@@ -42,6 +42,7 @@ FACTS = RunFacts(
     stage_values={"upAxis": "Z", "</shot/smoke>": "ee"},
     request={"stage": "../shot.usda", "styles": ["../petals.png"]},
     input_state={"files": {"b.vdb": "ff"}},
+    style_files={"../petals.png": "cc"},
     frames=[{"file": "./vdb/k/smoke.0001.vdb", "timeCode": 1.0}],
 )
 
@@ -72,6 +73,7 @@ def test_the_record_holds_every_fact_as_numbers_texts_and_lists_of_texts():
         "stageValues": ["upAxis=Z", "</shot/smoke>=ee"],
         "request": '{"stage": "../shot.usda", "styles": ["../petals.png"]}',
         "inputState": '{"files": {"b.vdb": "ff"}}',
+        "styleFiles": ["../petals.png=cc"],
         "frames": ['{"file": "./vdb/k/smoke.0001.vdb", "timeCode": 1.0}'],
     }
     assert json.loads(record["config"]) == FACTS.config

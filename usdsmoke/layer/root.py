@@ -11,6 +11,7 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.layer.seal import RECORD_KEY
 from usdsmoke.naming import ASSET_SOURCE
 
 __all__ = ["author_root", "copied_layer_data", "copy_stage_metadata"]
@@ -74,7 +75,8 @@ def author_root(stage: Usd.Stage, look_layer: Path, folder: Path) -> Sdf.Layer:
 def copied_layer_data(source: Sdf.Layer, folder: Path) -> dict[str, Any]:
     """``customLayerData`` of a source's root layer, for a layer in ``folder``."""
     copied: dict[str, Any] = _reanchored(source.customLayerData, source, folder)
-    copied.pop(ASSET_SOURCE, None)  # it tells of that layer alone
+    for key in (ASSET_SOURCE, RECORD_KEY):
+        copied.pop(key, None)  # they tell of that layer alone
     return copied
 
 

@@ -1,0 +1,128 @@
+"""usdsmoke provenance: the record from whatever somebody has at hand, as a table and as JSON."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pxr import Sdf
+
+from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, run
+from tests.usd_fixtures import write_text
+from usdsmoke.cli import main
+from usdsmoke.pipeline import StylizeResult
+from usdsmoke.provenance import hash_file
+from usdsmoke.provenance_records import find_records
+
+ASSET = """#usda 1.0
+(
+    defaultPrim = "World"
+)
+def "World" (
+    prepend references = @./in/shot.usda@
+    variants = {
+        string look = "original"
+    }
+    prepend variantSets = "look"
+)
+{
+    variantSet "look" = {
+        "original" {
+        }
+        "stylized" (
+            prepend references = @./out/look.usda@</World>
+        ) {
+        }
+    }
+}
+"""
+
+
+@pytest.fixture
+def finished(shot: Shot, core: FakeCore) -> tuple[Shot, StylizeResult]:
+    return shot, run(shot, "optimize.seed=3")
+
+
+def test_every_way_leads_to_the_same_record(finished: tuple[Shot, StylizeResult]) -> None:
+    shot, result = finished
+    asset = write_text(shot.folder / "asset.usda", ASSET)  # a look in a variant not selected
+    for file in (result.look_layer, result.root_stage, asset, result.frames[2], shot.output):
+        (record,) = find_records(file)
+        assert record.file == result.look_layer
+        assert record.values["seed"] == 3
+
+
+def test_the_look_upon_a_look_is_found_first_and_then_the_other(
+    finished: tuple[Shot, StylizeResult],
+) -> None:
+    shot, first = finished
+    upon = Shot(shot.folder, first.root_stage, shot.style, shot.folder / "upon")
+    second = run(upon, "optimize.seed=4")
+    records = find_records(second.root_stage)
+    assert [record.file for record in records] == [second.look_layer, first.look_layer]
+    assert records[0].depth < records[1].depth
+
+
+def test_a_frame_alone_tells_what_it_knows(
+    finished: tuple[Shot, StylizeResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot, result = finished
+    alone = shutil.copyfile(result.frames[0], tmp_path / "alone.vdb")
+    assert main(["provenance", str(alone), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["records"]
+    layer = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
+    assert found["run"] == layer["run"] and found["packages"] == list(layer["packages"])
+    assert found["styles"] == [f"style.png={hash_file(shot.style)}"]
+    assert found["inputs"] == [layer["inputs"][0]]
+    assert found["config"]["optimize"]["seed"] == 3
+
+
+def test_json_has_the_nested_values_as_values(
+    finished: tuple[Shot, StylizeResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["provenance", str(finished[1].root_stage), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["records"]
+    assert found["request"]["stage"] == "../in/shot.usda"
+    assert [frame["timeCode"] for frame in found["frames"]] == [1, 2, 3]
+    assert found["inputState"]["files"].keys() == {f"cache/smoke.{n:04d}.vdb" for n in (1, 2, 3)}
+
+
+def test_the_table_has_a_line_for_every_fact(
+    finished: tuple[Shot, StylizeResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["provenance", str(finished[0].output)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    facts = {line.split("  ")[0] for line in lines}
+    assert {"record", "made with", "upon", "stage", "style", "features", "seed"} <= facts
+    assert {"setting", "input", "result", "time", "figure"} <= facts
+    assert any(line.split() == ["setting", "optimize.seed=3"] for line in lines)
+    assert any("../in/style.png" in line for line in lines)
+
+
+def test_what_has_no_record_is_refused(shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
+    source = shot.stage.parent / "cache/smoke.0001.vdb"
+    for file, reason in (
+        (shot.stage, "no record"),
+        (source, "no record"),
+        (shot.stage.parent, "no record"),
+        (shot.folder / "none.usda", "there is no"),
+        (shot.style, "cannot read"),
+    ):
+        assert main(["provenance", str(file)]) == 1
+        out, err = capsys.readouterr()
+        assert out == "" and reason in err and str(file) in err
+
+
+def test_looking_loads_no_torch(finished: tuple[Shot, StylizeResult]) -> None:
+    output = str(finished[0].output)
+    code = (
+        "import sys\nfrom usdsmoke.cli import main\n"
+        f"codes = [main([c, {output!r}]) for c in ('provenance', 'verify')]\n"
+        "sys.exit(any(codes) or 'torch' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=PROJECT, timeout=60
+    )
+    assert done.returncode == 0, done.stderr

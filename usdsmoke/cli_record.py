@@ -1,0 +1,63 @@
+"""The commands that go by a result's own record: ``provenance``, ``verify``, ``rerun``."""
+
+import argparse
+from dataclasses import asdict
+
+from usdsmoke.cli_record_text import provenance_text, rerun_text, verification_text
+from usdsmoke.cli_text import plan_text, print_json, result_text
+from usdsmoke.cli_work import result_as_dict
+
+__all__ = ["run_provenance", "run_rerun", "run_verify"]
+
+
+def run_provenance(arguments: argparse.Namespace) -> int:
+    """``usdsmoke provenance``; the exit code."""
+    from usdsmoke.prov_json import prov_document
+    from usdsmoke.provenance_records import find_records
+
+    records = find_records(arguments.file)
+    if arguments.prov:
+        print_json(prov_document(records))
+    elif arguments.json:
+        print_json({"records": [record.to_dict() for record in records]})
+    else:
+        print("\n\n".join(provenance_text(record) for record in records))
+    return 0
+
+
+def run_verify(arguments: argparse.Namespace) -> int:
+    """``usdsmoke verify``; the exit code, 1 where something has changed."""
+    from usdsmoke.provenance_verify import verify
+
+    changes = verify(arguments.file)
+    is_same = all(change.severity == "note" for change in changes)
+    if arguments.json:
+        print_json({"as_recorded": is_same, "changes": [asdict(change) for change in changes]})
+    else:
+        print(verification_text(arguments.file, changes))
+    return 0 if is_same else 1
+
+
+def run_rerun(arguments: argparse.Namespace) -> int:
+    """``usdsmoke rerun``; the exit code, 1 where the result differs from the recorded one."""
+    from rich.console import Console
+
+    from usdsmoke.pipeline_rerun import rerun
+    from usdsmoke.progress import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        again = rerun(
+            arguments.file,
+            arguments.output,
+            arguments.force,
+            progress,
+            lambda plan: progress.say(plan_text(plan)),
+        )
+        for warning in again.result.warnings:
+            progress.say(f"note: {warning}")
+    if arguments.json:
+        same = {"as_recorded": not again.differences, "differences": list(again.differences)}
+        print_json(result_as_dict(again.result) | {"record": str(again.record)} | same)
+    else:
+        print(f"{result_text(again.result)}\n\n{rerun_text(again)}")
+    return 1 if again.differences else 0

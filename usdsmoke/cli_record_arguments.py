@@ -1,0 +1,29 @@
+"""What the commands take that go by a result's own record."""
+
+import argparse
+from collections.abc import Callable
+
+__all__ = ["add_record_commands"]
+
+_FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or its folder"
+
+
+def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> None:
+    """Add ``provenance``, ``verify`` and ``rerun`` to the parser.
+
+    Args:
+        add: makes a command of a name and a summary.
+    """
+    parser = add("provenance", "show how a result was made and from what")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON on stdout")
+    parser = add("verify", "tell what has changed since a result was made")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser = add("rerun", "make a result again from its own record")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="also with inputs that have changed, and in the place of a result in OUT",
+    )

@@ -1,0 +1,191 @@
+"""Whether what a result was made from is still there and still the same.
+
+A VDB file whose bytes differ is read as the run read it, and its grids are compared by their
+content: a file that was only written anew, compressed or copied over, is worth a note.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from usdsmoke.config import Config, resolve_config
+from usdsmoke.errors import ConfigError, FeatureError, UsdSmokeError
+from usdsmoke.pipeline_features import features_hash
+from usdsmoke.pipeline_frames import FrameReader, hash_sources
+from usdsmoke.pipeline_inputs import Job, requested_job
+from usdsmoke.provenance import hash_file
+from usdsmoke.provenance_records import LookRecord
+from usdsmoke.provenance_stage import stage_values
+from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.volume import StageSource
+
+__all__ = ["Change", "check_inputs", "recorded_config", "shown"]
+
+_SHOWN = 12  # digits of a hash that people compare
+
+
+@dataclass(frozen=True)
+class Change:
+    """One difference between a record and what is there."""
+
+    kind: str  # such as input-edited; docs/provenance.md lists them
+    file: str
+    expected: str
+    found: str
+    severity: Literal["changed", "note"] = "changed"
+
+    @classmethod
+    def note(cls, kind: str, file: str, expected: str, found: str) -> "Change":
+        """A difference that does not make the result another one."""
+        return cls(kind, file, expected, found, "note")
+
+
+def shown(digest: str) -> str:
+    """As much of a hash as people compare."""
+    return digest[:_SHOWN] or "none"
+
+
+def recorded_config(record: LookRecord) -> Config:
+    """The settings of a run.
+
+    Raises:
+        ConfigError: this version of usdsmoke knows other settings.
+    """
+    return resolve_config(record.parsed("config"))
+
+
+def check_inputs(record: LookRecord) -> list[Change]:
+    """What differs of stage, VDB files, style images and features."""
+    request = record.parsed("request")
+    if not request or not record.values.get("inputState"):
+        found = "a record that does not say where the inputs are"
+        return [Change.note("unchecked", str(record.file), "stage and style images", found)]
+    try:
+        config = recorded_config(record)
+    except ConfigError as error:
+        file = str(record.file)
+        return [Change.note("unchecked", file, "settings that this version knows", str(error))]
+    stage = _place(record, request["stage"])
+    changes = [*_check_styles(record), *_check_features(record, config)]
+    if not stage.is_file():
+        return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
+    job = _job(record)
+    files = _check_files(record, stage, job)
+    some_are_gone = any(change.kind == "input-missing" for change in files)
+    return [*files, *_check_stage(record, stage, config, job, some_are_gone), *changes]
+
+
+def _job(record: LookRecord) -> Job | None:
+    """The run's job with the inputs as they are now; None where that is impossible."""
+    try:
+        return requested_job(record.folder, record.parsed("request"))
+    except UsdSmokeError:
+        return None
+
+
+def _check_styles(record: LookRecord) -> Iterator[Change]:
+    for name, digest in record.pairs("styleFiles").items():
+        file = _place(record, name)
+        wanted = f"sha256 {shown(digest)}"
+        if not file.is_file():
+            yield Change("style-missing", str(file), wanted, "no file")
+        elif (found := hash_file(file)) != digest:
+            yield Change("style-edited", str(file), wanted, f"sha256 {shown(found)}")
+
+
+def _check_features(record: LookRecord, config: Config) -> Iterator[Change]:
+    digest = str(record.values.get("featuresHash", ""))
+    wanted = f"{config.features.network} {shown(digest)}"
+    file = config.features.vgg19_file or config.features.network
+    try:
+        found = features_hash(config.features)
+    except FeatureError as error:
+        yield Change("features-missing", file, wanted, str(error))
+        return
+    if found == digest:
+        return
+    if config.features.network == "embedded":  # they come with usdsmoke, like its version
+        yield Change.note("features-changed", "embedded features", wanted, shown(found))
+    else:
+        yield Change("features-edited", file, wanted, shown(found))
+
+
+def _check_stage(
+    record: LookRecord, stage: Path, config: Config, job: Job | None, some_are_gone: bool
+) -> Iterator[Change]:
+    wanted = "the Volumes of the record"
+    try:
+        source = job.plan.source if job is not None else _source(stage, config)
+    except UsdSmokeError as error:
+        if some_are_gone:
+            yield Change.note("unchecked", str(stage), wanted, "a stage without all of its files")
+        else:
+            yield Change("stage-edited", str(stage), wanted, str(error))
+        return
+    recorded, here = record.pairs("stageValues"), stage_values(source)
+    for name in (*recorded, *sorted(here.keys() - recorded.keys())):
+        if job is None and name.endswith(" request"):
+            continue  # which of them count is known together with the style images only
+        before, now = recorded.get(name, "absent"), here.get(name, "absent")
+        if before != now:
+            texts = [shown(text) if len(text) == 64 else text for text in (before, now)]
+            yield Change("stage-edited", str(stage), f"{name} {texts[0]}", f"{name} {texts[1]}")
+
+
+def _source(stage: Path, config: Config) -> StageSource:
+    return find_volumes(open_stage(stage), config.stage)
+
+
+def _check_files(record: LookRecord, stage: Path, job: Job | None) -> list[Change]:
+    """The VDB files by their bytes, and where these differ by what their grids hold."""
+    changes, other = [], {}
+    for name, digest in record.parsed("inputState").get("files", {}).items():
+        file, wanted = Path(os.path.normpath(stage.parent / name)), f"sha256 {shown(digest)}"
+        if not file.is_file():
+            changes.append(Change("input-missing", str(file), wanted, "no file"))
+        elif (found := hash_file(file)) != digest:
+            other[file] = Change("input-edited", str(file), wanted, f"sha256 {shown(found)}")
+    if not other or job is None:
+        return [*changes, *other.values()]
+    contents = _check_contents(record, job, set(other))
+    return [*changes, *(contents.get(file, _rewritten(other[file])) for file in other)]
+
+
+def _rewritten(change: Change) -> Change:
+    same = "other bytes, and the same in all grids that were read"
+    return Change.note("input-rewritten", change.file, change.expected, same)
+
+
+def _check_contents(record: LookRecord, job: Job, files: set[Path]) -> dict[Path, Change]:
+    """Of these files those with a grid that no longer holds what was read."""
+    frames = {
+        (volume.source.prim_path, frame.source.time_code): (volume, frame)
+        for volume in job.plan.volumes
+        for frame in volume.frames
+    }
+    reader, changes = FrameReader(job.plan), dict[Path, Change]()
+    for entry in record.frames():
+        places = {_place(record, source["file"]) for source in entry["sources"]}
+        planned = frames.get((entry["prim"], entry["timeCode"]))
+        if not places & files or planned is None:
+            continue
+        try:
+            hashes, trouble = hash_sources(reader.read(*planned)), ""
+        except UsdSmokeError as error:
+            hashes, trouble = {}, str(error)
+        for source in entry["sources"]:
+            file = _place(record, source["file"])
+            found = hashes.get(source["field"], "")
+            if file in files and (not source["hash"] or found != source["hash"]):
+                wanted = f"{source['grid']} {shown(source['hash'])}"
+                changes.setdefault(
+                    file, Change("input-edited", str(file), wanted, trouble or shown(found))
+                )
+    return changes
+
+
+def _place(record: LookRecord, name: str) -> Path:
+    """A file that a record names relative to its own folder."""
+    return Path(os.path.normpath(record.folder / name))
