@@ -85,6 +85,21 @@ def test_a_copied_velocity_is_three_more_values_a_voxel() -> None:
     assert beside == pytest.approx(alone * 7 / 4)
 
 
+def test_every_further_colour_is_more_values_a_voxel() -> None:
+    plain = (estimate().bytes_written - 60_000) / 4  # density and three of the emission
+    for settings, values in (
+        (["layer.scatter_colour=Cd"], 7),
+        (["layer.split_rgb=true"], 7),
+        (["layer.scatter_colour=[Cd,color]", "layer.split_rgb=true"], 19),
+        (["layer.emission_mode=perDensity"], 4),
+    ):
+        found = estimate(*settings)
+        assert found.bytes_written - 60_000 == pytest.approx(values * plain, abs=1)
+        assert (found.memory_gib > estimate().memory_gib) == (values > 4)
+    shape = ["optimize.steps=[shape]"]
+    assert estimate(*shape, "layer.split_rgb=true") == estimate(*shape)
+
+
 @pytest.mark.parametrize(
     ("size", "settings", "measured"),
     [
