@@ -22,7 +22,7 @@ from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_pl
 from usdsmoke.cli_arguments import build_parser, given_settings
 from usdsmoke.config import config_to_dict, resolve_config
 from usdsmoke.layer import LookFiles
-from usdsmoke.request_attributes import STYLE_IMAGES
+from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
 from usdsmoke.run_folder import RunFolder
 
 
@@ -169,3 +169,20 @@ def test_the_command_of_a_finished_run_asks_for_the_same_run_again(shot: Shot) -
     made = result.plan.config
     named = dataclasses.replace(made.stage, prims=["/World/smoke"], frames="1-3")
     assert asked == dataclasses.replace(made, stage=named)
+
+
+def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run(
+    result: LookFiles, tmp_path: Path
+) -> None:
+    api, _ = open_in_usdview(result.root_stage)
+    volume = api.stage.GetPrimAtPath("/World/smoke")
+    volume.AddAppliedSchema("UsdSmokeStyleAPI")
+    (row,) = (row for row in REQUEST_ATTRIBUTES if row.setting == "optimize.seed")
+    volume.CreateAttribute(row.name, Sdf.ValueTypeNames.Int64).Set(8)
+    config = config_to_dict(resolve_config(assignments=["optimize.seed=5", "windows.size=3"]))
+    change_record(result.look_layer, config=json.dumps(config), request=json.dumps(REQUEST))
+    assert parsed(do("copy_all", api).copied[0])["set"] == ["windows.size=3"]
+    request = json.dumps({**REQUEST, "explicit": ["optimize.seed", "grids.half"]})
+    change_record(result.look_layer, request=request)
+    settings = parsed(do("copy_all", api).copied[0])["set"]
+    assert settings == ["grids.half=false", "windows.size=3", "optimize.seed=5"]

@@ -66,8 +66,10 @@ def stylize_command(
     if any(volume.animated for volume in source.volumes):
         words += ["--frames", _frames(source.volumes, time_code)]
     words += [word for style in request.styles for word in ("--style", style)]
+    own = _own_settings(source.volumes) - request.explicit
     for name, value in request.settings.items():
-        words += ["--set", f"{name}={json.dumps(value, ensure_ascii=False)}"]
+        if name not in own:  # an option is stronger than what a Volume asks for
+            words += ["--set", f"{name}={json.dumps(value, ensure_ascii=False)}"]
     words += ["-o", str(_new_folder(request.stage_file or root_file))]
     return CommandText(shlex.join(words), tuple(notes))
 
@@ -87,6 +89,12 @@ def _of_look(request: LookRequest, stage_file: Path) -> tuple[LookRequest, list[
     if any(not Path(style).is_file() for style in request.styles):
         notes.append("a style image is not where it was; correct its path")
     return replace(request, stage_file=request.stage_file or stage_file), notes
+
+
+def _own_settings(volumes: Sequence[VolumeSource]) -> set[str]:
+    """Settings that a Volume's prim asks for, as section.key."""
+    requests = [volume.request.settings for volume in volumes]
+    return {f"{section}.{key}" for one in requests for section in one for key in one[section]}
 
 
 def _frames(volumes: Sequence[VolumeSource], time_code: float | None) -> str:

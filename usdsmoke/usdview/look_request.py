@@ -1,7 +1,7 @@
 """What a look was asked for, read back from its record."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ class LookRequest:
 
     stage_file: Path | None  # None where it is not known, or gone
     styles: tuple[str, ...]  # absolute; without folders where only the names are known
-    settings: Mapping[str, Any]  # by section.key, what differs from the defaults of today
+    settings: Mapping[str, Any]  # by section.key: given for the run, or no default of today
+    explicit: frozenset[str] = frozenset()  # those that are stronger than a Volume's own
 
 
 def read_look_request(look: Look) -> LookRequest:
@@ -33,9 +34,10 @@ def read_look_request(look: Look) -> LookRequest:
     folder = Path(look.layer.realPath).parent
     request = json_mapping(look.record.get("request")) or _in_run_folder(folder, look.run)
     config = json_mapping(look.record.get("config"))
+    explicit = frozenset(request.get("explicit", ()))
     settings = {
         name: value
-        for name, value in changed_settings(config).items()
+        for name, value in changed_settings(config, explicit).items()
         if name not in _GIVEN_OTHERWISE
     }
     try:
@@ -46,20 +48,25 @@ def read_look_request(look: Look) -> LookRequest:
         pairs = look.record.get("styles", [])
         styles = tuple(str(text).rpartition("=")[0] for text in pairs)
     exists = stage_file is not None and stage_file.is_file()
-    return LookRequest(stage_file if exists else None, styles, settings)
+    return LookRequest(stage_file if exists else None, styles, settings, explicit)
 
 
-def changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+def changed_settings(config: Mapping[str, Any], explicit: Collection[str] = ()) -> dict[str, Any]:
     """Recorded settings by ``section.key`` that differ from the defaults of today.
 
     Those that this version does not know are left out.
+
+    Args:
+        config: sections of a record.
+        explicit: names of settings to take in any case.
     """
     return {
         f"{section}.{key}": config[section][key]
         for section, defaults in config_to_dict(Config()).items()
         if isinstance(config.get(section), Mapping)
         for key, default in defaults.items()
-        if key in config[section] and config[section][key] != default
+        if key in config[section]
+        and (config[section][key] != default or f"{section}.{key}" in explicit)
     }
 
 
