@@ -15,6 +15,8 @@ from usdsmoke import publish
 from usdsmoke.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
 from usdsmoke.pipeline import stylize
 
+RESTYLIZE = ["stage.restylize=true"]
+
 
 def stop_at(core: FakeCore, time_code: float) -> None:
     """Let Ctrl-C come just before a frame is stylized."""
@@ -221,8 +223,8 @@ def test_two_runs_do_not_write_to_one_folder(shot: Shot, core: FakeCore) -> None
 def test_a_result_cannot_be_written_over_its_own_source(shot: Shot) -> None:
     result = run(shot)
     with pytest.raises(LayerError, match="is read by this run and stands where the result goes"):
-        stylize(result.root_stage, shot.style, shot.output, force=True)
-    again = stylize(result.root_stage, shot.style, shot.folder / "second")
+        stylize(result.root_stage, shot.style, shot.output, settings=RESTYLIZE, force=True)
+    again = stylize(result.root_stage, shot.style, shot.folder / "second", settings=RESTYLIZE)
     np.testing.assert_allclose(values_of(again.frames[0]), 0.625 / 4)
 
 

@@ -119,7 +119,7 @@ def assemble_run(
     temporal, overlap = _temporal_error(run), _overlap_difference(run)
     provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
     source, layer = job.plan.source, job.config.layer
-    files = author_look(job.stage, source, volumes, job.output, layer, provenance)
+    files = author_look(job.stage, source, volumes, job.output, layer, provenance, job.earlier)
     failures = _draw_sheets(job, run, reader, tell)
     run.request = describe_request(job)  # the mode may be another one than it was begun with
     remove_locks(run)  # before the record says that nothing is left to do
@@ -142,7 +142,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         frames=tuple(run.folder / name for name in names),
         contact_sheets=tuple(sheet for sheet in _sheets(job) if sheet.is_file()),
         plan=job.plan,
-        warnings=(*_warnings(job.plan, run), *more),
+        warnings=(*job.earlier.notes, *_warnings(job.plan, run), *more),
         temporal_error=_temporal_error(run),
         overlap_difference=_overlap_difference(run),
     )

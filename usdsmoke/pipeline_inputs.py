@@ -17,19 +17,20 @@ from usdsmoke import __version__
 from usdsmoke.config import Config, config_to_dict, resolve_config
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import ConfigError, LayerError
+from usdsmoke.errors import ConfigError
 from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
+from usdsmoke.needs import Omission
+from usdsmoke.pipeline_originals import check_originals, check_output_folder
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
-from usdsmoke.stage import find_volumes, open_stage, seen_through
-from usdsmoke.volume import StageSource, VolumeSource
+from usdsmoke.stage import find_volumes, open_source, seen_through
+from usdsmoke.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.volume_settings import resolve_volumes
 
 __all__ = [
     "Job",
-    "check_output_folder",
     "describe_request",
     "describe_run",
     "prepare_job",
@@ -56,6 +57,7 @@ class Job:
     style_files: tuple[Path, ...]  # those given for the run, absolute; none: Volumes bring theirs
     output: Path
     targets: LookFiles
+    earlier: EarlierLooks  # looks that the stage has already
     explicit: frozenset[str] = frozenset()  # settings that are stronger than a Volume's own
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
@@ -91,8 +93,10 @@ def prepare_job(
     """
     output = Path(output).absolute()
     style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
-    stage = open_stage(stage_path)
+    stage, earlier = open_source(stage_path, config.stage.restylize)
     found = find_volumes(stage, config.stage, explicit)
+    if not config.stage.restylize:
+        check_originals(stage, found)
     resolved = resolve_volumes(found, config, style_files, explicit)
     cameras = [own.config.views.camera for own in resolved.volumes]
     source = seen_through(stage, resolved.source, cameras)
@@ -102,14 +106,18 @@ def prepare_job(
     if config.layer.mode == "reference":
         check_asset(stage)
     plan = make_plan(source, config, resolved.volumes)
+    left_out = [Omission("earlier look", note) for note in earlier.notes]
+    plan = dataclasses.replace(plan, omitted=(*plan.omitted, *left_out))
     targets = look_files(source, output, config.layer)
     stems = [volume.stem for volume in plan.volumes]
     sheets = sheet_files(stems, output, config.layer.look)
     inputs = _input_files(stage, source, resolved.style_files)
+    inputs += [Path(file_path) for file_path in earlier.layers]
     check_output_folder(output, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)
-    return Job(stage, plan, styles, style_files, output, targets, frozenset(explicit))
+    explicit = frozenset(explicit)
+    return Job(stage, plan, styles, style_files, output, targets, earlier, explicit)
 
 
 def published_runs(job: Job) -> frozenset[str]:
@@ -156,30 +164,6 @@ def _frame_files(source: StageSource) -> list[str]:
             for field in frame.fields.values()
         )
     )
-
-
-def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[Path]) -> None:
-    """Refuse an output folder in which the run would write over, or clear away, what it reads.
-
-    Args:
-        output: the output folder; need not exist.
-        inputs: absolute.
-        targets: files that will be written outside the folder of frames.
-
-    Raises:
-        LayerError: the folder is a file, or an input stands where the result goes.
-    """
-    if output.exists() and not output.is_dir():
-        raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
-    frames = (output / "vdb").resolve()
-    taken = {target.resolve() for target in targets}
-    for file_path in inputs:
-        resolved = file_path.resolve()
-        if resolved in taken or frames in resolved.parents:
-            raise LayerError(
-                f"{file_path} is read by this run and stands where the result goes; "
-                f"choose another output folder than {output}"
-            )
 
 
 def describe_run(job: Job, features_hash: str) -> dict[str, Any]:

@@ -82,8 +82,11 @@ def submit(
         for name in ("settings", "overrides", "parameter_values", "asset_references")
     }
     n_windows = sum(len(volume.windows) for volume in plan.volumes)
+    stage_file = Path(stage).absolute()
+    if not stage_file.samefile(plan.source.file_path):  # a result was given: its source is read
+        stage_file = Path(plan.source.file_path)
     given = [str(beside[name]) for name in ("settings", "overrides")]
-    parameters = job_parameters(str(Path(stage).absolute()), images, str(folder), *given)
+    parameters = job_parameters(str(stage_file), images, str(folder), *given)
     memory, layer = plan.estimate.memory_gib, plan.config.layer
     assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
@@ -94,7 +97,7 @@ def submit(
             asset_references([*_read_files(plan), *images], str(folder))
         ),
         target: bundle_text(
-            job_template(Path(stage).stem, n_windows, len(images), memory, command, assembly)
+            job_template(stage_file.stem, n_windows, len(images), memory, command, assembly)
         ),
     }
     _publish_texts(texts)

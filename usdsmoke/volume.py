@@ -17,6 +17,7 @@ __all__ = [
     "VELOCITY_NAMES",
     "CameraSource",
     "DenseField",
+    "EarlierLooks",
     "FieldSource",
     "FrameControls",
     "FrameSource",
@@ -132,6 +133,17 @@ class StageSource:
     default_prim: str  # "" when there is none
     volumes: tuple[VolumeSource, ...] = ()
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
+
+
+@dataclass(frozen=True)
+class EarlierLooks:
+    """Looks that a stage has already, left out while it is read."""
+
+    notes: tuple[str, ...] = ()  # worth knowing, a sentence each
+    layers: tuple[str, ...] = ()  # files of look layers that the stage would have; absolute
+    variants: tuple[str, ...] = ()  # prims whose variant without a look is to be selected
+    # Volume path: names of field relationships that only an earlier look gives it.
+    fields: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

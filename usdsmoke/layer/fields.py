@@ -7,7 +7,7 @@ a weaker attribute has shows what the density's timeCode before it shows.
 """
 
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from usdsmoke.layer.records import StylizedVolume
 from usdsmoke.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.relationships import FIELD_PREFIX
 
-__all__ = ["HeldFiles", "author_field", "held_files", "retarget"]
+__all__ = ["HeldFiles", "author_field", "close_fields", "held_files", "retarget"]
 
 _TYPES = Sdf.ValueTypeNames
 _INVERT, _RESET = "!invert!", "!resetXformStack!"
@@ -88,6 +88,13 @@ def retarget(volume_spec: Sdf.PrimSpec, target: FieldTarget) -> None:
         volume_spec, FIELD_PREFIX + target.relationship, custom=True
     )
     relationship.targetPathList.explicitItems = [target.prim_path]
+
+
+def close_fields(volume_spec: Sdf.PrimSpec, names: Sequence[str]) -> None:
+    """Leave relationships without a target that only an earlier look has given the Volume."""
+    for name in names:
+        relationship = Sdf.RelationshipSpec(volume_spec, FIELD_PREFIX + name, custom=True)
+        relationship.targetPathList.ClearEditsAndMakeExplicit()
 
 
 def _tokens(target: FieldTarget) -> tuple[str, str, str]:

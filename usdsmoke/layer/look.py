@@ -12,15 +12,16 @@ from usdsmoke.layer.anchoring import relative_asset_path
 from usdsmoke.layer.asset import author_asset
 from usdsmoke.layer.extent import author_extent
 from usdsmoke.layer.field_prims import choose_field_prims, count_field_uses
-from usdsmoke.layer.fields import author_field, held_files, retarget
+from usdsmoke.layer.fields import author_field, close_fields, held_files, retarget
 from usdsmoke.layer.marks import custom_layer_data, mark_volume, result_hashes
 from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.layer.root import author_root, copy_stage_metadata
 from usdsmoke.layer.seal import seal_layer
+from usdsmoke.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.publish import publish_file
 from usdsmoke.sections import LayerConfig
 from usdsmoke.time_codes import format_time_codes
-from usdsmoke.volume import StageSource
+from usdsmoke.volume import EarlierLooks, StageSource
 
 __all__ = ["author_look"]
 
@@ -32,6 +33,7 @@ def author_look(
     output_folder: Path,
     config: LayerConfig,
     provenance: Mapping[str, Any],
+    earlier: EarlierLooks | None = None,
 ) -> LookFiles:
     """Write the look layer and then the thin root stage, both checked and each in one step.
 
@@ -45,6 +47,7 @@ def author_look(
         output_folder: an existing folder; asset paths are relative to it.
         config: the section ``layer`` of the settings.
         provenance: from ``provenance.build_provenance``; flat.
+        earlier: looks that the stage's files still have and that this one takes the place of.
 
     Raises:
         LayerError: no result was given, a result does not fit its source, the source has no file,
@@ -55,7 +58,7 @@ def author_look(
     files = look_files(source, folder, config)
     _check_volumes(volumes)
     _check_targets(stage, files)
-    look = _author_look_layer(stage, volumes, folder, config, provenance)
+    look = _author_look_layer(stage, volumes, folder, config, provenance, earlier or EarlierLooks())
     _publish(look, files.look_layer)
     if files.root_stage is not None:
         if config.mode == "reference":
@@ -72,6 +75,7 @@ def _author_look_layer(
     folder: Path,
     config: LayerConfig,
     provenance: Mapping[str, Any],
+    earlier: EarlierLooks,
 ) -> Sdf.Layer:
     layer = Sdf.Layer.CreateAnonymous(f".{config.format}")
     copy_stage_metadata(stage, layer, folder)
@@ -96,6 +100,10 @@ def _author_look_layer(
             author_field(layer, target, held, folder)
             if target.is_new:
                 retarget(spec, target)
+        replaced = earlier.fields.get(volume.source.prim_path, ())
+        close_fields(spec, [name for name in replaced if name not in volume.grids])
+    for path in earlier.variants:
+        Sdf.CreatePrimInLayer(layer, path).variantSelections[VARIANT_SET] = ORIGINAL
     seal_layer(layer)
     return layer
 

@@ -7,6 +7,7 @@ Volume's relationships to its field prims, `assets` says which file and grid tho
 
 from usdsmoke.stage.cameras import read_camera, seen_through
 from usdsmoke.stage.opening import open_stage
+from usdsmoke.stage.originals import open_source
 from usdsmoke.stage.shown import open_original, shown_volumes
 from usdsmoke.stage.volumes import find_volumes
 from usdsmoke.time_codes import parse_frames
@@ -14,6 +15,7 @@ from usdsmoke.time_codes import parse_frames
 __all__ = [
     "find_volumes",
     "open_original",
+    "open_source",
     "open_stage",
     "parse_frames",
     "read_camera",

@@ -6,19 +6,16 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import StageError
-from usdsmoke.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.relationships import field_targets
 from usdsmoke.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
 from usdsmoke.stage.assets import check_assets, field_source
 from usdsmoke.stage.opening import open_stage
+from usdsmoke.stage.originals import is_look_layer, leave_looks_out
 from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import FieldSource, ShownVolume, StageSource
 
 __all__ = ["open_original", "shown_volumes"]
-
-_RECORD = "usdsmoke"  # what layers of ours have in their customLayerData
 
 
 def shown_volumes(
@@ -72,39 +69,17 @@ def open_original(file_path: str | os.PathLike[str]) -> Usd.Stage:
             layer was, which cannot be muted.
     """
     stage = open_stage(file_path)
-    ours = _looks(stage)
-    if stage.GetRootLayer() in ours:
+    if is_look_layer(stage.GetRootLayer()):
         raise StageError(
             f"{os.fspath(file_path)} is a look layer itself, and a stage's root layer cannot be "
             "muted; wanted the root stage that was written beside it, NAME_look.usda"
         )
-    if not ours:
+    if not leave_looks_out(stage).layers:
         raise StageError(
             f"no layer of the stage {os.fspath(file_path)} was made by usdsmoke, so there is no "
             "look to compare with; wanted a root stage such as NAME_look.usda: leave out --compare"
         )
-    with captured_diagnostics():
-        _select_original(stage)
-        stage.MuteAndUnmuteLayers([layer.identifier for layer in _looks(stage)], [])
     return stage
-
-
-def _looks(stage: Usd.Stage) -> list[Sdf.Layer]:
-    """The layers in use that hold a look."""
-    return [layer for layer in stage.GetUsedLayers() if _RECORD in layer.customLayerData]
-
-
-def _select_original(stage: Usd.Stage) -> None:
-    with Usd.EditContext(stage, stage.GetSessionLayer()):
-        found = [
-            prim.GetPath()
-            for prim in stage.TraverseAll()
-            if ORIGINAL in prim.GetVariantSet(VARIANT_SET).GetVariantNames()
-        ]
-        for path in found:
-            prim = stage.GetPrimAtPath(path)
-            if prim:  # a selection above may have taken it away
-                prim.GetVariantSet(VARIANT_SET).SetVariantSelection(ORIGINAL)
 
 
 def _shown_field(

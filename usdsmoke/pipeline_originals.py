@@ -1,0 +1,66 @@
+"""Results start from original smoke, and nothing that is read is written over."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pxr import Usd
+
+from usdsmoke import schema
+from usdsmoke.errors import LayerError, StageError
+from usdsmoke.grids.header import read_header
+from usdsmoke.volume import StageSource
+
+__all__ = ["check_originals", "check_output_folder"]
+
+_MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
+
+
+def check_originals(stage: Usd.Stage, source: StageSource) -> None:
+    """Refuse smoke that was stylized before and has no look layer that could be left out.
+
+    That is so when a stage was flattened or its files were collected by hand. Of a Volume that is
+    not marked as stylized only the first file is looked at.
+
+    Args:
+        stage: without the looks that can be left out, see ``open_source``.
+        source: what ``find_volumes`` made of it.
+
+    Raises:
+        StageError: a density's file is a result of usdsmoke.
+        GridError: a file cannot be read.
+    """
+    for volume in source.volumes:
+        files = [frame.fields[volume.density].file_path for frame in volume.frames]
+        is_marked = stage.GetPrimAtPath(volume.prim_path).HasAttribute(schema.RUN)
+        for file_path in dict.fromkeys(files if is_marked else files[:1]):
+            if _MARK in read_header(file_path).metadata:
+                raise StageError(
+                    f"the density of <{volume.prim_path}> is stylized already: {file_path} was "
+                    "written by usdsmoke, and the stage has no look layer that could be left out, "
+                    "as after flattening; give the stage it was made from, or stylize the result "
+                    "once more with stage.restylize (--restylize)"
+                )
+
+
+def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[Path]) -> None:
+    """Refuse an output folder in which the run would write over, or clear away, what it reads.
+
+    Args:
+        output: the output folder; need not exist.
+        inputs: absolute.
+        targets: files that will be written outside the folder of frames.
+
+    Raises:
+        LayerError: the folder is a file, or an input stands where the result goes.
+    """
+    if output.exists() and not output.is_dir():
+        raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
+    frames = (output / "vdb").resolve()
+    taken = {target.resolve() for target in targets}
+    for file_path in inputs:
+        resolved = file_path.resolve()
+        if resolved in taken or frames in resolved.parents:
+            raise LayerError(
+                f"{file_path} is read by this run and stands where the result goes; "
+                f"choose another output folder than {output}"
+            )

@@ -1,0 +1,148 @@
+"""The stage as it was before usdsmoke: looks that it has already are left out while it is read.
+
+Nothing of this reaches a file: layers are muted and variants chosen on the stage in memory alone.
+"""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from pxr import Sdf, Usd, UsdVol
+
+from usdsmoke.diagnostics import captured_diagnostics
+from usdsmoke.errors import StageError
+from usdsmoke.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+from usdsmoke.relationships import field_targets
+from usdsmoke.stage.opening import open_stage
+from usdsmoke.volume import EarlierLooks
+
+__all__ = ["is_look_layer", "leave_looks_out", "open_source"]
+
+_INSTEAD = "stage.restylize (--restylize) takes the stylized smoke instead"
+
+
+def open_source(
+    file_path: str | os.PathLike[str], restylize: bool = False
+) -> tuple[Usd.Stage, EarlierLooks]:
+    """A stage without the looks that usdsmoke has given it, and what was left out.
+
+    Where the file itself was made by usdsmoke, a root stage or an asset, the stage that it stands
+    on is opened in its place. Other stages are opened as they are: of assets in them the variant
+    ``original`` is selected, then look layers are muted, wherever in the stage they come in.
+
+    Args:
+        file_path: of a stage.
+        restylize: take it as it is.
+
+    Raises:
+        StageError: the stage, or the one that it was made from, cannot be opened; or it is a look
+            layer without the smoke that it belongs to.
+    """
+    stage, notes = open_stage(file_path), []
+    if is_look_layer(stage.GetRootLayer()):
+        raise StageError(
+            f"{os.fspath(file_path)} is a look layer alone, without the smoke that it belongs to; "
+            "give the stage that it was made for, or one that has both"
+        )
+    if restylize:
+        return stage, EarlierLooks()
+    seen = {_real_path(stage)}
+    while base := _stands_on(stage.GetRootLayer()):
+        before, stage = _real_path(stage), open_stage(base)
+        notes.append(
+            f"{before.name} is a result already: this one starts from {Path(base).name}; {_INSTEAD}"
+        )
+        if _real_path(stage) in seen:
+            raise StageError(f"{before} was made from itself; give the stage before it")
+        seen.add(_real_path(stage))
+    found = leave_looks_out(stage)
+    return stage, replace(found, notes=(*notes, *found.notes))
+
+
+def leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
+    """Select originals and mute looks of an open stage, in memory; what that has taken away.
+
+    Args:
+        stage: its session layer is written to.
+    """
+    with captured_diagnostics():
+        used = stage.GetUsedLayers()
+        files = tuple(sorted(layer.realPath for layer in used if is_look_layer(layer)))
+        if not files:
+            return EarlierLooks()
+        before = _field_names(stage)
+        variants = _select_originals(stage) if any(map(_is_asset, used)) else []
+        looks = [layer.identifier for layer in stage.GetUsedLayers() if is_look_layer(layer)]
+        stage.MuteAndUnmuteLayers(looks, [])  # which forgets the layers themselves
+        after = _field_names(stage)
+    taken = [f"<{path}>" for path in variants]
+    taken += [Path(name).name for name in looks]
+    note = (
+        f"the stage has a look already ({', '.join(taken)}): this one starts from the original and "
+        f"lies over it, so take the earlier one away; {_INSTEAD}"
+    )
+    gone = {
+        path: tuple(sorted(names - after.get(path, set())))
+        for path, names in before.items()
+        if names - after.get(path, set())
+    }
+    return EarlierLooks((note,), files, tuple(variants), gone)
+
+
+def is_look_layer(layer: Sdf.Layer) -> bool:
+    """Whether a layer is a look that usdsmoke has authored."""
+    record = layer.customLayerData.get("usdsmoke")
+    return isinstance(record, dict) and "run" in record
+
+
+def _real_path(stage: Usd.Stage) -> Path:
+    return Path(stage.GetRootLayer().realPath).resolve()
+
+
+def _stands_on(root: Sdf.Layer) -> str:
+    """The source of a root stage or an asset of ours; "" for any other layer.
+
+    A root stage that somebody has added prims or sublayers to is theirs.
+    """
+    source = root.customLayerData.get(ASSET_SOURCE, "")
+    if not source and len(root.subLayerPaths) == 2 and not root.rootPrims:
+        with captured_diagnostics():
+            first = Sdf.Layer.FindOrOpenRelativeToLayer(root, root.subLayerPaths[0])
+        if first is not None and is_look_layer(first):
+            source = root.subLayerPaths[1]
+    return Sdf.ComputeAssetPathRelativeToLayer(root, source) if source else ""
+
+
+def _is_asset(layer: Sdf.Layer) -> bool:
+    return ASSET_SOURCE in layer.customLayerData
+
+
+def _field_names(stage: Usd.Stage) -> dict[str, set[str]]:
+    """The names of all Volumes' field relationships, by prim path."""
+    return {
+        str(prim.GetPath()): set(field_targets(prim))
+        for prim in stage.Traverse()
+        if prim.IsA(UsdVol.Volume)
+    }
+
+
+def _select_originals(stage: Usd.Stage) -> list[str]:
+    """Select the variant without a look of every asset of ours, in memory; the prims' paths."""
+    chosen = []
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim in list(stage.TraverseAll()):
+            if not prim or not _has_looks(prim):  # its own variants may have been its reason to be
+                continue
+            variants = prim.GetVariantSet(VARIANT_SET)
+            if variants.GetVariantSelection() not in ("", ORIGINAL):
+                variants.SetVariantSelection(ORIGINAL)
+                chosen.append(str(prim.GetPath()))
+    return chosen
+
+
+def _has_looks(prim: Usd.Prim) -> bool:
+    """Whether an asset of ours has put its variant set on a prim."""
+    return prim.HasVariantSets() and any(
+        _is_asset(spec.layer) and VARIANT_SET in spec.variantSets.keys()
+        for spec in prim.GetPrimStack()
+    )
