@@ -82,9 +82,7 @@ def submit(
         for name in ("settings", "overrides", "parameter_values", "asset_references")
     }
     n_windows = sum(len(volume.windows) for volume in plan.volumes)
-    stage_file = Path(stage).absolute()
-    if not stage_file.samefile(plan.source.file_path):  # a result was given: its source is read
-        stage_file = Path(plan.source.file_path)
+    stage_file = _read_stage(stage, plan)
     given = [str(beside[name]) for name in ("settings", "overrides")]
     parameters = job_parameters(str(stage_file), images, str(folder), *given)
     memory, layer = plan.estimate.memory_gib, plan.config.layer
@@ -110,6 +108,13 @@ def _with_network_file(config: Config) -> Config:
         return config
     found = str(Path(config.features.vgg19_file).absolute())
     return replace(config, features=replace(config.features, vgg19_file=found))
+
+
+def _read_stage(given: FilePath, plan: Plan) -> Path:
+    """The stage as it was given, or what it was made from where it is a result itself."""
+    stage_file = Path(given).absolute()
+    is_read = stage_file.samefile(plan.source.file_path)
+    return stage_file if is_read else Path(plan.source.file_path)
 
 
 def _read_files(plan: Plan) -> list[str]:
