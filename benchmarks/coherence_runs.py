@@ -9,8 +9,9 @@ import numpy as np
 from benchmarks.control_scenes import FRAMES_PER_SECOND, THINNEST, load_example, paint_styles
 from usdsmoke.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.chain import Link, run_chain
+from usdsmoke.core.chain import run_chain
 from usdsmoke.core.coarse import CoarseStart, coarse_frames
+from usdsmoke.core.link import Link
 from usdsmoke.core.potential import Displacement
 from usdsmoke.core.scene import Scene, measure_scene
 from usdsmoke.core.smoke import ActiveSmoke

@@ -79,7 +79,9 @@ def read_result(stage: Usd.Stage, volume_path: str = "", time_code: float = 1.0)
     emission = absolute_emission(density, emission, mode)
     to_stage = np.array(UsdGeom.Imageable(asset).ComputeLocalToWorldTransform(time))
     up_axis = str(UsdGeom.GetStageUpAxis(stage))
-    return Result(density, cover_box(emission, density), to_stage, float(extinction.Get()), up_axis)
+    return Result(
+        density, cover_box(emission, density), to_stage, float(extinction.Get(time)), up_axis
+    )
 
 
 def cover_box(field: DenseField, box: DenseField) -> DenseField:

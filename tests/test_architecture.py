@@ -22,10 +22,12 @@ GROUND = {
 }  # fmt: skip
 REQUESTS = {"request_attributes", "volume_requests"}
 PLAN = {
-    "plan", "plan_record", "volume_settings", "needs", "camera_needs", "estimate", "frames",
-    "windows",
+    "plan", "plan_record", "volume_settings", "needs", "camera_needs", "control_needs",
+    "estimate", "frames", "windows",
 }  # fmt: skip
-WITHOUT_TORCH = {"core.schedule", "core.progress", "core.frustum"}  # planning may count with these
+WITHOUT_TORCH = {  # planning may count with these
+    "core.controls", "core.frustum", "core.progress", "core.schedule",
+}  # fmt: skip
 
 # module: (what else of ours it may import, packages it may import); the first match counts.
 TABLE: list[tuple[str, set[str], set[str]]] = [
@@ -93,6 +95,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("plan", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("camera_needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
+    ("control_needs", GROUND | PLAN | WITHOUT_TORCH, set()),
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("inspection", {"*"}, {"pxr", "numpy"}),
     ("openjd_template", {"errors"}, {"yaml"}),

@@ -82,6 +82,7 @@ class FrameSize:
     n_copied: int = 0  # values a voxel that are written beside the result: the velocity's 3, or 0
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     seen: float = 1.0  # share of the box that the shot's camera sees
+    computed: bool | None = None  # whether it is optimised; None: by optimize.strength
 
 
 @dataclass(frozen=True)
@@ -208,11 +209,8 @@ def _picture_pixels(frame: FrameSize, config: Config) -> float:
 
 
 def _is_optimized(frame: FrameSize, config: Config) -> bool:
-    return (
-        frame.active_voxels * frame.seen > 0
-        and config.optimize.strength > 0
-        and config.losses.style > 0
-    )
+    computed = config.optimize.strength > 0 if frame.computed is None else frame.computed
+    return frame.active_voxels * frame.seen > 0 and computed and config.losses.style > 0
 
 
 def _frame_memory(frame: FrameSize, config: Config) -> float:

@@ -175,7 +175,7 @@ def read_frame(
 
     Args:
         volume: says which field is the density.
-        frame: its files at one timeCode.
+        frame: its files at one timeCode, and its controls.
         config: limits of reading, and the velocity's unit.
         velocity: from ``find_frame_velocity``; None reads no velocity.
         time_codes_per_second: turns velocities per frame into velocities per second.

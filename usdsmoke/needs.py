@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from usdsmoke.camera_needs import camera_needed, camera_omitted
 from usdsmoke.config import Config
+from usdsmoke.control_needs import controls_needed, controls_omitted, takes_effect
 from usdsmoke.core.schedule import octave_iterations
 from usdsmoke.estimate import n_different_views
 from usdsmoke.naming import colour_names
@@ -15,7 +16,7 @@ from usdsmoke.volume import StageSource
 if TYPE_CHECKING:
     from usdsmoke.plan import FramePlan, VolumePlan
 
-__all__ = ["Omission", "list_needed", "list_omitted", "optimizes"]
+__all__ = ["Omission", "list_needed", "list_omitted"]
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,11 @@ def _needed_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
             f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
             "scales the effect"
         )
-    if config.stage.motion == "estimate" and optimizes(config):
+    needed += controls_needed(volumes)
+    optimizes = takes_effect(config, volumes)
+    if config.stage.motion == "estimate" and optimizes:
         needed.append("the smoke's motion, estimated from neighbouring frames (stage.motion)")
-    if optimizes(config):
+    if optimizes:
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
         n_views = n_different_views(config.views)
@@ -121,9 +124,12 @@ def _needed_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
         needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
         needed += camera_needed(config, volumes)
         needed += [_describe_step(step, config) for step in config.optimize.steps]
-    gammas = (("colour", config.optics.gamma), ("shape", config.optics.gamma_shape))
-    for step, gamma in gammas:
-        if gamma is None and step in config.optimize.steps:
+    controlled = all(frame.source.controls.gamma is not None for frame in _frames(volumes))
+    for step, is_set in (
+        ("colour", controlled or config.optics.gamma is not None),
+        ("shape", config.optics.gamma_shape is not None),
+    ):
+        if not is_set and step in config.optimize.steps:
             needed.append(
                 f"extinction of the {step} step, measured on up to three frames of the shot"
             )
@@ -132,24 +138,21 @@ def _needed_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
 
 def _omitted_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[Omission]:
     """What Volumes of one configuration do without."""
-    omitted = [*_omitted_steps(config), *_omitted_views(config)]
-    if optimizes(config):
+    omitted = _omitted_steps(config)
+    omitted += [Omission(*pair) for pair in controls_omitted(config, volumes)]
+    omitted += _omitted_views(config)
+    if takes_effect(config, volumes):
         omitted += [Omission(*pair) for pair in camera_omitted(config, volumes)]
     frames = _frames(volumes)
     if all(frame.velocity is None for frame in frames):
         omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
     if all(frame.mask is None for frame in frames):
-        omitted.append(Omission("mask field", _why_no_mask(config)))
+        omitted.append(Omission("mask field", _why_no_mask(config, volumes)))
     return omitted
 
 
 def _frames(volumes: Sequence["VolumePlan"]) -> list["FramePlan"]:
     return [frame for volume in volumes for frame in volume.frames]
-
-
-def optimizes(config: Config) -> bool:
-    """Whether there is anything to optimise: otherwise the source is given back."""
-    return config.losses.style > 0 and config.optimize.strength > 0
 
 
 def _describe_step(step: str, config: Config) -> str:
@@ -200,10 +203,6 @@ def _omitted_steps(config: Config) -> list[Omission]:
                 "a grey picture is the opacity, which needs column sums only",
             )
         )
-    if config.optimize.strength == 0:
-        omitted.append(
-            Omission("the optimisation", "optimize.strength is 0: the source is given back")
-        )
     if config.losses.style == 0:
         omitted.append(Omission("style loss and features", "losses.style is 0"))
     names = ("total_variation", "histogram", "content", "laplacian", "photorealism")
@@ -246,10 +245,12 @@ def _why_no_velocity(volumes: Sequence["VolumePlan"], config: Config) -> str:
     )
 
 
-def _why_no_mask(config: Config) -> str:
+def _why_no_mask(config: Config, volumes: Sequence["VolumePlan"]) -> str:
     if not config.stage.mask:
         return "none is named (stage.mask)"
-    return "every frame is empty" if optimizes(config) else "there is no effect to be scaled"
+    if takes_effect(config, volumes):
+        return "every frame is empty"
+    return "there is no effect to be scaled"
 
 
 def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:

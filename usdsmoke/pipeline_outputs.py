@@ -146,13 +146,13 @@ def collect_volume(
     Args:
         run: complete but for the layer.
         volume: one of its Volumes.
-        extinction_per_density: of its scene.
+        extinction_per_density: of its scene, for frames that have no gamma of their own.
         styles: all images of the run.
 
     Raises:
         WriteFailed: that file could not be written.
     """
-    written, config = [], volume.config
+    written, extinctions, config = [], {}, volume.config
     for frame in volume.frames:
         record = run.frames[frame.file_name]
         written.append(
@@ -164,6 +164,8 @@ def collect_volume(
                 extent_max=_triple(record["extent_max"]),
             )
         )
+        extinction = record["report"].get("extinction", extinction_per_density)
+        extinctions[frame.source.time_code] = extinction
     grids = {volume.source.density: volume.source.density}
     if "colour" in config.optimize.steps:
         colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
@@ -175,7 +177,8 @@ def collect_volume(
     return StylizedVolume(
         source=volume.source,
         frames=written,
-        extinction_per_density=extinction_per_density,
+        extinction_per_density=next(iter(extinctions.values()), extinction_per_density),
+        extinction_samples=extinctions if len(set(extinctions.values())) > 1 else {},
         grids=grids,
         empty_file=empty_file,
         empty_hash=empty_hash,

@@ -1,5 +1,6 @@
 """Pictures of source and result for the contact sheets, made from the files that were written."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,8 @@ def write_contact_sheet(
     for frame in frames:
         source = reader.read(volume, frame)
         result = _read_result(volume.config, volume, folder / frame.file_name)
-        for name, picture in _frame_pictures(volume.config, source, result, scene).items():
+        seen = _frame_scene(scene, source, volume.config)
+        for name, picture in _frame_pictures(volume.config, source, result, seen).items():
             rows.setdefault(name, []).append(picture)
     columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
@@ -71,6 +73,17 @@ def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[De
     fields = read_grids(file_path, [GridRequest(name) for name in names], config.grids)
     mode = config.layer.emission_mode
     return [fields[0], *(absolute_emission(fields[0], emission, mode) for emission in fields[1:])]
+
+
+def _frame_scene(
+    scene: Mapping[str, Any], source: VolumeFrame, config: Config
+) -> Mapping[str, Any]:
+    """The scene as this frame was stylized in it."""
+    from usdsmoke.core.controls import frame_config
+    from usdsmoke.core.scene import Scene, frame_scene
+
+    own = frame_config(config, source.controls, source.time_code)
+    return scene if own is config else dataclasses.asdict(frame_scene(Scene(**scene), own))
 
 
 def _frame_pictures(

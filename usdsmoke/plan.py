@@ -10,6 +10,7 @@ from typing import Any
 
 from usdsmoke.camera_needs import seen_share
 from usdsmoke.config import Config
+from usdsmoke.core.controls import check_controls, in_effect, is_computed
 from usdsmoke.core.schedule import coarse_factor
 from usdsmoke.errors import PlanError
 from usdsmoke.estimate import (
@@ -31,7 +32,7 @@ from usdsmoke.frames import (
 )
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.naming import frame_file_names, volume_stems
-from usdsmoke.needs import Omission, list_needed, list_omitted, optimizes
+from usdsmoke.needs import Omission, list_needed, list_omitted
 from usdsmoke.plan_record import describe_plan
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.volume_settings import VolumeSettings
@@ -119,6 +120,7 @@ def make_plan(
     Raises:
         GridError: a header shows that a density cannot be used, or a velocity or mask that was
             named.
+        ConfigError: a frame's controls are out of range, or not one weight for each style.
         LayerError: two timeCodes are too close for file names of their own.
     """
     stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
@@ -162,11 +164,8 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
     if limit is None:
         limit, reason = available_memory_gib(), "what the machine has left"
     if needed > limit:
-        largest = max(
-            ((frame.size.active_voxels, volume, frame) for volume, frame in _all_frames(plan)),
-            key=lambda item: item[0],
-        )
-        _, volume, frame = largest
+        frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
+        volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
         raise PlanError(
             f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; there "
@@ -194,10 +193,6 @@ def result_file_names(volume: VolumeSource, stem: str) -> dict[float, str]:
     return dict(zip(codes, frame_file_names(stem, codes), strict=True))
 
 
-def _all_frames(plan: Plan) -> list[tuple[VolumePlan, FramePlan]]:
-    return [(volume, frame) for volume in plan.volumes for frame in volume.frames]
-
-
 def _plan_volume(
     volume: VolumeSource,
     stem: str,
@@ -206,18 +201,20 @@ def _plan_volume(
     first_index: int,
 ) -> VolumePlan:
     config = own.config
+    check_controls(volume, config, len(own.styles))
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows, first_index)
-    if not optimizes(config):  # the source is given back: there is nothing to carry or to blend
+    computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
+    if not any(computed):  # the source is given back: there is nothing to carry or to blend
         windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
     names = result_file_names(volume, stem)
     window_of = {code: window for window in windows for code in window.time_codes}
     frames = []
-    for frame in volume.frames:
+    for frame, to_do in zip(volume.frames, computed, strict=True):
         _read_headers(frame, headers)
-        code = frame.time_code
-        frames.append(_plan_frame(volume, frame, window_of[code], names[code], config, headers))
-    runs = coarse_runs(windows) if optimizes(config) and coarse_factor(config) > 1 else ()
+        window, name = window_of[frame.time_code], names[frame.time_code]
+        frames.append(_plan_frame(volume, frame, window, name, config, headers, to_do))
+    runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
     return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs)
 
 
@@ -228,6 +225,7 @@ def _plan_frame(
     file_name: str,
     config: Config,
     headers: Mapping[str, FileHeader],
+    computed: bool,
 ) -> FramePlan:
     density = frame.fields[volume.density]
     grid = find_density(volume, frame, headers[density.file_path])
@@ -235,9 +233,14 @@ def _plan_frame(
     copied = velocity if is_copied(velocity, density, config) else None
     followed = window.joined or len(window.time_codes) > 1
     mask = find_frame_mask(volume, frame, headers, config)
-    size = _frame_size(density.file_path, grid, frame.time_code == window.time_codes[0], copied)
-    size = replace(size, seen=seen_share(frame, density, grid, config))
-    if size.active_voxels == 0 or not optimizes(config):
+    size = FrameSize(
+        *grid_size(density.file_path, grid),
+        window_start=frame.time_code == window.time_codes[0],
+        n_copied=0 if copied is None else 3,
+        seen=seen_share(frame, density, grid, config),
+        computed=computed,
+    )
+    if size.active_voxels == 0 or not computed:
         mask = None
     if mask is not None:
         size = replace(size, mask_box=grid_size(mask.field.file_path, mask.grid)[1])
@@ -256,10 +259,3 @@ def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
     for field in frame.fields.values():
         if field.file_path not in headers:
             headers[field.file_path] = read_header(field.file_path)
-
-
-def _frame_size(
-    file_path: str, grid: GridHeader, window_start: bool, copied: VelocitySource | None
-) -> FrameSize:
-    active, box = grid_size(file_path, grid)
-    return FrameSize(active, box, window_start, 0 if copied is None else 3)

@@ -7,16 +7,16 @@ them, however long the window is:
     settle     averaged with the following frame's; the density is moved
     paint      each frame's colours, starting from its neighbour's
     finish     averaged with the following frame's; temporal errors are measured
+
+All of it is carried along at full strength, and each frame takes its own share at the end. So a
+strength that changes from frame to frame changes nothing in how frames follow on each other.
 """
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
-
-import torch
-from torch import Tensor
 
 from usdsmoke.config import Config
 from usdsmoke.core.coherence import (
@@ -26,68 +26,18 @@ from usdsmoke.core.coherence import (
     displacement_error,
 )
 from usdsmoke.core.colour import run_colour_step
-from usdsmoke.core.mask import EffectMask
+from usdsmoke.core.link import Job, Link
 from usdsmoke.core.motion import estimate_velocity
 from usdsmoke.core.move import move_density, shares_on
 from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.potential import Displacement, hold
-from usdsmoke.core.scene import Scene
 from usdsmoke.core.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.shape import Start, longest_move, run_shape_step
-from usdsmoke.core.sight import Sight
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.start import CoarseStart, start_colours, start_displacement
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke import activate
+from usdsmoke.core.start import start_colours, start_displacement
+from usdsmoke.volume import VolumeFrame
 
-__all__ = ["Job", "Link", "Watch", "run_chain"]
-
-Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
-
-
-@dataclass(frozen=True)
-class Job:
-    """What all frames of a window share."""
-
-    targets: StyleTargets
-    scene: Scene
-    config: Config
-    device: torch.device
-    time_codes_per_second: float
-    starts: Callable[[float], CoarseStart | None]
-    watch: Callable[[float], Watch]  # by timeCode
-
-    def seconds(self, earlier: "Link", later: "Link") -> float:
-        """Time between two frames, in which the pattern goes ``windows.pattern_speed`` as fast."""
-        span = later.frame.time_code - earlier.frame.time_code
-        return span / self.time_codes_per_second * self.config.windows.pattern_speed
-
-
-@dataclass
-class Link:
-    """One frame on its way through the chain."""
-
-    frame: VolumeFrame
-    density: DenseField  # refined, then moved; all of it
-    source: ActiveSmoke  # what is worked on: the smoke in sight and a little around
-    smoke: ActiveSmoke  # what is painted: of the moved density, without what is around
-    mask: EffectMask | None
-    left_out: str  # why nothing is done; "" when there is something to do
-    coarse: CoarseStart | None
-    sight: Sight | None = None  # None: all of the smoke is worked on
-    report: dict[str, Any] = field(default_factory=dict)
-    free: Displacement | None = None  # before it is held below the cap: what is carried along
-    settled: Displacement | None = None  # averaged with the following frame's
-    displacement: Displacement | None = None  # what the density was moved by, at full strength
-    painted: ActiveSmoke | None = None
-    colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
-
-    @property
-    def paint(self) -> tuple[ActiveSmoke, Tensor] | None:
-        """The painted voxels and their colours; None where there are none."""
-        if self.painted is None or self.colours is None or len(self.painted.ijk) == 0:
-            return None
-        return self.painted, self.colours
+__all__ = ["run_chain"]
 
 
 def run_chain(
@@ -96,12 +46,13 @@ def run_chain(
     """The finished links of a window, in the frames' order.
 
     Args:
-        frames: ascending time_code; pulled one at a time, up to two ahead of what is yielded.
+        frames: ascending time_code; pulled one at a time, up to two ahead of what is yielded, three
+            where a frame has strength 0.
         open_frame: checks a frame and makes its link.
     """
     if job.config.stage.motion == "estimate":
         frames = _with_estimated_motion(iter(frames), job)
-    links: Iterator[Link] = (open_frame(frame, job) for frame in frames)
+    links = _rest(open_frame(frame, job) for frame in frames)
     if "shape" in job.config.optimize.steps:
         links = _settle(_shape(links, job), job)
     if "colour" in job.config.optimize.steps:
@@ -122,17 +73,32 @@ def _with_estimated_motion(frames: Iterator[VolumeFrame], job: Job) -> Iterator[
         yield replace(held, velocity=None, velocity_to_stage=None)
 
 
+def _rest(links: Iterator[Link]) -> Iterator[Link]:
+    """Leaves out frames of strength 0, except those next to one in effect (``is_computed``)."""
+    before, ahead = False, None
+    while (link := ahead or next(links, None)) is not None:
+        ahead = None
+        if not link.left_out and not link.in_effect and not before:
+            ahead = next(links, None)
+            if ahead is None or not ahead.in_effect:
+                link.rests, link.left_out = True, "optimize.strength is 0"
+                link.report["left out"] = link.left_out
+        yield link
+        before = link.in_effect
+
+
 def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:
     before: Link | None = None
     for link in links:
         if not link.left_out:
             _shape_one(link, before, job)
             before = link
+        before = None if link.rests else before
         yield link
 
 
 def _shape_one(link: Link, before: Link | None, job: Job) -> None:
-    started, config = time.perf_counter(), job.config
+    started, config = time.perf_counter(), link.config
     start: Start | None = None
     if before is not None or (link.coarse is not None and link.coarse.displacement is not None):
         carried = before.free if before is not None else None
@@ -140,7 +106,7 @@ def _shape_one(link: Link, before: Link | None, job: Job) -> None:
         start = partial(start_displacement, carried, link.coarse, _mover(before, link), seconds)
     plan = _plan(config.shape.iterations, link, before is not None, config)
     link.free, ends = run_shape_step(
-        link.source, start, job.targets, _scene_of(link, job), config, plan,
+        link.source, start, link.targets, link.scene, config, plan,
         job.watch(link.frame.time_code)("shape", plan), link.mask,
         1.0 if before is None else config.shape.warm_rate,
     )  # fmt: skip
@@ -162,22 +128,20 @@ def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
 
 
 def _move(link: Link, free: Displacement, job: Job) -> None:
-    """Hold the displacement below the cap and move the density by it."""
-    lattice, cap = free.lattice, longest_move(link.source, job.config)
+    """Hold the displacement below the cap and move the density by it; not at all by none."""
+    lattice, cap = free.lattice, longest_move(link.source, link.config)
     share = shares_on(lattice, link.mask, link.source.density)
     held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
     link.displacement = Displacement(held, lattice)
+    if not link.in_effect:
+        link.report["shape"] |= {"cap": cap, "largest displacement": 0.0}
+        return
     link.density, report = move_density(
-        link.density, link.source, link.displacement, job.config, share, link.sight is not None
+        link.density, link.source, link.displacement, link.config, share, link.sight is not None
     )
     moved = activate(link.density, link.frame.density_to_stage, job.device)
     link.smoke = moved if link.sight is None else link.sight.seen(moved)
     link.report["shape"] |= {"cap": cap, **report}
-
-
-def _scene_of(link: Link, job: Job) -> Scene:
-    """The shot's scene, seen by the frame's own camera."""
-    return replace(job.scene, camera=link.frame.camera)
 
 
 def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -186,11 +150,12 @@ def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
         if not link.left_out:
             _paint_one(link, before, job)
             before = link if link.paint is not None else before
+        before = None if link.rests else before
         yield link
 
 
 def _paint_one(link: Link, before: Link | None, job: Job) -> None:
-    started, config = time.perf_counter(), job.config
+    started, config = time.perf_counter(), link.config
     share = None if link.mask is None else link.mask.at(link.smoke.positions)
     link.painted = link.smoke if share is None else link.smoke.take(share > 0)
     paint = before.paint if before is not None else None
@@ -200,7 +165,7 @@ def _paint_one(link: Link, before: Link | None, job: Job) -> None:
     )
     plan = _plan(config.colour.iterations, link, paint is not None, config)
     link.colours, ends = run_colour_step(
-        link.smoke, start, job.targets, _scene_of(link, job), config, plan,
+        link.smoke, start, link.targets, link.scene, config, plan,
         job.watch(link.frame.time_code)("colour", plan), link.mask,
         1.0 if paint is None else config.colour.warm_rate,
     )  # fmt: skip
@@ -218,7 +183,7 @@ def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
         if before is not None and not link.left_out:
             link.report["temporal error"] = _temporal_errors(before, link, job)
         yield link
-        before = before if link.left_out else link
+        before = None if link.rests else before if link.left_out else link
 
 
 def _temporal_errors(before: Link, link: Link, job: Job) -> dict[str, float]:

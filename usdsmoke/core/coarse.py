@@ -14,8 +14,9 @@ import numpy as np
 import torch
 
 from usdsmoke.config import Config
-from usdsmoke.core.chain import Job, Link, run_chain
+from usdsmoke.core.chain import run_chain
 from usdsmoke.core.lattice import Lattice
+from usdsmoke.core.link import Job, Link
 from usdsmoke.core.potential import Displacement
 from usdsmoke.core.progress import ProgressCallback
 from usdsmoke.core.scene import Scene
@@ -38,7 +39,8 @@ def coarse_frames(
 ) -> Iterator[CoarseStart]:
     """The shared start of every frame of a shot, in order; arguments as of ``stylize_window``.
 
-    Frames that are left out (empty ones) have a start with nothing in it.
+    Frames that are left out (empty ones) have a start with nothing in it. A frame's own controls
+    count here as they do in the windows.
 
     Raises:
         NonFiniteError, FeatureError, ConfigError: see ``stylize_window``.

@@ -5,7 +5,7 @@ Measured frame by frame, exposure and the style's size would jump.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from usdsmoke.core.views import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.errors import ShapeError
 from usdsmoke.volume import CameraSource, VolumeFrame
 
-__all__ = ["Scene", "face_view", "fit_view", "frame_views", "measure_scene"]
+__all__ = ["Scene", "face_view", "fit_view", "frame_scene", "frame_views", "measure_scene"]
 
 MARGIN = 2  # pixels around the smoke
 FAINTEST = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
@@ -40,6 +40,7 @@ class Scene:
     exposure: float = 1.0  # what thin smoke's pictures are brightened by, >= 1: colour step
     exposure_shape: float = 1.0
     camera: CameraSource | None = None  # of the frame that is worked on; None: around up
+    thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:
@@ -183,10 +184,7 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
             (config.optics.gamma_shape, config.optics.depth_shape),
         )
     )
-    exposure, exposure_shape = (
-        max(1.0, VISIBLE / max(-math.expm1(-gamma * thick), FAINTEST))
-        for gamma in (gamma_w, gamma_w_shape)
-    )
+    exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
     return Scene(
@@ -200,7 +198,29 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
         float(inside.std()),
         exposure,
         exposure_shape,
+        thick=thick,
     )
+
+
+def frame_scene(scene: Scene, config: Config) -> Scene:
+    """The scene with the colour step's extinction and exposure that one frame's settings ask for.
+
+    gamma_w = ``optics.gamma`` / reference voxel size; the exposure follows from it and the *shot's*
+    thick columns, so it changes as smoothly as gamma does and not with the frame's smoke.
+
+    Args:
+        scene: measured; returned as it is where gamma is unset.
+        config: of the frame, see ``controls.frame_config``.
+    """
+    if config.optics.gamma is None:
+        return scene
+    gamma_w = config.optics.gamma / scene.reference_voxel_size
+    exposure = _exposure(gamma_w, scene.thick) if scene.thick > 0 else scene.exposure
+    return replace(scene, gamma_w=gamma_w, exposure=exposure)
+
+
+def _exposure(gamma_w: float, thick: float) -> float:
+    return max(1.0, VISIBLE / max(-math.expm1(-gamma_w * thick), FAINTEST))
 
 
 def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSource | None]]:

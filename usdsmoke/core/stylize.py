@@ -1,7 +1,7 @@
 """One window of frames in, the same frames stylized out: shape step, then colour step."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -9,13 +9,15 @@ import numpy as np
 from torch import Tensor
 
 from usdsmoke.config import Config
-from usdsmoke.core.chain import Job, Link, Watch, run_chain
+from usdsmoke.core.chain import run_chain
+from usdsmoke.core.controls import frame_config
 from usdsmoke.core.device import choose_device
+from usdsmoke.core.link import Job, Link, Watch
 from usdsmoke.core.mask import EffectMask, effect_mask
 from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.progress import Progress, ProgressCallback
 from usdsmoke.core.refine import refine_field
-from usdsmoke.core.scene import Scene
+from usdsmoke.core.scene import Scene, frame_scene
 from usdsmoke.core.shape import longest_move
 from usdsmoke.core.sight import Sight, sight_of
 from usdsmoke.core.smoke import ActiveSmoke, activate
@@ -54,8 +56,13 @@ def stylize_window(
     ``windows.warm_iterations`` of the iterations. Equal inputs and settings give equal bits on the
     same machine; on a GPU sums may differ in their last digits.
 
+    A frame's own ``controls`` stand in place of the settings. One of strength 0 is the source bit
+    for bit; it is computed all the same when the one before or after it takes effect, so that a
+    fade has a start (``controls.is_computed``).
+
     Args:
-        frames: ascending time_code; pulled one at a time, two ahead of what is yielded.
+        frames: ascending time_code; pulled one at a time, two ahead of what is yielded, three where
+            one has strength 0.
         styles: display-encoded style images [H W 3] in [0, 1].
         scene: see ``scene.measure_scene``; the same for every window of the shot.
         progress: called after every iteration.
@@ -64,7 +71,7 @@ def stylize_window(
 
     Raises:
         NonFiniteError: a frame holds NaN or infinity, or the optimisation diverges beyond rescue.
-        FeatureError, ConfigError: see ``StyleTargets``.
+        FeatureError, ConfigError: see ``StyleTargets``; a frame's controls are out of range.
     """
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     job = make_job(styles, scene, config, progress, time_codes_per_second, starts, n_frames)
@@ -123,8 +130,10 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
 
     Raises:
         NonFiniteError: it holds NaN or infinity.
+        ConfigError: its controls are out of range.
     """
     _check_finite(frame)
+    config = frame_config(job.config, frame.controls, frame.time_code, job.targets.n_styles)
     density = refine_field(frame.density, job.config.grids.refine)
     source = activate(density, frame.density_to_stage, job.device)
     reach = longest_move(source, job.config) if len(source.ijk) else 0.0
@@ -135,14 +144,20 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
         report["voxels outside the camera's frustum"] = int((sight.at(source.positions) == 0).sum())
     if mask is not None and mask.n_clamped:
         report["warnings"] = [_clamped_text(frame, mask)]
-    left_out = _why_left_out(source, mask, sight, job.config)
+    left_out = _why_left_out(source, mask, sight, config)
     if left_out:
         report["left out"] = left_out
-    smoke = source
+    smoke, scene, targets = source, job.scene, job.targets
     if sight is not None and not left_out:
         source, smoke = sight.near(source), sight.seen(source)
-    coarse = job.starts(frame.time_code)
-    return Link(frame, density, source, smoke, mask, left_out, coarse, sight, report)
+    if config is not job.config:
+        scene, targets = frame_scene(scene, config), targets.weighted(config.style)
+        report["extinction"] = scene.gamma_w
+    scene = replace(scene, camera=frame.camera)
+    return Link(
+        frame, density, source, smoke, mask, left_out, job.starts(frame.time_code), config, scene,
+        targets, sight, report=report,
+    )  # fmt: skip
 
 
 def _stylized(link: Link, job: Job) -> StylizedFrame:
@@ -150,17 +165,17 @@ def _stylized(link: Link, job: Job) -> StylizedFrame:
     if "colour" in job.config.optimize.steps:
         emission = _empty_emission(link.density)
         if link.painted is not None and link.colours is not None:
-            strength: float | Tensor = job.config.optimize.strength
+            strength: float | Tensor = link.config.optimize.strength
             if link.mask is not None:
                 strength = strength * link.mask.at(link.painted.positions)
-            _emit(emission, link.painted, link.colours, job.scene, strength)
+            _emit(emission, link.painted, link.colours, link.scene, strength)
     return StylizedFrame(link.frame.time_code, link.density, emission, link.report)
 
 
 def _why_left_out(
     source: ActiveSmoke, mask: EffectMask | None, sight: Sight | None, config: Config
 ) -> str:
-    """Why there is nothing to do for a frame; "" when there is."""
+    """Why there is nothing to do for a frame; "" when there may be, if its strength is not 0."""
     if len(source.ijk) == 0:
         return "empty frame"
     if sight is not None and not bool(sight.at(source.positions).any()):
@@ -168,8 +183,6 @@ def _why_left_out(
     if mask is not None and not bool(mask.at(source.positions).any()):
         where = "the camera sees smoke" if sight is not None else "there is smoke"
         return f"the mask is 0 wherever {where}"
-    if config.optimize.strength == 0:
-        return "optimize.strength is 0"
     return "losses.style is 0" if config.losses.style == 0 else ""
 
 

@@ -29,6 +29,8 @@ def mark_volume(
 ) -> None:
     """Apply UsdSmokeLookAPI and one authorship record, every value authored.
 
+    The extinction has time samples besides its default where it changes in time.
+
     The record's instance name is new with every run: records add up down the namespace, and two of
     one name in different layers hide one another.
 
@@ -57,6 +59,9 @@ def mark_volume(
     }
     for name, (type_name, value) in look.items():
         Sdf.AttributeSpec(volume_spec, name, type_name).default = value
+    extinction = volume_spec.attributes[schema.EXTINCTION_PER_DENSITY].path
+    for time_code, value in sorted(volume.extinction_samples.items()):
+        volume_spec.layer.SetTimeSample(extinction, time_code, value)
     for name, text in _authorship(digital_source_type, provenance).items():
         is_list = isinstance(text, list)
         Sdf.AttributeSpec(

@@ -1,0 +1,91 @@
+"""Settings that change from frame to frame: the run's, with what one frame says of its own.
+
+No torch here, so that the plan can ask too.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.errors import ConfigError
+from usdsmoke.volume import FrameControls, VolumeSource
+
+__all__ = ["SETTINGS", "check_controls", "frame_config", "in_effect", "is_computed"]
+
+SETTINGS = {  # of a frame's controls, as section and key
+    "strength": ("optimize", "strength"),
+    "pattern_speed": ("windows", "pattern_speed"),
+    "gamma": ("optics", "gamma"),
+    "style_weights": ("style", "weights"),
+}
+
+
+def frame_config(
+    config: Config, controls: FrameControls, time_code: float, n_styles: int | None = None
+) -> Config:
+    """The settings of one frame; the run's own object where it has no controls.
+
+    Args:
+        config: of the run.
+        controls: what is not None stands in place of the run's.
+        time_code: of the frame, for messages.
+        n_styles: style images, to check their weights by; None leaves those unchecked.
+
+    Raises:
+        ConfigError: a value out of the setting's range, or not one weight for each style image, or
+            none above 0; the message names the timeCode.
+    """
+    sections: dict[str, dict[str, Any]] = {}
+    for name, (section, key) in SETTINGS.items():
+        value = getattr(controls, name)
+        if value is not None:
+            sections.setdefault(section, {})[key] = value
+    if not sections:
+        return config
+    try:
+        own = resolve_config(config_to_dict(config), sections)
+        if n_styles is not None and controls.style_weights is not None:
+            style_shares(own.style, n_styles)
+    except ConfigError as error:
+        raise ConfigError(f"at timeCode {time_code:g}: {error}") from None
+    return own
+
+
+def check_controls(volume: VolumeSource, config: Config, n_styles: int) -> None:
+    """Refuse controls that a frame cannot be computed with, before anything is read.
+
+    Args:
+        volume: all of its frames are looked at.
+        config: the Volume's settings.
+        n_styles: its style images.
+
+    Raises:
+        ConfigError: see ``frame_config``; the message names the Volume too.
+    """
+    for frame in volume.frames:
+        try:
+            frame_config(config, frame.controls, frame.time_code, n_styles)
+        except ConfigError as error:
+            raise ConfigError(f"Volume <{volume.prim_path}>: {error}") from None
+
+
+def in_effect(config: Config, controls: FrameControls) -> bool:
+    """Whether the effect is to be seen in a frame: otherwise the source is given back."""
+    strength = config.optimize.strength if controls.strength is None else controls.strength
+    return config.losses.style > 0 and strength > 0
+
+
+def is_computed(effect: Sequence[bool]) -> list[bool]:
+    """Which frames of a sequence are optimised: those in effect, and the ones next to them.
+
+    >>> is_computed([False, False, False, True, True])
+    [False, False, True, True, True]
+
+    A frame of strength 0 is the source whatever is computed for it, but beside a frame that takes
+    effect it begins or ends its chain: a fade then starts from a result, not from nothing.
+
+    Args:
+        effect: from ``in_effect``, by frame.
+    """
+    padded = [False, *effect, False]
+    return [any(padded[n : n + 3]) for n in range(len(effect))]
