@@ -65,7 +65,7 @@ class _Versions:
     tail: WindowRecord
     head: WindowRecord
     weight: float  # of the tail
-    gamma_w: float  # extinction per density, 1/stage unit
+    gamma_w: float  # the scene's, for frames that have no extinction of their own
 
     def part_of(self, window: WindowRecord) -> str:
         return part_file_name(window.window, self.frame.file_name)
@@ -191,8 +191,9 @@ def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
         for name, one, other in zip(names, tail, head, strict=False)
     }
     blended = blend_frames(tail, head, pair.weight)
-    fields = result_fields(blended, volume, frame, pair.gamma_w, config)
     reports = [window.frames[pair.part_of(window)] for window in (pair.tail, pair.head)]
+    gamma_w = reports[1]["report"].get("extinction", pair.gamma_w)
+    fields = result_fields(blended, volume, frame, gamma_w, config)
     hashes = reports[1]["source_hashes"]
     report = dict(reports[1]["report"])
     errors = _blend_errors([item["report"] for item in reports], pair.weight)

@@ -86,7 +86,7 @@ def write_result(
         name: of the file, relative to the run's folder; another one than the frame's for a part.
         volume, frame: what it is the result of.
         stylized: the result.
-        gamma_w: extinction per density, 1/stage unit.
+        gamma_w: the scene's extinction, for frames without one of their own.
         config: the resolved settings.
         source_hashes: content hashes of what was read, see ``hash_sources``.
 
@@ -102,7 +102,8 @@ def write_result(
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
     is_part = name != frame.file_name
     if not is_part:
-        fields = result_fields(fields, volume, frame, gamma_w, config)
+        own = stylized.report.get("extinction", gamma_w)
+        fields = result_fields(fields, volume, frame, own, config)
     make_folders((run.folder / name).parent)
     report = plain_values(stylized.report)
     metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)

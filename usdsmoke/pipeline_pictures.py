@@ -10,6 +10,7 @@ import numpy as np
 from usdsmoke.colour_grids import absolute_emission
 from usdsmoke.config import Config
 from usdsmoke.contact_sheet import BACKGROUND, compose_sheet
+from usdsmoke.core.controls import frame_config
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.images import write_png
 from usdsmoke.layer.records import EMISSION
@@ -79,11 +80,12 @@ def _frame_scene(
     scene: Mapping[str, Any], source: VolumeFrame, config: Config
 ) -> Mapping[str, Any]:
     """The scene as this frame was stylized in it."""
-    from usdsmoke.core.controls import frame_config
+    own = frame_config(config, source.controls, source.time_code)
+    if own is config:
+        return scene
     from usdsmoke.core.scene import Scene, frame_scene
 
-    own = frame_config(config, source.controls, source.time_code)
-    return scene if own is config else dataclasses.asdict(frame_scene(Scene(**scene), own))
+    return dataclasses.asdict(frame_scene(Scene(**scene), own))
 
 
 def _frame_pictures(

@@ -58,6 +58,29 @@ def test_the_volume_carries_the_look_schema_with_every_value_authored(tmp_path):
     assert ours == {f"usdSmoke:{name}" for name in values}
 
 
+def test_the_extinction_has_time_samples_where_it_changes_and_only_there(tmp_path):
+    stage, source = read(plume_stage(tmp_path), frames="1-3")
+    frames = [
+        finish_frame(tmp_path / f"out/smoke.{n:04d}.vdb", float(n), False, ["density"])
+        for n in (1, 2, 3)
+    ]
+    grids = {"density": "density"}
+    plain = StylizedVolume(source.volumes[0], frames, 0.5, grids)
+    found = {}
+    for name, changing in (("still", {}), ("moving", {1.0: 0.5, 2.0: 0.25, 3.0: 2.0})):
+        result = dataclasses.replace(plain, extinction_samples=changing)
+        folder = tmp_path / "out" / name
+        folder.mkdir()
+        root = author(stage, source, [result], folder).root_stage
+        look = open_stage(root)
+        prim = look.GetPrimAtPath("/World/smoke")
+        attribute = prim.GetAttribute("usdSmoke:extinctionPerDensity")
+        values = [attribute.Get(code) for code in (1.0, 2.0, 3.0)]
+        found[name] = (attribute.Get(), attribute.GetTimeSamples(), values)
+    assert found["still"] == (0.5, [], [0.5, 0.5, 0.5])
+    assert found["moving"] == (0.5, [1.0, 2.0, 3.0], [0.5, 0.25, 2.0])
+
+
 def test_the_authorship_record_is_usds_own(tmp_path):
     stage = open_stage(make_look(plume_stage(tmp_path), tmp_path / "out").root_stage)
     (record,) = UsdMedia.AuthorshipAPI.GetAllOnStage(stage)

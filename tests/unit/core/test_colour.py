@@ -16,7 +16,7 @@ from usdsmoke.core.colour import (
 from usdsmoke.core.optimize import Minimum
 from usdsmoke.core.scene import Scene, frame_views, measure_scene
 from usdsmoke.core.smoke import ActiveSmoke, make_octaves, sample_colours
-from usdsmoke.core.style import decode_srgb, encode_srgb
+from usdsmoke.core.style import decode_srgb, encode_srgb, scale_style
 from usdsmoke.core.targets import StyleTargets
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
@@ -226,9 +226,9 @@ def test_several_styles_count_by_their_shares(smoke, views):
 def test_a_style_of_weight_zero_is_not_looked_at(smoke, monkeypatch):
     """Nor does it shift the background."""
     seen = []
-    real = StyleTargets._target
+    real = scale_style
     monkeypatch.setattr(
-        StyleTargets, "_target", lambda self, style, *a: seen.append(style) or real(self, style, *a)
+        "usdsmoke.core.targets.scale_style", lambda style, *a: seen.append(style) or real(style, *a)
     )
     images = [random_style(16, 20, seed) for seed in range(2)]
     config = config_of(style={"weights": [0.0, 3.0]})
