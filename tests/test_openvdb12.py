@@ -22,6 +22,11 @@ from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.grids.write import write_frame
 
+OTHER_PYTHON = os.environ.get("USDSMOKE_BPY_PYTHON", "")
+pytestmark = pytest.mark.skipif(
+    not OTHER_PYTHON, reason="needs USDSMOKE_BPY_PYTHON, the Python of an environment with bpy"
+)
+
 HALF = "grids.half=true"
 KINDS = {
     "float": (),
@@ -30,14 +35,6 @@ KINDS = {
     "options in half": (*ALL, HALF),
     "velocity": ("layer.copy_velocity=true",),
 }
-
-
-def other_python() -> str:
-    """The Python of an environment with bpy."""
-    python = os.environ.get("USDSMOKE_BPY_PYTHON", "")
-    if not python:
-        pytest.skip("needs USDSMOKE_BPY_PYTHON, the Python of an environment with bpy")
-    return python
 
 
 def written(plume: Shot, folder: Path) -> dict[str, Path]:
@@ -66,13 +63,12 @@ def written(plume: Shot, folder: Path) -> dict[str, Path]:
 def test_openvdb_12_reads_the_same_bits_and_writes_what_we_read_again(
     plume: Shot, tmp_path: Path
 ) -> None:
-    python = other_python()
     ours, theirs = tmp_path / "ours", tmp_path / "theirs"
     ours.mkdir()
     theirs.mkdir()
     files = written(plume, ours)
     done = subprocess.run(
-        [python, str(PROJECT / "tests/other_openvdb.py"), str(ours), str(theirs)],
+        [OTHER_PYTHON, str(PROJECT / "tests/other_openvdb.py"), str(ours), str(theirs)],
         capture_output=True,
         text=True,
         timeout=100,
