@@ -133,12 +133,12 @@ def test_provenance_tells_record_and_volume_also_while_the_look_is_muted(tmp_pat
     ((_, text),) = do("provenance", api).texts
     assert "Volume </World/smoke>: shows run 3f2b8c1e-" in text
     assert "usdsmoke_3f2b8c1e softwareVersion: 1.2.3" in text
-    assert f"look {files.look_layer}\n" in text and "  styles: 1\n    x.png=ff" in text
-    assert "  seed: 7" in text and "settings that are not the defaults: none" in text
+    assert "\nlook look.usda\n" in text and f"record     {files.look_layer}" in text
+    assert "style      x.png  ff" in text and "seed       7" in text
     do("toggle", api)
     ((_, text),) = do("provenance", api).texts
     assert "Volume </World/smoke>: shows its source" in text
-    assert f"look {files.look_layer} (muted)\n" in text and "  seed: 7" in text
+    assert "\nlook look.usda (muted)\n" in text and "seed       7" in text
 
 
 def test_provenance_of_a_source_says_that_it_shows_its_source(two_plumes: Path) -> None:

@@ -10,7 +10,7 @@ from usdsmoke.config import Config, config_to_dict
 from usdsmoke.run_folder import find_runs
 from usdsmoke.usdview.looks import Look
 
-__all__ = ["LookRequest", "changed_settings", "json_mapping", "read_look_request"]
+__all__ = ["LookRequest", "changed_settings", "read_look_request"]
 
 _GIVEN_OTHERWISE = {"stage.prims", "stage.frames"}  # by options of their own
 
@@ -32,8 +32,8 @@ def read_look_request(look: Look) -> LookRequest:
     is gone too, the layer has the images' names.
     """
     folder = Path(look.layer.realPath).parent
-    request = json_mapping(look.record.get("request")) or _in_run_folder(folder, look.run)
-    config = json_mapping(look.record.get("config"))
+    request = _json_mapping(look.record.get("request")) or _in_run_folder(folder, look.run)
+    config = _json_mapping(look.record.get("config"))
     explicit = frozenset(request.get("explicit", ()))
     settings = {
         name: value
@@ -74,7 +74,7 @@ def _in_run_folder(folder: Path, run_id: str) -> Mapping[str, Any]:
     return next((run.request for run in find_runs(folder) if run.run_id == run_id), {})
 
 
-def json_mapping(text: Any) -> Mapping[str, Any]:
+def _json_mapping(text: Any) -> Mapping[str, Any]:
     """A JSON object of a record; empty where it is missing or cannot be read."""
     try:
         value = json.loads(text)

@@ -1,21 +1,20 @@
 """What the looks on a stage were made with and from, as text."""
 
-import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from pxr import Usd
 
 from usdsmoke import schema
-from usdsmoke.usdview.look_request import changed_settings, json_mapping
+from usdsmoke.cli_record_text import provenance_text
+from usdsmoke.provenance_records import LookRecord
 from usdsmoke.usdview.looks import Look, looks_of, shown_run
 
 __all__ = ["look_text"]
 
 _AUTHORSHIP = "authorship:"
 _SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by item
-_FOR_PROGRAMS = ("request", "inputState", "frames")  # JSON; what people want of it stands elsewhere
-_LONGEST_LIST = 6  # of longer ones the rest is counted
 
 
 def look_text(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
@@ -48,23 +47,15 @@ def _volume_lines(volume: Usd.Prim) -> list[str]:
 
 
 def _look_lines(look: Look) -> list[str]:
-    lines = [f"look {look.layer.realPath or look.layer.identifier}{' (muted)' * look.muted}"]
-    for key, value in look.record.items():
-        items = _items(value)
-        if key == "config":
-            changed = changed_settings(json_mapping(value))
-            lines.append(f"  settings that are not the defaults: {'' if changed else 'none'}")
-            lines += [f"    {name}={json.dumps(value)}" for name, value in changed.items()]
-        elif key in _FOR_PROGRAMS:
-            continue
-        elif items:
-            lines.append(f"  {key}: {len(items)}")
-            more = len(items) - _LONGEST_LIST
-            lines += [f"    {item}" for item in items[:_LONGEST_LIST]]
-            lines += [f"    ... {more} more"] * (more > 0)
-        elif items is None and value != "":
-            lines.append(f"  {key}: {_plain(value)}")
-    return [line.rstrip() for line in lines]
+    """The record as ``usdsmoke provenance`` prints it, from the layer as it is in memory."""
+    name = look.layer.realPath or look.layer.identifier
+    values = {
+        key: value if _items(value) is None else [str(item) for item in value]
+        for key, value in look.record.items()
+    }
+    text = provenance_text(LookRecord(Path(name), values, look.layer))
+    heading = f"look {look.layer.GetDisplayName()}{' (muted)' * look.muted}"
+    return [heading, *(f"  {line}" for line in text.splitlines())]
 
 
 def _plain(value: Any) -> str:
