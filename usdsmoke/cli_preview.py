@@ -15,19 +15,26 @@ __all__ = ["run_preview"]
 
 def run_preview(arguments: argparse.Namespace) -> int:
     """``usdsmoke preview``; the exit code."""
+    from rich.console import Console
+    from rich.progress import Progress
+
     from usdsmoke.preview_stage import preview
 
-    result = preview(
-        arguments.stage,
-        arguments.output,
-        camera=arguments.camera,
-        frames=arguments.frames or "",
-        compare=arguments.compare,
-        prims=arguments.prim,
-        width=arguments.width,
-        size=arguments.size,
-        background=arguments.background,
-    )
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("drawing", total=None)
+        result = preview(
+            arguments.stage,
+            arguments.output,
+            camera=arguments.camera,
+            frames=arguments.frames or "",
+            compare=arguments.compare,
+            prims=arguments.prim,
+            width=arguments.width,
+            size=arguments.size,
+            background=arguments.background,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
     for note in result.notes:
         print(f"note: {note}", file=sys.stderr)
     if arguments.json:

@@ -68,14 +68,18 @@ class Smoke:
         Args:
             time_codes: those that will be drawn; a file whose header does not tell its box is
                 opened for these alone.
+
+        Raises:
+            StageError, GridError: a field of these cannot be used; others are passed over then.
         """
         wanted = set(time_codes)
         corners = []
         for time_code in sorted(wanted | set(_time_codes(self.whole))):
-            for volume in shown_volumes(self.stage, self.whole, time_code):
-                box = self._box(volume.density, time_code in wanted)
-                if box is not None:
-                    corners.append(_corners(*box))
+            try:
+                corners += self._corners(time_code, time_code in wanted)
+            except UsdSmokeError:
+                if time_code in wanted:
+                    raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
     def media(self, shown: Iterable[ShownVolume]) -> list["Medium"]:
@@ -169,6 +173,14 @@ class Smoke:
             frames = [_read_density(volume, frame, self.config) for frame in spread(filled)]
             self._scenes[prim_path] = measure_scene(frames, self.config, self.whole.up_axis)
         return self._scenes[prim_path]
+
+    def _corners(self, time_code: float, may_read: bool) -> list[np.ndarray]:
+        """Of every Volume's box at one timeCode, [8 3] each."""
+        boxes = [
+            self._box(volume.density, may_read)
+            for volume in shown_volumes(self.stage, self.whole, time_code)
+        ]
+        return [_corners(*box) for box in boxes if box is not None]
 
     def _box(
         self, source: FieldSource, may_read: bool

@@ -186,9 +186,11 @@ def test_the_front_view_does_not_depend_on_which_frames_are_drawn(tmp_path: Path
     assert 0.05 < (alone > 0).any(axis=0).mean() < 0.2
 
 
-def test_missing_files_of_other_frames_do_not_matter(tmp_path: Path) -> None:
+def test_missing_or_damaged_files_of_other_frames_do_not_matter(tmp_path: Path) -> None:
     stage = plume_stage(tmp_path)
     (tmp_path / "cache/smoke.0003.vdb").unlink()
+    preview(stage, tmp_path / "a.png", frames="2", width=16)
+    (tmp_path / "cache/smoke.0004.vdb").write_bytes(b"no VDB at all")
     preview(stage, tmp_path / "a.png", frames="2", width=16)
     with pytest.raises(StageError, match=r"timeCode 3.*smoke\.0003\.vdb"):
         preview(stage, tmp_path / "b.png", width=16)

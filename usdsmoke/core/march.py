@@ -32,8 +32,8 @@ __all__ = ["Picture", "march"]
 _GAUSS = 0.5 / 3**0.5  # distance of the two points from a segment's middle, in its length
 _CHUNK = 1 << 20  # cuts that are in memory at once, over all rays of a chunk
 _OPAQUE = 1e4  # optical depth behind which nothing is seen; larger ones would cost digits
-_THICK = 0.25  # optical depth above which a segment is cut once more
-_MOST_PARTS = 32
+_THICK = 0.1  # optical depth above which a segment is cut once more
+_MOST_PARTS = 64
 _MOST_RAYS = 4  # a pixel's rays along each side
 _PARALLEL = 1e-12  # share of a ray's direction below which it does not cross an axis' planes
 
