@@ -14,6 +14,7 @@ from usdsmoke.grids.header import GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
 from usdsmoke.schema import EMISSION_PER_DENSITY
 from usdsmoke.stage import find_volumes, shown_volumes
+from usdsmoke.stage.originals import is_look_layer
 from usdsmoke.time_codes import format_time_code, spread
 from usdsmoke.volume import (
     DenseField,
@@ -217,7 +218,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
     try:
         selected = find_volumes(stage, replace(everything, frames=frames))
     except VolumeNotFound:
-        if "usdsmoke" not in stage.GetRootLayer().customLayerData:
+        if not is_look_layer(stage.GetRootLayer()):
             raise
         raise VolumeNotFound(
             f"{stage.GetRootLayer().realPath} is a look layer by itself, over nothing; wanted a "

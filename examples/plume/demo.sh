@@ -25,6 +25,7 @@ The stylized plume is ready.
 Next:
   $bin/usdsmoke validate $out/look/plume_look.usda
   $bin/usdsmoke inspect $out/source/plume.usda
+  $bin/usdsmoke preview $out/look/plume_look.usda -o $out/preview.png --compare --width 200
   sh $here/demo.sh $out waves      (another style)
   $bin/usdsmoke stylize YOUR_STAGE.usd --style YOUR_IMAGE.png -o YOUR_FOLDER
 END

@@ -13,7 +13,7 @@ from usdsmoke.core.march import march
 from usdsmoke.core.media import Medium, make_media
 from usdsmoke.core.project import project_voxels
 from usdsmoke.core.render import render_fields
-from usdsmoke.core.views import View, frame_points, orbit_view, view_rays
+from usdsmoke.core.views import View, orbit_view, view_rays
 from usdsmoke.errors import ShapeError
 from usdsmoke.images import encode_srgb
 from usdsmoke.volume import DenseField
@@ -283,19 +283,3 @@ def test_a_flattened_field_is_refused_by_name() -> None:
     density = field(np.ones(BOX), placed(BOX))
     with pytest.raises(ShapeError, match=r"density.*flattened"):
         make_media(density, None, np.diag([1.0, 0.0, 1.0, 1.0]), None, 1.0, 0.5)
-
-
-@pytest.mark.parametrize(("height", "width"), [(None, 90), (120, None), (40, 300)])
-def test_a_fitted_view_holds_all_points_and_little_more(
-    height: int | None, width: int | None
-) -> None:
-    points = np.random.default_rng(3).normal(size=(50, 3)) * [1, 2, 3] + 100
-    view = frame_points(orbit_view(25.0, 10.0, "Y", np.zeros(3), 1, 1, 1.0), points, height, width)
-    offset = points - view.centre
-    x = (view.width - 1) / 2 + offset @ view.right / view.pixel_size
-    y = (view.height - 1) / 2 - offset @ view.up / view.pixel_size
-    for found, side in ((x, view.width), (y, view.height)):
-        assert found.min() >= -0.5 and found.max() <= side - 0.5
-        assert found.min() + found.max() == pytest.approx(side - 1)  # in the middle
-    assert max(np.ptp(x) / view.width, np.ptp(y) / view.height) > 0.9
-    assert (height or view.height, width or view.width) == (view.height, view.width)

@@ -12,6 +12,7 @@ from usdsmoke.core.views import (
     View,
     camera_view,
     draw_views,
+    frame_points,
     orbit_view,
     sample_angles,
     view_of_camera,
@@ -222,3 +223,19 @@ def test_every_order_of_the_pool_occurs_so_no_view_has_a_fixed_neighbour():
     turns = drawn(120, 3, 3, seed=1)
     orders = Counter(tuple(turns[n : n + 3]) for n in range(0, len(turns), 3))
     assert len(orders) == 6 and min(orders.values()) >= 8
+
+
+@pytest.mark.parametrize(("height", "width"), [(None, 90), (120, None), (40, 300)])
+def test_a_fitted_view_holds_all_points_and_little_more(
+    height: int | None, width: int | None
+) -> None:
+    points = np.random.default_rng(3).normal(size=(50, 3)) * [1, 2, 3] + 100
+    view = frame_points(orbit_view(25.0, 10.0, "Y", np.zeros(3), 1, 1, 1.0), points, height, width)
+    offset = points - view.centre
+    x = (view.width - 1) / 2 + offset @ view.right / view.pixel_size
+    y = (view.height - 1) / 2 - offset @ view.up / view.pixel_size
+    for found, side in ((x, view.width), (y, view.height)):
+        assert found.min() >= -0.5 and found.max() <= side - 0.5
+        assert found.min() + found.max() == pytest.approx(side - 1)  # in the middle
+    assert max(np.ptp(x) / view.width, np.ptp(y) / view.height) > 0.9
+    assert (height or view.height, width or view.width) == (view.height, view.width)
