@@ -97,7 +97,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("camera_needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("control_needs", GROUND | PLAN | WITHOUT_TORCH, set()),
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
-    ("inspection", {"*"}, {"pxr", "numpy"}),
+    ("inspection*", {"*"}, {"pxr", "numpy"}),
     ("openjd_template", {"errors"}, {"yaml"}),
     ("cluster_check", {"errors"}, set()),
     # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
@@ -115,7 +115,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
 
 # What a module must not reach, not even through others.
 OUT_OF_REACH: list[tuple[str, set[str]]] = [
-    ("inspection", {"torch"}),
+    ("inspection*", {"torch"}),
     ("prov*", {"torch"}),
     ("pipeline_features", {"torch"}),
     ("validators", {"torch"}),

@@ -52,21 +52,23 @@ def given_settings(arguments: argparse.Namespace) -> tuple[dict[str, Any], dict[
 
 
 def _options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Of commands that have some of them only, these."""
+    given = vars(arguments)
     options = {
         "stage": {
-            "prims": arguments.prim,
-            "frames": arguments.frames,
-            "restylize": arguments.restylize,
+            "prims": given.get("prim"),
+            "frames": given.get("frames"),
+            "restylize": given.get("restylize"),
         },
-        "grids": {"half": arguments.half, "repair_nan": arguments.repair},
-        "views": {"camera": arguments.camera},
-        "optimize": {"seed": arguments.seed},
+        "grids": {"half": given.get("half"), "repair_nan": given.get("repair")},
+        "views": {"camera": given.get("camera")},
+        "optimize": {"seed": given.get("seed")},
         "layer": {
-            "mode": arguments.mode,
-            "look": arguments.look,
-            "emission_mode": arguments.emission_mode,
-            "scatter_colour": arguments.alias_cd,
-            "split_rgb": arguments.split_rgb,
+            "mode": given.get("mode"),
+            "look": given.get("look"),
+            "emission_mode": given.get("emission_mode"),
+            "scatter_colour": given.get("alias_cd"),
+            "split_rgb": given.get("split_rgb"),
         },
     }
     return {
@@ -108,6 +110,8 @@ def _add_inspect(commands: Any) -> None:
     parser = _add_command(commands, "inspect", "show volumes, fields, files, frames and grids")
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     _add_selection(parser)
+    _add_style(parser)
+    _add_settings(parser)
 
 
 def _add_stylize(commands: Any) -> None:
@@ -190,12 +194,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{_EXIT_CODES}\n\n{_settings_summary()}"
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
-    parser.add_argument(
-        "--style",
-        action="append",
-        metavar="IMAGE",
-        help="an image to take the style from; may be repeated; default: the Volumes' own",
-    )
+    _add_style(parser)
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
     _add_selection(parser)
     _add_layer(parser)
@@ -213,6 +212,15 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
         type=_repair_value,
         metavar="nan=0",
         help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+    )
+
+
+def _add_style(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--style",
+        action="append",
+        metavar="IMAGE",
+        help="an image to take the style from; may be repeated; default: the Volumes' own",
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.cli_requests import request_rows
 from usdsmoke.progress import format_seconds
 from usdsmoke.time_codes import format_time_codes
 
@@ -108,8 +109,11 @@ def inspection_text(found: Mapping[str, Any]) -> str:
         for frame in volume["frames"]:
             rows += [_inspected_field(frame, *item) for item in frame["fields"].items()]
         lines += [f"  {line}" for line in columns(rows)]
+        if asked := request_rows(volume["request"]):
+            lines += ["  stylized with", *(f"    {line}" for line in columns(asked))]
     for omission in found["omitted"]:
         lines += ["", f"left out {omission['what']}: {omission['reason']}"]
+    lines += ["", *(f"note: {note}" for note in found["notes"])]
     lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
     return "\n".join(lines).rstrip()
 

@@ -1,16 +1,19 @@
 """What is on a stage: Volumes, fields, files, frames, grids, sizes; from USD and file headers."""
 
 import os
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.config import StageConfig
+from usdsmoke.config import Config
 from usdsmoke.errors import UsdSmokeError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid
 from usdsmoke.grids.velocity import find_velocity
+from usdsmoke.inspection_requests import GivenSettings, describe_requests
+from usdsmoke.schema import STYLE_API, late_note
 from usdsmoke.stage import find_volumes, open_stage
 from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
 
@@ -18,7 +21,10 @@ __all__ = ["inspect", "inspect_stage"]
 
 
 def inspect(
-    stage: str | PathLike[str], prims: list[str] | None = None, frames: str = ""
+    stage: str | PathLike[str],
+    prims: list[str] | None = None,
+    frames: str = "",
+    given: GivenSettings | None = None,
 ) -> dict[str, Any]:
     """What usdsmoke sees on a stage, as plain values; no voxel is read and torch is not loaded.
 
@@ -28,16 +34,20 @@ def inspect(
         stage: a .usda, .usdc or .usd file.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
+        given: settings and images of a run; None takes the defaults.
 
     Raises:
         StageError: the stage cannot be opened, or its Volumes not be followed to their files.
-        ConfigError: ``frames`` cannot be read.
+        ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
-    return inspect_stage(open_stage(stage), prims, frames)
+    return inspect_stage(open_stage(stage), prims, frames, given)
 
 
 def inspect_stage(
-    stage: Usd.Stage, prims: list[str] | None = None, frames: str = ""
+    stage: Usd.Stage,
+    prims: list[str] | None = None,
+    frames: str = "",
+    given: GivenSettings | None = None,
 ) -> dict[str, Any]:
     """``inspect`` for a stage that is open, as it is composed now, unsaved edits included.
 
@@ -45,19 +55,39 @@ def inspect_stage(
         stage: any; only what is loaded is seen.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
+        given: settings and images of a run; None takes the defaults.
 
     Raises:
         StageError: the Volumes cannot be followed to their files.
-        ConfigError: ``frames`` cannot be read.
+        ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
-    source = find_volumes(stage, StageConfig(prims=prims or [], frames=frames))
+    given = given or GivenSettings(Config())
+    config = given.config.stage
+    config = replace(config, prims=prims or config.prims, frames=frames or config.frames)
+    source = find_volumes(stage, config, given.explicit)
     headers: dict[str, FileHeader | str] = {}
+    requests = describe_requests(stage, source, given)
     return {
         "stage": _describe_stage(source),
-        "volumes": [_describe_volume(volume, headers) for volume in source.volumes],
+        "volumes": [
+            _describe_volume(volume, headers) | {"request": request}
+            for volume, request in zip(source.volumes, requests, strict=True)
+        ],
+        "notes": _notes(source),
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": _problems(source, headers),
     }
+
+
+def _notes(source: StageSource) -> list[str]:
+    """Worth knowing, and no problem."""
+    ignored = [
+        f"{', '.join(volume.request.ignored)} of <{volume.prim_path}> do not count: "
+        f"{STYLE_API} is not applied to the prim; apply it"
+        for volume in source.volumes
+        if volume.request.ignored
+    ]
+    return [*filter(None, [late_note()]), *ignored]
 
 
 def _describe_stage(source: StageSource) -> dict[str, Any]:

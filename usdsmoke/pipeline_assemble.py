@@ -32,6 +32,7 @@ from usdsmoke.run_windows import (
     part_file_name,
     remove_locks,
 )
+from usdsmoke.schema import late_note
 from usdsmoke.time_codes import format_time_codes
 from usdsmoke.volume import DenseField
 
@@ -290,4 +291,4 @@ def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
         found.append(
             "some timeCodes are no whole numbers: Blender's importer cannot follow such sequences"
         )
-    return tuple(found)
+    return (*found, *filter(None, [late_note()]))

@@ -41,6 +41,7 @@ def resolve_volumes(
     config: Config,
     styles: Sequence[Path] = (),
     explicit: Collection[str] = (),
+    bare: bool = False,
 ) -> ResolvedVolumes:
     """The settings of every Volume; its own request counts where nothing stronger was said.
 
@@ -53,12 +54,14 @@ def resolve_volumes(
         styles: absolute paths of the images that were given for the run; they are stronger than a
             Volume's own.
         explicit: dotted names of the settings that are stronger than a Volume's own.
+        bare: whether Volumes may be without images.
 
     Raises:
         ImageError: there are Volumes without images; the message names them.
         ConfigError: a Volume's settings contradict each other.
     """
-    _refuse_without_images(source, styles)
+    if not bare:
+        _refuse_without_images(source, styles)
     given = frozenset(explicit) | ({"style.weights"} if styles else set())
     volumes = [_effective(volume, given, bool(styles)) for volume in source.volumes]
     files: dict[Path, int] = {}
@@ -119,8 +122,9 @@ def _resolve(
 ) -> Config:
     try:
         resolved = resolve_config(config_to_dict(config), own) if own else config
-        style_shares(resolved.style, n_styles)
-        for frame in volume.frames:
+        if n_styles:
+            style_shares(resolved.style, n_styles)
+        for frame in volume.frames if n_styles else ():
             if (weights := frame.controls.style_weights) is not None:
                 style = dataclasses.replace(resolved.style, weights=list(weights))
                 _check_shares(style, n_styles, frame.time_code)

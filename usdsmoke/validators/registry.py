@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pxr import Sdf, Usd, UsdValidation
 
 from usdsmoke.time_codes import format_time_code
-from usdsmoke.validators import field_rules, result_rules, volume_rules
+from usdsmoke.validators import field_rules, request_rules, result_rules, volume_rules
 from usdsmoke.validators.findings import Problem, Severity
 
 __all__ = ["PREFIX", "register_validators"]
@@ -27,6 +27,11 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
     "FieldNameMismatch": (volume_rules.check_one_name, "Relationship and grid share one name."),
     "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
+    "RequestInvalid": (request_rules.check_request, "What a Volume asks for can be read."),
+    "RequestNotApplied": (
+        request_rules.check_request_applied,
+        "What a Volume asks for counts, because UsdSmokeStyleAPI is applied.",
+    ),
     "GridHashMismatch": (
         result_rules.check_shown_results,
         "Files with a hash of usdsmoke's hold what they were written with.",

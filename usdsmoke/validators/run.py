@@ -6,7 +6,7 @@ import re
 from pxr import Usd, UsdValidation
 
 from usdsmoke.diagnostics import captured_diagnostics, open_quietly
-from usdsmoke.schema import register_schema
+from usdsmoke.schema import late_note, register_schema
 from usdsmoke.validators.findings import Finding, Severity
 from usdsmoke.validators.registry import PREFIX, register_validators
 
@@ -49,6 +49,8 @@ def validate_stage(stage: Usd.Stage) -> list[Finding]:
     with captured_diagnostics():  # some stock validators also warn on stderr
         errors = UsdValidation.ValidationContext(validators).Validate(stage)
         findings = {_to_finding(error) for error in errors}
+    if note := late_note():
+        findings.add(Finding(Severity.INFO, "SchemaNotRegistered", "", None, note))
     order = list(Severity)
     return sorted(
         findings,

@@ -1,0 +1,62 @@
+"""Validators on what Volumes ask for themselves."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
+from usdsmoke.validators import Finding, Severity, validate
+
+APPLIED = '(prepend apiSchemas = ["UsdSmokeStyleAPI"])'
+
+
+def findings(folder: Path, request: str, meta: str = APPLIED) -> list[Finding]:
+    """Those about requests."""
+    write_sequence(folder, [1])
+    body = f"""
+    def Volume "smoke" {meta}
+    {{
+        rel field:density = </World/smoke/density>
+        {request.replace("@@", "usdSmoke:request:")}
+        {density_prim(sequence([1]))}
+    }}
+"""
+    found = validate(write_text(folder / "s.usda", world(body)))
+    return [item for item in found if item.rule.startswith(("Request", "Schema"))]
+
+
+def test_a_sound_request_finds_nothing(tmp_path: Path) -> None:
+    assert findings(tmp_path, "double @@strength = 0.5\nrel @@mask = </World/smoke/density>") == []
+
+
+@pytest.mark.parametrize(
+    ("request_text", "place", "message"),
+    [
+        ("double @@strength = 2", "strength", "is 2.0; wanted <= 1.0"),
+        ("double @@gama = 2", "gama", "did you mean 'usdSmoke:request:gamma'"),
+        ("asset[] @@styleImages = [@./no.png@]", "styleImages", "no file is found there"),
+        ("rel @@camera = [</a>, </b>]", "camera", "has 2 targets"),
+        ("int64 @@seed.timeSamples = { 1: 1, 2: 3 }", "seed", "at timeCode 2 has another value"),
+    ],
+)
+def test_a_wrong_request_is_an_error_at_its_property(
+    tmp_path: Path, request_text: str, place: str, message: str
+) -> None:
+    (finding,) = findings(tmp_path, request_text)
+    assert (finding.severity, finding.rule) == (Severity.ERROR, "RequestInvalid")
+    assert finding.prim_path == f"/World/smoke.usdSmoke:request:{place}"
+    assert message in finding.message
+
+
+def test_every_wrong_attribute_is_found(tmp_path: Path) -> None:
+    found = findings(tmp_path, "double @@strength = 2\nint64 @@seed = -1\nint @@iterations = 0")
+    assert [item.prim_path.rpartition(":")[2] for item in found] == [
+        "iterations", "seed", "strength",
+    ]  # fmt: skip
+
+
+def test_a_request_without_the_schema_applied_is_a_warning(tmp_path: Path) -> None:
+    (finding,) = findings(tmp_path, "double @@strength = 2", meta="")
+    assert (finding.severity, finding.rule) == (Severity.WARN, "RequestNotApplied")
+    assert finding.prim_path == "/World/smoke"
+    assert "usdSmoke:request:strength do not count" in finding.message
