@@ -11,7 +11,7 @@ from usdsmoke.config import Config, config_to_dict
 from usdsmoke.errors import Interrupted, LayerError, OutputExists
 from usdsmoke.locks import OutputLock, lock_output
 from usdsmoke.pipeline_coarse import measure_scenes
-from usdsmoke.pipeline_features import features_hash
+from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request, describe_run, published_runs
 from usdsmoke.pipeline_windows import list_tasks
@@ -241,6 +241,4 @@ def _as_stored(description: dict[str, Any]) -> dict[str, Any]:
 
 
 def _features_hash(plan: Plan) -> str:
-    """What pictures are compared by; where Volumes have different networks, all of them."""
-    hashes = [features_hash(volume.config.features) for volume in plan.volumes]
-    return " ".join(dict.fromkeys(hashes))
+    return features_hashes(volume.config.features for volume in plan.volumes)

@@ -12,7 +12,7 @@ from typing import Literal
 
 from usdsmoke.config import Config, resolve_config
 from usdsmoke.errors import ConfigError, FeatureError, UsdSmokeError
-from usdsmoke.pipeline_features import features_hash
+from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job, requested_job
 from usdsmoke.provenance import hash_file
@@ -68,10 +68,10 @@ def check_inputs(record: LookRecord) -> list[Change]:
         file = str(record.file)
         return [Change.note("unchecked", file, "settings that this version knows", str(error))]
     stage = _place(record, request["stage"])
-    changes = [*_check_styles(record), *_check_features(record, config)]
+    job = _job(record) if stage.is_file() else None
+    changes = [*_check_styles(record), *_check_features(record, config, job)]
     if not stage.is_file():
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
-    job = _job(record)
     files = _check_files(record, stage, job)
     some_are_gone = any(change.kind == "input-missing" for change in files)
     return [*files, *_check_stage(record, stage, config, job, some_are_gone), *changes]
@@ -95,12 +95,13 @@ def _check_styles(record: LookRecord) -> Iterator[Change]:
             yield Change("style-edited", str(file), wanted, f"sha256 {shown(found)}")
 
 
-def _check_features(record: LookRecord, config: Config) -> Iterator[Change]:
+def _check_features(record: LookRecord, config: Config, job: Job | None) -> Iterator[Change]:
+    volumes = [volume.config for volume in job.plan.volumes] if job is not None else [config]
     digest = str(record.values.get("featuresHash", ""))
     wanted = f"{config.features.network} {shown(digest)}"
     file = config.features.vgg19_file or config.features.network
     try:
-        found = features_hash(config.features)
+        found = features_hashes(own.features for own in volumes)
     except FeatureError as error:
         yield Change("features-missing", file, wanted, str(error))
         return
