@@ -124,3 +124,10 @@ def test_files_are_known_by_mode_and_look_before_anything_is_written(shot: Shot)
         ("layer", "stylized"): None,
         ("layer", "ember"): None,
     }
+
+
+def test_a_name_that_differs_from_another_in_case_alone_is_refused(shot: Shot) -> None:
+    run(shot, "layer.look=ember")
+    with pytest.raises(LayerError, match=r"has a look 'ember', which differs from 'Ember' in"):
+        run(shot, "layer.look=Ember")
+    assert len(list(shot.output.glob("vdb/*"))) == 1

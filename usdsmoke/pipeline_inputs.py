@@ -22,7 +22,7 @@ from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.needs import Omission
-from usdsmoke.pipeline_originals import check_originals, check_output_folder
+from usdsmoke.pipeline_originals import check_look_name, check_originals, check_output_folder
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
 from usdsmoke.stage import find_volumes, open_source, seen_through
@@ -113,6 +113,7 @@ def prepare_job(
     sheets = sheet_files(stems, output, config.layer.look)
     inputs = _input_files(stage, source, resolved.style_files)
     inputs += [Path(file_path) for file_path in earlier.layers]
+    check_look_name(output, config.layer.look)
     check_output_folder(output, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)

@@ -10,7 +10,7 @@ from usdsmoke.errors import LayerError, StageError
 from usdsmoke.grids.header import read_header
 from usdsmoke.volume import StageSource
 
-__all__ = ["check_originals", "check_output_folder"]
+__all__ = ["check_look_name", "check_originals", "check_output_folder"]
 
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 
@@ -63,4 +63,25 @@ def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[
             raise LayerError(
                 f"{file_path} is read by this run and stands where the result goes; "
                 f"choose another output folder than {output}"
+            )
+
+
+def check_look_name(output: Path, look: str) -> None:
+    """Refuse a name that differs from another look's in upper and lower case alone.
+
+    Many file systems take the two for one file.
+
+    Args:
+        output: the output folder; need not exist.
+        look: the name of the look that is to be written.
+
+    Raises:
+        LayerError: names the other look.
+    """
+    for file_path in sorted(output.glob("look_*.usd[ac]")):
+        other = file_path.stem.removeprefix("look_")
+        if other != look and other.casefold() == look.casefold():
+            raise LayerError(
+                f"{output} has a look {other!r}, which differs from {look!r} in upper and lower "
+                "case only; choose another name with layer.look (--look)"
             )

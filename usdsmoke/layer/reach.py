@@ -14,6 +14,7 @@ from usdsmoke.errors import LayerError
 
 __all__ = ["Reach", "find_reach", "leads_out", "root_of"]
 
+_EXPRESSION = Sdf.ValueTypeNames.PathExpression
 _ADVICE = "set layer.mode to sublayer (--mode sublayer), or"
 
 
@@ -77,8 +78,9 @@ def _look_at(item: Usd.Property, reach: Reach) -> None:
     if isinstance(item, Usd.Relationship):
         targets, noted = item.GetTargets(), reach.relationships
     else:
-        targets, noted = item.GetConnections(), reach.connections
-        is_expression = item.GetTypeName() == Sdf.ValueTypeNames.PathExpression
+        targets = item.GetConnections() if item.HasAuthoredConnections() else []
+        noted = reach.connections
+        is_expression = item.GetTypeName() == _EXPRESSION
         if is_expression and not item.GetPrim().IsInstanceProxy():
             reach.expressions[item.GetPath()] = item.Get() or Sdf.PathExpression()
     if not targets or not leads_out(item.GetPath(), targets):
