@@ -74,7 +74,7 @@ def march(
     if rays is None:
         rays = max((_rays_across(medium, view) for medium in media), default=1)
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
-    n_cuts = sum(sum(medium.values.shape[:3]) + 6 for medium in media)
+    n_cuts = sum(sum(medium.values.shape[:3]) for medium in media)
     size = max(1, _CHUNK // max(n_cuts, 1))
     for start in range(0, count if media else 0, size):
         pixels = np.arange(start, min(start + size, count))
@@ -89,37 +89,35 @@ def march(
 
 def _rays_across(medium: Medium, view: View) -> int:
     """Voxels along a pixel's side, where the medium's middle is."""
-    shape = np.array(medium.values.shape[:3])
+    shape = np.array(medium.values.shape[:3]) - 2
     edges = np.linalg.norm(medium.index_to_stage[:3, :3], axis=1)
     edge = float(np.min(edges[shape > 1])) if (shape > 1).any() else float(edges.min())
     size = view.pixel_size
     if view.focal is not None:
-        middle = (shape - 1) / 2 @ medium.index_to_stage[:3, :3] + medium.index_to_stage[3, :3]
+        middle = (shape + 1) / 2 @ medium.index_to_stage[:3, :3] + medium.index_to_stage[3, :3]
         size = max(float((middle - view.centre) @ view.forward), 0.0) / view.focal
     return int(np.clip(np.ceil(size / edge - 0.1), 1, _MOST_RAYS))
 
 
 class _Table:
-    """A medium with a layer of nothing around it, ready to be looked up.
-
-    Cell (a, b, c) lies between voxels (a - 1, b - 1, c - 1) and (a, b, c) of the medium.
-    """
+    """A medium ready to be looked up; cell (a, b, c) lies between its voxel of that index and the
+    next along every axis."""
 
     def __init__(self, medium: Medium) -> None:
-        padded = np.pad(medium.values, [(1, 1), (1, 1), (1, 1), (0, 0)])
-        self.shape = np.array(medium.values.shape[:3])
-        self.values = torch.from_numpy(padded.reshape(-1, padded.shape[3]))
-        filled = (padded != 0).any(axis=-1)
-        cells = np.zeros(self.shape + 1, bool)
+        values = medium.values
+        self.last = np.array(values.shape[:3]) - 2  # cell along each axis
+        self.values = torch.from_numpy(values.reshape(-1, values.shape[3]))
+        filled = (values != 0).any(axis=-1)
+        cells = np.zeros(self.last + 1, bool)
         for a, b, c in np.ndindex(2, 2, 2):
             cells |= filled[a : a + cells.shape[0], b : b + cells.shape[1], c : c + cells.shape[2]]
         self.cells = cells
-        self.strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
+        self.strides = np.array([values.shape[1] * values.shape[2], values.shape[2], 1])
         self.to_index = np.linalg.inv(medium.index_to_stage)
 
     def rays(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same rays [R 3] in the padded array's indices; distances along them stay."""
-        moved = origin @ self.to_index[:3, :3] + self.to_index[3, :3] + 1
+        """The same rays [R 3] in the array's indices; distances along them stay."""
+        moved = origin @ self.to_index[:3, :3] + self.to_index[3, :3]
         return moved, direction @ self.to_index[:3, :3]
 
     def cuts(self, start: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,10 +125,10 @@ class _Table:
         enter, leave = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         crossings = []
         for axis in range(3):
-            ends = np.array([0.0, self.shape[axis] + 1.0])
+            ends = np.array([0.0, self.last[axis] + 1.0])
             slow = np.abs(step[:, axis]) <= _PARALLEL * np.abs(step).max(axis=1)
             safe = np.where(slow, 1.0, step[:, axis])
-            planes = np.arange(self.shape[axis] + 2)
+            planes = np.arange(self.last[axis] + 2)
             met = (planes - start[:, axis, None]) / safe[:, None]
             inside = (start[:, axis] >= ends[0]) & (start[:, axis] <= ends[1])
             first, last = np.minimum(met[:, 0], met[:, -1]), np.maximum(met[:, 0], met[:, -1])
@@ -148,7 +146,7 @@ class _Table:
         """Values at the Gauss points of segments of rays that lie in one cell each.
 
         Args:
-            start, step: [M 3], the rays of the segments, padded indices.
+            start, step: [M 3], the rays of the segments, indices.
             low, high: [M], where the segments begin and end.
 
         Returns:
@@ -156,9 +154,9 @@ class _Table:
         """
         middle = start + ((low + high) / 2)[:, None] * step
         cell = np.floor(middle).astype(np.int64)
-        inside = np.flatnonzero(((cell >= 0) & (cell <= self.shape)).all(axis=1))
+        inside = np.flatnonzero(((cell >= 0) & (cell <= self.last)).all(axis=1))
         held = inside[self.cells[tuple(cell[inside].T)]]
-        corner = np.clip(cell[held], 0, self.shape)
+        corner = cell[held]
         half = (high - low)[held, None] * step[held] * _GAUSS
         points = np.stack([middle[held] - half, middle[held] + half], axis=1) - corner[:, None]
         part = np.clip(points, 0.0, 1.0).astype(np.float32)  # [m 2 3]

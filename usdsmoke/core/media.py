@@ -1,6 +1,5 @@
 """A Volume's fields as rays take them: extinction and light on lattices in stage space."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,7 @@ __all__ = ["EXTINCTION", "Medium", "make_media"]
 
 EXTINCTION, _EMISSION, _GREY = 0, slice(1, 4), 4  # channels of a medium
 
-# Values [i j k 5], index of the first of them, and the lattice's place on the stage.
-_Box = tuple[np.ndarray, tuple[int, int, int], np.ndarray]
+_THICKEST = 1e30  # extinction; thicker smoke hides what is behind it no better
 
 
 @dataclass(frozen=True)
@@ -21,7 +19,7 @@ class Medium:
     """Smoke on one lattice, as the rays see it."""
 
     # [i j k 5]: extinction in 1/stage unit, emitted RGB and the colourless light of grey smoke in
-    # radiance/stage unit; float32, empty outside
+    # radiance/stage unit; float32. The outermost layer is empty, and so is all outside.
     values: np.ndarray
     index_to_stage: np.ndarray  # [4 4], from the array's own indices
 
@@ -44,22 +42,44 @@ def make_media(
         grey: scene-linear light of thick smoke without emission.
 
     Raises:
-        ShapeError: a field lies on the stage flattened, so that no ray can be followed through it.
+        ShapeError: an emission without its place, or a field that lies on the stage flattened,
+            so that no ray can be followed through it.
     """
-    sigma = np.float32(gamma_w) * np.maximum(density.values, 0, dtype=np.float32)
-    smoke = np.zeros((*sigma.shape, 5), np.float32)
-    smoke[..., EXTINCTION] = sigma
-    if emission is None:
-        smoke[..., _GREY] = np.float32(grey) * sigma
-    boxes = [(smoke, density.ijk_min, _lattice(density, to_stage))]
-    if emission is not None and emission_to_stage is not None:
-        light = np.zeros((*emission.values.shape[:3], 5), np.float32)
-        light[..., _EMISSION] = emission.values
-        boxes.append((light, emission.ijk_min, _lattice(emission, emission_to_stage)))
-    boxes = [box for box in boxes if box[0].size]
-    if len(boxes) == 2 and np.allclose(boxes[0][2], boxes[1][2], rtol=1e-12, atol=0):
-        boxes = [_merged(boxes[0], boxes[1])]
-    return [Medium(values, _moved(first) @ lattice) for values, first, lattice in boxes]
+    if (emission is None) != (emission_to_stage is None):
+        raise ShapeError("an emission and its place on the stage belong together; wanted both")
+    fields = [density] if emission is None else [density, emission]
+    places = [to_stage] if emission_to_stage is None else [to_stage, emission_to_stage]
+    lattices = [_lattice(*item) for item in zip(fields, places, strict=True)]
+    groups = [[field] for field in fields]
+    if len(fields) == 2 and np.allclose(lattices[0], lattices[1], rtol=1e-12, atol=0):
+        groups = [fields]
+    media = []
+    for group, lattice in zip(groups, lattices, strict=False):
+        held = [field for field in group if not field.is_empty]
+        if not held:
+            continue
+        low = np.min([field.ijk_min for field in held], axis=0)
+        high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in held], axis=0)
+        values = np.zeros((*(high - low + 2), 5), np.float32)
+        for field in held:
+            i, j, k = np.subtract(field.ijk_min, low) + 1
+            n, m, o = field.values.shape[:3]
+            inside = values[i : i + n, j : j + m, k : k + o]
+            if field is not density:
+                inside[..., _EMISSION] = field.values
+                continue
+            inside[..., EXTINCTION] = _extinction(density, gamma_w)
+            if emission is None:
+                inside[..., _GREY] = np.float32(grey) * inside[..., EXTINCTION]
+        media.append(Medium(values, _moved(low - 1) @ lattice))
+    return media
+
+
+def _extinction(density: DenseField, gamma_w: float) -> np.ndarray:
+    """[i j k] float32, 1/stage unit."""
+    most = _THICKEST / max(gamma_w, 1.0)
+    sigma: np.ndarray = np.float32(gamma_w) * np.clip(density.values, 0, most)
+    return sigma.astype(np.float32, copy=False)
 
 
 def _lattice(field: DenseField, to_stage: np.ndarray) -> np.ndarray:
@@ -73,18 +93,8 @@ def _lattice(field: DenseField, to_stage: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _moved(first: Sequence[int]) -> np.ndarray:
+def _moved(first: np.ndarray) -> np.ndarray:
+    """[4 4] that adds the index of an array's first voxel."""
     matrix = np.eye(4)
     matrix[3, :3] = first
     return matrix
-
-
-def _merged(one: _Box, other: _Box) -> _Box:
-    """Both on the box that holds them: they share their voxels."""
-    ends = [np.add(first, values.shape[:3]) for values, first, _ in (one, other)]
-    low = np.minimum(one[1], other[1])
-    whole = np.zeros((*(np.maximum(*ends) - low), 5), np.float32)
-    for values, first, _ in (one, other):
-        i, j, k = np.subtract(first, low)
-        whole[i : i + values.shape[0], j : j + values.shape[1], k : k + values.shape[2]] += values
-    return whole, (int(low[0]), int(low[1]), int(low[2])), one[2]

@@ -38,8 +38,10 @@ def field(values: np.ndarray, matrix: np.ndarray, ijk_min: tuple[int, int, int] 
 def media_of(
     density: np.ndarray, light: np.ndarray | None, matrix: np.ndarray, gamma_w: float = 1.0
 ) -> list[Medium]:
-    emission = None if light is None else field(light, matrix)
-    return make_media(field(density, matrix), emission, np.eye(4), np.eye(4), gamma_w, 0.5)
+    smoke = field(density, matrix)
+    if light is None:
+        return make_media(smoke, None, np.eye(4), None, gamma_w, 0.5)
+    return make_media(smoke, field(light, matrix), np.eye(4), np.eye(4), gamma_w, 0.5)
 
 
 def front(height: int = 6, width: int = 8, pixel_size: float = 0.05) -> View:
@@ -277,6 +279,11 @@ def test_nothing_gives_an_empty_picture_and_negative_density_counts_as_none() ->
     assert make_media(empty, None, np.eye(4), None, 1.0, 0.5) == []
     negative = media_of(np.full(BOX, -1.0), None, placed(BOX))
     assert (march(negative, front()).rgba == 0).all()
+
+
+def test_the_densest_smoke_that_floats_hold_is_opaque_and_finite() -> None:
+    picture = march(media_of(np.full(BOX, 3e38), None, placed(BOX), 1e6), front())
+    assert np.allclose(picture.rgba, [0.5, 0.5, 0.5, 1.0]) and np.isfinite(picture.depth).all()
 
 
 def test_a_flattened_field_is_refused_by_name() -> None:
