@@ -42,20 +42,7 @@ def write_exr(
         raise ImageError(f"cannot write {where}: its parts differ in size, or there are none")
 
     def write(temporary: Path) -> None:
-        made = []
-        for name, array in pixels.items():
-            header = {
-                **(attributes or {}),
-                "name": name,
-                "type": OpenEXR.scanlineimage,
-                "compression": OpenEXR.ZIP_COMPRESSION,
-                "chromaticities": _REC709,
-            }
-            letters = parts[name][0]
-            channels = {
-                letter: np.ascontiguousarray(array[..., n]) for n, letter in enumerate(letters)
-            }
-            made.append(OpenEXR.Part(header, channels, name))
+        made = [_part(name, parts[name][0], array, attributes) for name, array in pixels.items()]
         try:
             OpenEXR.File(made).write(os.fspath(temporary))
         except _ERRORS as error:
@@ -71,6 +58,20 @@ def write_exr(
             )
 
     publish_file(Path(file_path), write, check)
+
+
+def _part(
+    name: str, letters: str, array: np.ndarray, attributes: Mapping[str, str] | None
+) -> OpenEXR.Part:
+    header = {
+        **(attributes or {}),
+        "name": name,
+        "type": OpenEXR.scanlineimage,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "chromaticities": _REC709,
+    }
+    channels = {letter: np.ascontiguousarray(array[..., n]) for n, letter in enumerate(letters)}
+    return OpenEXR.Part(header, channels, name)
 
 
 def _checked(where: str, name: str, letters: str, array: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The smoke of a preview: which Volumes, which fields, how opaque, where."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from pxr import Usd
 
 from usdsmoke.colour_grids import absolute_emission
 from usdsmoke.config import Config, StageConfig
-from usdsmoke.errors import AssetNotResolved, UsdSmokeError, VolumeNotFound
+from usdsmoke.errors import AssetNotResolved, PlanError, UsdSmokeError, VolumeNotFound
+from usdsmoke.estimate import GIB, available_memory_gib
 from usdsmoke.grids.header import GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
 from usdsmoke.schema import EMISSION_PER_DENSITY
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GREY", "Smoke", "find_smoke"]
 
+_BASE_GIB = 0.5  # of a process that draws; measured
+_BYTES = 60  # a voxel of the boxes, density and emission; measured
 GREY = 0.5  # scene-linear light of thick smoke that has no emission
 
 
@@ -62,6 +66,22 @@ class Smoke:
             self._with_light(volume)
             for volume in shown_volumes(self.stage, self.selected, time_code)
         ]
+
+    def check_memory(self, time_code: float) -> None:
+        """Refuse a frame that does not fit the machine, from headers alone.
+
+        Raises:
+            PlanError: with what is needed and what there is.
+        """
+        shapes = [_grid(volume.density, 1).box_shape for volume in self.shown(time_code)]
+        n_voxels = sum(math.prod(shape) for shape in shapes if shape is not None)
+        needed, there = _BASE_GIB + n_voxels * _BYTES / GIB, available_memory_gib()
+        if needed > there:
+            raise PlanError(
+                f"drawing timeCode {format_time_code(time_code)} needs about {needed:.1f} GiB of "
+                f"memory for {n_voxels:,} voxels; there are {there:.1f} GiB: draw fewer Volumes "
+                "(--prim), or on a larger machine"
+            )
 
     def points(self, time_codes: Iterable[float]) -> np.ndarray:
         """Corners of the boxes of smoke in all frames, selected or not, [N 3], stage space.

@@ -82,15 +82,20 @@ def preview(
     Raises:
         ConfigError: the request cannot be fulfilled as it stands.
         StageError, GridError, NonFiniteError, ShapeError: stage or files cannot be used.
+        PlanError: a frame does not fit the machine's memory.
         WriteFailed: the output could not be written.
     """
     request = make_request(stage, output, camera, frames, compare, prims, width, size, background)
+    return _preview(request, progress)
+
+
+def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | None) -> PreviewResult:
     smokes = _open(request)
     codes = smokes[_LOOK].time_codes
     codes = codes if request.frames else spread(codes)
     for smoke in smokes.values():
         for code in codes:
-            smoke.shown(code)  # whatever headers tell against it, before any file is written
+            smoke.check_memory(code)  # and whatever headers tell, before any file is written
     views = _views(request, smokes, codes)
     view = views[codes[0]][0]
     drawn = _draw(smokes, views, progress)

@@ -1,5 +1,6 @@
 """A Volume's fields as rays take them: extinction and light on lattices in stage space."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,23 +57,28 @@ def make_media(
     media = []
     for group, lattice in zip(groups, lattices, strict=False):
         held = [field for field in group if not field.is_empty]
-        if not held:
-            continue
-        low = np.min([field.ijk_min for field in held], axis=0)
-        high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in held], axis=0)
-        values = np.zeros((*(high - low + 2), 5), np.float32)
-        for field in held:
-            i, j, k = np.subtract(field.ijk_min, low) + 1
-            n, m, o = field.values.shape[:3]
-            inside = values[i : i + n, j : j + m, k : k + o]
-            if field is not density:
-                inside[..., _EMISSION] = field.values
-                continue
-            inside[..., EXTINCTION] = _extinction(density, gamma_w)
-            if emission is None:
-                inside[..., _GREY] = np.float32(grey) * inside[..., EXTINCTION]
-        media.append(Medium(values, _moved(low - 1) @ lattice))
+        if held:
+            values, first = _filled(held, density, gamma_w, grey if emission is None else 0.0)
+            media.append(Medium(values, _moved(first) @ lattice))
     return media
+
+
+def _filled(
+    held: Sequence[DenseField], density: DenseField, gamma_w: float, grey: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fields of one lattice on the box that holds them and one layer more; its first index."""
+    low = np.min([field.ijk_min for field in held], axis=0)
+    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in held], axis=0)
+    values = np.zeros((*(high - low + 2), 5), np.float32)
+    for field in held:
+        start = np.subtract(field.ijk_min, low) + 1
+        i, j, k = (slice(a, a + n) for a, n in zip(start, field.values.shape[:3], strict=True))
+        if field is density:
+            values[i, j, k, EXTINCTION] = _extinction(density, gamma_w)
+            values[i, j, k, _GREY] = np.float32(grey) * values[i, j, k, EXTINCTION]
+        else:
+            values[i, j, k, _EMISSION] = field.values
+    return values, low - 1
 
 
 def _extinction(density: DenseField, gamma_w: float) -> np.ndarray:
