@@ -1,13 +1,14 @@
 """What a run leaves written down: in the layer, in the authorship record, in every frame's file."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pxr import Sdf, Usd, UsdMedia
 
-from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run
+from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot, run
 from usdsmoke.core.definition import embedded_hash
 from usdsmoke.grids.content_hash import hash_vdb_file
 from usdsmoke.grids.header import read_header
@@ -119,3 +120,14 @@ def test_the_source_that_goes_on_being_shown_has_its_empty_file_on_record(shot: 
     assert len(results) == 2 and len(record["frames"]) == 1
     for name, digest in results.items():
         assert hash_vdb_file(shot.output / name, GridsConfig()) == digest
+
+
+@pytest.mark.usefixtures("core")
+def test_the_document_explains_every_key_and_every_kind_of_change(shot: Shot) -> None:
+    text = (PROJECT / "docs/provenance.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w-]+)`", text))
+    assert set(record_of(run(shot).look_layer)) <= named
+    sources = [PROJECT / f"usdsmoke/provenance_{name}.py" for name in ("inputs", "verify")]
+    calls = "".join(source.read_text(encoding="utf-8") for source in sources)
+    kinds = set(re.findall(r'Change(?:\.note)?\(\s*"([a-z-]+)"', calls))
+    assert len(kinds) > 12 and kinds <= named

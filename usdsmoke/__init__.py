@@ -8,6 +8,8 @@
     usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the main job
     usdsmoke.preview("look/shot_look.usda", "look.png")               what it looks like
     usdsmoke.validate("look/look.usda")                               is the result sound
+    usdsmoke.verify("look/look.usda")                                 what has changed since
+    usdsmoke.rerun("look/look.usda", output="again")                  the same once more
 
 Importing this package loads nothing heavy: each public name is looked up when it is first used.
 It tells USD where its schemas are, so that stages opened afterwards know UsdSmokeStyleAPI.
@@ -24,8 +26,10 @@ if TYPE_CHECKING:
     from usdsmoke.errors import UsdSmokeError
     from usdsmoke.inspection import inspect
     from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
+    from usdsmoke.pipeline_rerun import rerun
     from usdsmoke.pipeline_submit import submit
     from usdsmoke.preview_stage import preview
+    from usdsmoke.provenance_verify import verify
     from usdsmoke.validators import validate
 
 __all__ = [
@@ -35,6 +39,7 @@ __all__ = [
     "assemble",
     "inspect",
     "preview",
+    "rerun",
     "resolve_config",
     "run_coarse",
     "run_window",
@@ -42,6 +47,7 @@ __all__ = [
     "stylize_on_cluster",
     "submit",
     "validate",
+    "verify",
 ]
 
 __version__ = "0.1.0"
@@ -52,6 +58,7 @@ _HOME = {
     "assemble": "usdsmoke.pipeline",
     "inspect": "usdsmoke.inspection",
     "preview": "usdsmoke.preview_stage",
+    "rerun": "usdsmoke.pipeline_rerun",
     "resolve_config": "usdsmoke.config",
     "run_coarse": "usdsmoke.pipeline",
     "run_window": "usdsmoke.pipeline",
@@ -59,6 +66,7 @@ _HOME = {
     "stylize_on_cluster": "usdsmoke.cluster",
     "submit": "usdsmoke.pipeline_submit",
     "validate": "usdsmoke.validators",
+    "verify": "usdsmoke.provenance_verify",
 }
 
 

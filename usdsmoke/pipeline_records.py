@@ -52,6 +52,7 @@ def frame_metadata(
     described = run.description
     nothing: dict[str, Any] = {"settings": {}, "styles": []}
     asked = described.get("requests", {}).get(volume.source.prim_path, nothing)
+    settings = merge_settings(described["settings"], asked["settings"])
     packages = sorted(_versions(config).items())
     return {
         "creator": f"usdsmoke {__version__}",
@@ -62,7 +63,7 @@ def frame_metadata(
         "usdsmoke:run": run.run_id,
         "usdsmoke:created": run.created,
         "usdsmoke:seed": volume.config.optimize.seed,
-        "usdsmoke:config": _as_json(merge_settings(described["settings"], asked["settings"])),
+        "usdsmoke:config": _as_json(_settings(settings, run.output)),
         "usdsmoke:params_sha256": run.settings_hash,
         "usdsmoke:features": volume.config.features.network,
         "usdsmoke:featuresHash": described["features_hash"],
@@ -100,7 +101,7 @@ def make_provenance(
     facts = RunFacts(
         version=__version__,
         seed=config.optimize.seed,
-        config=config_to_dict(config),
+        config=_settings(config_to_dict(config), run.output),
         inputs=_inputs(run, plan),
         styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
         features=", ".join(
@@ -119,7 +120,7 @@ def make_provenance(
         figures=summarize_figures(reports),
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         stage_values=stage_values(plan.source),
-        request=run.request,
+        request={**run.request, "config": _settings(run.request["config"], run.output)},
         input_state=state,
         style_files={
             relative_asset_path(style.file_path, run.output): style.sha256 for style in styles
@@ -173,6 +174,16 @@ def _sources(volume: VolumePlan, frame: FramePlan) -> Iterator[tuple[str, str, s
     if velocity is not None:
         label = ", ".join(grid.label for grid in velocity.grids)
         yield "velocity", velocity.field.file_path, label
+
+
+def _settings(sections: Mapping[str, Any], output: Path) -> dict[str, Any]:
+    """The settings with the parameter file, the one that names a place, relative to the output."""
+    file = sections["features"]["vgg19_file"]
+    if not file:
+        return dict(sections)
+    found = Path(file).is_file()
+    place = relative_asset_path(file, output) if found else Path(file).name
+    return {**sections, "features": {**sections["features"], "vgg19_file": place}}
 
 
 def _source_key(field: str) -> str:

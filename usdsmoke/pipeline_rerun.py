@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
-from usdsmoke.config import Config, config_to_dict
 from usdsmoke.errors import LayerError
 from usdsmoke.pipeline import StylizeResult, stylize
+from usdsmoke.pipeline_settings import explicit_values
 from usdsmoke.plan import Plan
 from usdsmoke.provenance_inputs import recorded_config, shown
 from usdsmoke.provenance_records import LookRecord, find_records
@@ -72,7 +71,7 @@ def rerun(
         [_place(record, name) for name in request["styles"]],
         output,
         config,
-        _explicit(config, request),
+        explicit_values(config, frozenset(request.get("explicit", ()))),
         force,
         progress,
         planned,
@@ -111,17 +110,6 @@ def _refuse_changes(record: LookRecord) -> None:
 
 def _place(record: LookRecord, name: str) -> Path:
     return Path(os.path.normpath(record.folder / name))
-
-
-def _explicit(config: Config, request: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The settings that were stronger than what a Volume's prim asks for."""
-    values = config_to_dict(config)
-    sections: dict[str, dict[str, Any]] = {}
-    for name in request.get("explicit", ()):
-        section, _, key = name.partition(".")
-        if key in values.get(section, {}):
-            sections.setdefault(section, {})[key] = values[section][key]
-    return sections
 
 
 def _frame_hashes(record: LookRecord) -> dict[tuple[str, float], str]:

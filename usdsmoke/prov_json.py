@@ -4,7 +4,7 @@ The source stage, VDB files, style images, settings, the look layer and its fram
 run is an activity, usdsmoke and the packages beneath it are software agents. Identifiers are the
 run's UUID and a number, so documents of several runs can be put together.
 
-Sources: W3C PROV-DM and the PROV-JSON Serialization (W3C Member Submission, 24 April 2013).
+Sources: [PROV-DM2013], [PROV-JSON2013].
 """
 
 from collections.abc import Mapping, Sequence

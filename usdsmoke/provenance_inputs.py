@@ -6,7 +6,7 @@ content: a file that was only written anew, compressed or copied over, is worth 
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -48,12 +48,17 @@ def shown(digest: str) -> str:
 
 
 def recorded_config(record: LookRecord) -> Config:
-    """The settings of a run.
+    """The settings of a run, with the place of its parameter file as it is now.
 
     Raises:
         ConfigError: this version of usdsmoke knows other settings.
     """
-    return resolve_config(record.parsed("config"))
+    config = resolve_config(record.parsed("config"))
+    file = config.features.vgg19_file
+    if not file.startswith(("./", "../")):
+        return config
+    features = replace(config.features, vgg19_file=str(_place(record, file)))
+    return replace(config, features=features)
 
 
 def check_inputs(record: LookRecord) -> list[Change]:
