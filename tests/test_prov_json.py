@@ -118,7 +118,8 @@ def test_a_look_upon_a_look_gives_one_document_of_two_runs(
 ) -> None:
     first = make_shot(tmp_path)
     result = run(first)
-    again = run(Shot(tmp_path, result.root_stage, first.style, tmp_path / "again"))
+    upon = Shot(tmp_path, result.root_stage, first.style, tmp_path / "again")
+    again = run(upon, "stage.restylize=true")
     document: dict[str, Any] = {}
     assert main(["provenance", str(again.root_stage), "--prov"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -59,7 +59,7 @@ def test_the_look_upon_a_look_is_found_first_and_then_the_other(
 ) -> None:
     shot, first = finished
     upon = Shot(shot.folder, first.root_stage, shot.style, shot.folder / "upon")
-    second = run(upon, "optimize.seed=4")
+    second = run(upon, "optimize.seed=4", "stage.restylize=true")
     records = find_records(second.root_stage)
     assert [record.file for record in records] == [second.look_layer, first.look_layer]
     assert records[0].depth < records[1].depth

@@ -115,6 +115,15 @@ def test_a_part_of_a_sequence_is_made_again_as_that_part(shot: Shot) -> None:
 
 
 @pytest.mark.usefixtures("core")
+def test_a_look_upon_a_look_is_made_again_upon_that_look(shot: Shot) -> None:
+    first = run(shot)
+    upon = Shot(shot.folder, first.root_stage, shot.style, shot.folder / "upon")
+    second = run(upon, "stage.restylize=true", "optimize.seed=1")
+    again = rerun(second.root_stage, shot.folder / "again")
+    assert (again.record, again.differences) == (second.look_layer, ())
+
+
+@pytest.mark.usefixtures("core")
 def test_two_looks_side_by_side_must_be_told_apart(shot: Shot) -> None:
     run(shot, "layer.look=fire")
     run(shot, "layer.look=ice", "optimize.seed=1")

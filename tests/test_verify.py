@@ -136,6 +136,14 @@ def test_a_style_image_that_is_gone_is_named(finished: Finished) -> None:
     assert (change.kind, change.file) == ("style-missing", str(finished[0].style))
 
 
+def test_a_changed_stage_is_named_though_the_style_image_is_gone(finished: Finished) -> None:
+    stage = finished[0].stage
+    finished[0].style.unlink()
+    stage.write_text(stage.read_text().replace("metersPerUnit = 0.5", "metersPerUnit = 0.25"))
+    kinds = [change.kind for change in verify(finished[1].look_layer)]
+    assert kinds == ["stage-edited", "style-missing"]
+
+
 def test_a_result_that_is_gone_is_named(finished: Finished) -> None:
     finished[1].frames[1].unlink()
     change = only(finished)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from usdsmoke.config import Config, resolve_config
+from usdsmoke.config import Config, config_to_dict, resolve_config
 from usdsmoke.errors import ConfigError, FeatureError, UsdSmokeError
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
@@ -18,7 +18,7 @@ from usdsmoke.pipeline_inputs import Job, requested_job
 from usdsmoke.provenance import hash_file
 from usdsmoke.provenance_records import LookRecord
 from usdsmoke.provenance_stage import stage_values
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.stage import find_volumes, open_source, seen_through
 from usdsmoke.volume import StageSource
 
 __all__ = ["Change", "check_inputs", "recorded_config", "shown"]
@@ -73,7 +73,7 @@ def check_inputs(record: LookRecord) -> list[Change]:
         file = str(record.file)
         return [Change.note("unchecked", file, "settings that this version knows", str(error))]
     stage = _place(record, request["stage"])
-    job = _job(record) if stage.is_file() else None
+    job = _job(record, config) if stage.is_file() else None
     changes = [*_check_styles(record), *_check_features(record, config, job)]
     if not stage.is_file():
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
@@ -82,10 +82,11 @@ def check_inputs(record: LookRecord) -> list[Change]:
     return [*files, *_check_stage(record, stage, config, job, some_are_gone), *changes]
 
 
-def _job(record: LookRecord) -> Job | None:
+def _job(record: LookRecord, config: Config) -> Job | None:
     """The run's job with the inputs as they are now; None where that is impossible."""
+    request = {**record.parsed("request"), "config": config_to_dict(config)}
     try:
-        return requested_job(record.folder, record.parsed("request"))
+        return requested_job(record.folder, request)
     except UsdSmokeError:
         return None
 
@@ -103,16 +104,17 @@ def _check_styles(record: LookRecord) -> Iterator[Change]:
 def _check_features(record: LookRecord, config: Config, job: Job | None) -> Iterator[Change]:
     volumes = [volume.config for volume in job.plan.volumes] if job is not None else [config]
     digest = str(record.values.get("featuresHash", ""))
-    wanted = f"{config.features.network} {shown(digest)}"
+    networks = sorted({own.features.network for own in volumes})
+    wanted = f"{', '.join(networks)} {shown(digest)}"
     file = config.features.vgg19_file or config.features.network
     try:
         found = features_hashes(own.features for own in volumes)
     except FeatureError as error:
         yield Change("features-missing", file, wanted, str(error))
         return
-    if found == digest:
+    if found == digest or (job is None and " " in digest):  # several networks: whose, is unknown
         return
-    if config.features.network == "embedded":  # they come with usdsmoke, like its version
+    if networks == ["embedded"]:  # they come with usdsmoke, like its version
         yield Change.note("features-changed", "embedded features", wanted, shown(found))
     else:
         yield Change("features-edited", file, wanted, shown(found))
@@ -132,8 +134,8 @@ def _check_stage(
         return
     recorded, here = record.pairs("stageValues"), stage_values(source)
     for name in (*recorded, *sorted(here.keys() - recorded.keys())):
-        if job is None and name.endswith(" request"):
-            continue  # which of them count is known together with the style images only
+        if job is None and (name.endswith(" request") or f"{name} request" in recorded):
+            continue  # what counts of a prim's word is known together with the style images only
         before, now = recorded.get(name, "absent"), here.get(name, "absent")
         if before != now:
             texts = [shown(text) if len(text) == 64 else text for text in (before, now)]
@@ -141,7 +143,10 @@ def _check_stage(
 
 
 def _source(stage: Path, config: Config) -> StageSource:
-    return find_volumes(open_stage(stage), config.stage)
+    """What the stage says, without the images that a job needs too."""
+    opened, _ = open_source(stage, config.stage.restylize)
+    found = find_volumes(opened, config.stage)
+    return seen_through(opened, found, [config.views.camera] * len(found.volumes))
 
 
 def _check_files(record: LookRecord, stage: Path, job: Job | None) -> list[Change]:
