@@ -31,7 +31,8 @@ def whole(farm: Shot) -> Outcome:
 
 def outcome(root_stage: Path) -> Outcome:
     """Content hashes by timeCode, and the look layer's text without clock times and run id."""
-    text = (root_stage.parent / "look.usda").read_text()
+    (look,) = root_stage.parent.glob("look*.usda")
+    text = look.read_text()
     run_id = re.search(r'string run = "([^"]+)"', text)
     assert run_id is not None
     for name in (run_id[1], run_id[1].replace("-", "")[:8]):

@@ -125,7 +125,9 @@ def _write_payload(folder: Path) -> None:
         + f"""
 def Xform "Plume"
 {{
-    def Volume "smoke"
+    def Volume "smoke" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
     {{
         float3[] extent = [(-9, -9, -9), (9, 9, 9)]
         rel field:density = </Plume/fields/density>

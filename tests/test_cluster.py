@@ -21,7 +21,7 @@ from usdsmoke.run_progress import RunProgress
 pytest.importorskip("distributed", reason="distributed is not installed")
 
 PROJECT = Path(__file__).resolve().parents[1]
-SETTINGS = ("windows.size=2", "windows.overlap=1", "optimize.threads=1")
+SETTINGS = ("windows.size=2", "windows.overlap=1", "optimize.threads=1", "layer.look=ember")
 N_FRAMES = 8
 N_BEGUN = 8 + 3  # three of the four windows go one frame beyond their own
 PATIENCE_S = 30.0

@@ -24,6 +24,8 @@ SETTINGS = {
     "optimize.threads": 1,
     "windows.size": 2,
     "windows.overlap": 1,
+    "layer.look": "ember",
+    "layer.mode": "reference",
 }
 
 
@@ -73,4 +75,5 @@ def test_openjd_runs_the_template_to_the_bits_of_a_plain_run(shot: Shot) -> None
     plain = replace(shot, output=shot.folder / "plain")
     result = run(plain, *(f"{key}={value}" for key, value in SETTINGS.items()))
     assert len(result.frames) == 3
+    assert result.root_stage.name == "shot_asset.usda"
     assert outcome(shot.output / result.root_stage.name) == outcome(result.root_stage)

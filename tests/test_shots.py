@@ -1,16 +1,20 @@
 """A shot of many layers through the whole pipeline: the right prims, files and stacks."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from pxr import Usd, UsdVol
 
 from tests.pipeline_fixtures import values_of
 from tests.shot_fixtures import FOG, PLUME, BigShot, make_big_shot
 from tests.stage_reader import read_stage
 from tests.usd_fixtures import file_hashes
+from usdsmoke import submit
+from usdsmoke.cli import main
 from usdsmoke.errors import OutputExists, StageError
 from usdsmoke.pipeline import StylizeResult, assemble, stylize
 from usdsmoke.stage import open_stage
@@ -148,3 +152,24 @@ def test_what_an_asset_cannot_hold_is_refused_before_anything_is_written(big: Bi
         run(big, "layer.mode=reference")
     assert not big.output.exists()
     run(big)
+
+
+def test_the_command_line_tells_what_to_open_and_what_to_switch(
+    big: BigShot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(big.stage), "--style", str(big.style), "-o", str(big.output)]
+    assert main(["stylize", *files, "--mode", "reference", "--look", "ember"]) == 0
+    told = capsys.readouterr().out
+    assert re.search(rf"stage to open +{re.escape(str(big.output))}/shot_asset.usda", told)
+    assert "variant set look of </World>: ember, original" in told
+
+
+def test_a_job_for_a_queue_is_assembled_by_look_and_mode(big: BigShot) -> None:
+    bundle = submit(
+        big.stage, big.style, big.output, settings=["layer.look=ember", "layer.mode=reference"]
+    )
+    template = yaml.safe_load(bundle.template.read_text())
+    run_action = template["steps"][-1]["script"]["actions"]["onRun"]
+    assert run_action["args"] == [
+        "assemble", "{{Param.Output}}", "--look", "ember", "--mode", "reference",
+    ]  # fmt: skip

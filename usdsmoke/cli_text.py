@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.cli_requests import request_rows
+from usdsmoke.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.progress import format_seconds
 from usdsmoke.time_codes import format_time_codes
 
@@ -65,8 +66,22 @@ def result_text(result: "StylizeResult") -> str:
         *_measured("overlap differs by", result.overlap_difference),
     ]
     checked = result.root_stage or result.look_layer
-    use = [] if opened else [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
-    return "\n".join([*columns(rows), "", *use, f"check it with: usdsmoke validate {checked}"])
+    check = f"check it with: usdsmoke validate {checked}"
+    return "\n".join([*columns(rows), "", *_use_of(result), check])
+
+
+def _use_of(result: "StylizeResult") -> list[str]:
+    """What to do with a result that is not a root stage over the source."""
+    layer = result.plan.config.layer
+    if layer.mode == "layer":
+        return [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
+    if layer.mode == "reference":
+        roots = dict.fromkeys(
+            "/" + volume.source.prim_path.split("/")[1] for volume in result.plan.volumes
+        )
+        where = ", ".join(f"<{root}>" for root in roots)
+        return [f"switch it with: variant set {VARIANT_SET} of {where}: {layer.look}, {ORIGINAL}"]
+    return []
 
 
 def step_text(step: "StepResult") -> str:
