@@ -100,6 +100,8 @@ def test_another_mode_is_assembled_from_the_same_frames(shot: Shot, core: FakeCo
     assert core.stylized == []
     assert [path.stat().st_mtime_ns for path in again.frames] == before
     assert assemble(shot.output).root_stage == again.root_stage  # the folder remembers the mode
+    with pytest.raises(OutputExists, match="another mode with 'usdsmoke assemble'"):
+        run(shot, "layer.mode=reference")
     with pytest.raises(ConfigError, match="wanted one of"):
         assemble(shot.output, mode="usdz")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdVol
+from pxr import Sdf, Usd, UsdUtils, UsdVol
 
 from tests.pipeline_fixtures import Shot, make_shot, run, shown_files, values_of
 from tests.shot_fixtures import PLUME, make_big_shot
@@ -175,6 +175,21 @@ def test_a_flattened_result_is_refused_with_advice_unless_it_is_asked_for(shot: 
         again(shot, flat)
     assert not (shot.folder / "second").exists()
     np.testing.assert_allclose(values_of(again(shot, flat, RESTYLIZE).frames[0]), 0.625 / 4)
+
+
+def test_flattened_sublayers_keep_the_record_and_are_refused_the_same_way(shot: Shot) -> None:
+    flat = shot.folder / "flat.usda"
+    UsdUtils.FlattenLayerStack(Usd.Stage.Open(str(run(shot).root_stage))).Export(str(flat))
+    assert "usdsmoke" in Sdf.Layer.FindOrOpen(str(flat)).customLayerData
+    with pytest.raises(StageError, match=r"</World/smoke> is stylized already: .*--restylize"):
+        again(shot, flat)
+    np.testing.assert_allclose(values_of(again(shot, flat, RESTYLIZE).frames[0]), 0.625 / 4)
+
+
+def test_a_root_whose_look_is_gone_shows_the_source_and_is_stylized_from_it(shot: Shot) -> None:
+    result = run(shot)
+    result.look_layer.unlink()
+    np.testing.assert_allclose(values_of(again(shot, result.root_stage).frames[0]), 0.625 / 2)
 
 
 def test_a_flattened_result_of_some_frames_is_refused_too(shot: Shot) -> None:

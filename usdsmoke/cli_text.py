@@ -76,11 +76,8 @@ def _use_of(result: "StylizeResult") -> list[str]:
     if layer.mode == "layer":
         return [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
     if layer.mode == "reference":
-        roots = dict.fromkeys(
-            "/" + volume.source.prim_path.split("/")[1] for volume in result.plan.volumes
-        )
-        where = ", ".join(f"<{root}>" for root in roots)
-        return [f"switch it with: variant set {VARIANT_SET} of {where}: {layer.look}, {ORIGINAL}"]
+        names = f"{layer.look}, {ORIGINAL}"
+        return [f"switch it with the variant set {VARIANT_SET} of the root prims: {names}, ..."]
     return []
 
 

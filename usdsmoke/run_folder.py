@@ -233,9 +233,11 @@ def open_run(
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if run.description != description]
     if results and not force:
+        same = [run for run in runs.values() if run.complete and run.description == description]
+        other_mode = "put it together in another mode with 'usdsmoke assemble', " if same else ""
         raise OutputExists(
-            f"there is a result in {output} already; choose another output folder, "
-            "or replace it with --force"
+            f"there is a result in {output} already; {other_mode}choose another output folder or "
+            "look, or replace it with --force"
         )
     if others and not force:
         changes = list_changes(others[0].description, description)

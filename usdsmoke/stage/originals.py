@@ -39,7 +39,7 @@ def open_source(
             layer without the smoke that it belongs to.
     """
     stage, notes = open_stage(file_path), []
-    if is_look_layer(stage.GetRootLayer()):
+    if is_look_layer(stage.GetRootLayer()) and not _field_names(stage):
         raise StageError(
             f"{os.fspath(file_path)} is a look layer alone, without the smoke that it belongs to; "
             "give the stage that it was made for, or one that has both"
@@ -67,12 +67,12 @@ def leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
     """
     with captured_diagnostics():
         used = stage.GetUsedLayers()
-        files = tuple(sorted(layer.realPath for layer in used if is_look_layer(layer)))
+        files = tuple(sorted(layer.realPath for layer in used if _can_be_muted(layer, stage)))
         if not files:
             return EarlierLooks()
         before = _field_names(stage)
         variants = _select_originals(stage) if any(map(_is_asset, used)) else []
-        looks = [layer.identifier for layer in stage.GetUsedLayers() if is_look_layer(layer)]
+        looks = [layer.identifier for layer in stage.GetUsedLayers() if _can_be_muted(layer, stage)]
         stage.MuteAndUnmuteLayers(looks, [])  # which forgets the layers themselves
         after = _field_names(stage)
     taken = [f"<{path}>" for path in variants]
@@ -111,6 +111,11 @@ def _stands_on(root: Sdf.Layer) -> str:
         if first is not None and is_look_layer(first):
             source = root.subLayerPaths[1]
     return Sdf.ComputeAssetPathRelativeToLayer(root, source) if source else ""
+
+
+def _can_be_muted(layer: Sdf.Layer, stage: Usd.Stage) -> bool:
+    """Look layers, except a root that sublayers were flattened into."""
+    return is_look_layer(layer) and layer != stage.GetRootLayer()
 
 
 def _is_asset(layer: Sdf.Layer) -> bool:
