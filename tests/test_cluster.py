@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import make_shot, run, write_nan
+from tests.pipeline_fixtures import make_shot, run, values_of, write_nan
 from tests.test_farm import outcome
 from usdsmoke.cluster import stylize_on_cluster
 from usdsmoke.errors import ClusterError, Interrupted, NonFiniteError
@@ -185,3 +185,26 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
             progress=kill_scheduler,
         )  # fmt: skip
     assert list(shot.output.glob("vdb/*/windows/*.json"))
+
+
+@pytest.mark.usefixtures("core")
+def test_requests_and_what_is_stronger_than_they_reach_the_workers(
+    tmp_path: Path, cluster: Cluster
+) -> None:
+    """The prim asks for a seed, which the run overrides, and for one step, which it does not."""
+    shot = make_shot(tmp_path, 2)
+    asked = """prepend apiSchemas = ["UsdSmokeStyleAPI"]
+    )
+    {
+        int64 usdSmoke:request:seed = 5
+        token[] usdSmoke:request:steps = ["colour"]
+"""
+    text = shot.stage.read_text(encoding="utf-8")
+    text = text.replace('def Volume "smoke"\n    {\n', f'def Volume "smoke" (\n    {asked}')
+    shot.stage.write_text(text, encoding="utf-8")
+    settings = ("optimize.threads=1", "optimize.seed=2")
+    result = stylize_on_cluster(
+        cluster.address, shot.stage, shot.style, shot.output, {"optimize": {"seed": 7}}, settings
+    )
+    assert values_of(result.frames[0]).max() == 0.625  # the shape step would have halved it
+    assert values_of(result.frames[0], "emission").max() == 0.625 * (1 + 2)

@@ -9,8 +9,9 @@ from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_text
 from usdsmoke.config import GridsConfig
+from usdsmoke.errors import OutputExists
 from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.pipeline import plan_stylize, stylize
+from usdsmoke.pipeline import plan_stylize, run_window, stylize
 
 CODES, SHAPE = range(1, 9), (12, 10, 14)
 SETTINGS = {
@@ -98,3 +99,26 @@ def test_each_volume_is_seen_through_the_camera_it_asks_for(tmp_path: Path) -> N
     assert cameras() == ["/World/near_camera", "/World/far_camera", ""]
     assert cameras(camera="/World/free_camera") == ["/World/free_camera"] * 3
     assert cameras(camera="") == [""] * 3
+
+
+@pytest.mark.usefixtures("core")
+def test_another_sample_is_another_run_and_named_by_its_timecode(tmp_path: Path) -> None:
+    (tmp_path / "cache").mkdir()
+    for code in (1, 2):
+        write_raw(tmp_path / f"cache/smoke.{code:04d}.vdb", raw_grid(ball()))
+    body = f"""
+    def Volume "smoke" (prepend apiSchemas = ["UsdSmokeStyleAPI"])
+    {{
+        double usdSmoke:request:gamma.timeSamples = {{ 1: 0.5, 2: 0.75 }}
+        rel field:density = </World/smoke/density>
+        {density_prim(sequence((1, 2)))}
+    }}
+"""
+    stage, style = write_text(tmp_path / "s.usda", world(body)), make_style(tmp_path / "s.png")
+    run_window(stage, style, tmp_path / "out", 0)
+    write_text(stage, stage.read_text().replace("0.75", "0.875"))
+    with pytest.raises(
+        OutputExists,
+        match=r"requests\./World/smoke\.samples\.optics\.gamma\.2 was 0\.75, now 0\.875",
+    ):
+        run_window(stage, style, tmp_path / "out", 0)

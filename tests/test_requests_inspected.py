@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 from pxr import Sdf
 
+import usdsmoke
 from tests.pipeline_fixtures import PROJECT, make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
 from usdsmoke.cli import main
+from usdsmoke.config import resolve_config
 from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, REQUEST_PREFIX
 
 CODES = (1, 2, 3)
@@ -80,6 +82,21 @@ def test_every_value_comes_with_whose_word_it_is(
     assert request["styles"]["origin"] == "prim"
 
 
+@pytest.mark.parametrize("kind", ["mapping", "ready made", "file"])
+def test_a_configuration_counts_as_one_in_whatever_form_it_comes(stage: Path, kind: str) -> None:
+    sections = {"windows": {"size": 3}, "optimize": {"seed": 1}}
+    ways: dict[str, Any] = {
+        "mapping": sections,
+        "ready made": resolve_config(sections),
+        "file": write_text(stage.parent / "c.yaml", json.dumps(sections)),
+    }
+    found = usdsmoke.inspect(stage, config=ways[kind], settings=["style.size=2"])
+    settings = found["volumes"][0]["request"]["settings"]
+    origins = {name: settings[name]["origin"] for name in ("windows.size", "optimize.seed")}
+    assert origins == {"windows.size": "config", "optimize.seed": "prim"}
+    assert settings["style.size"] == {"value": 2.0, "origin": "option"}
+
+
 def test_a_style_of_the_command_is_an_option(
     stage: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,6 +140,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 from usdsmoke.cli import main
+from usdsmoke.config import resolve_config
 main([{command!r}, {str(stage)!r}])
 """
     done = subprocess.run(

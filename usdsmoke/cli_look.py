@@ -3,7 +3,6 @@
 import argparse
 import os
 from dataclasses import asdict
-from pathlib import Path
 
 from usdsmoke.cli_arguments import given_settings
 from usdsmoke.cli_text import inspection_text, print_json, validation_text
@@ -11,8 +10,6 @@ from usdsmoke.config import (
     Config,
     config_to_dict,
     config_to_yaml,
-    explicit_names,
-    merge_settings,
 )
 
 __all__ = ["run_inspect", "run_plugin_path", "run_settings", "run_validate"]
@@ -21,18 +18,10 @@ __all__ = ["run_inspect", "run_plugin_path", "run_settings", "run_validate"]
 def run_inspect(arguments: argparse.Namespace) -> int:
     """``usdsmoke inspect``; the exit code, 1 where there are problems."""
     from usdsmoke.inspection import inspect
-    from usdsmoke.inspection_requests import GivenSettings
-    from usdsmoke.pipeline_settings import resolve_settings, style_paths
 
     config, settings = given_settings(arguments)
-    resolved, explicit = resolve_settings(config, settings)
-    given = GivenSettings(
-        resolved,
-        explicit_names(merge_settings(config)),
-        explicit,
-        [Path(style).absolute() for style in style_paths(arguments.style)],
-    )
-    found = inspect(arguments.stage, arguments.prim, arguments.frames or "", given)
+    prims, frames = arguments.prim, arguments.frames or ""
+    found = inspect(arguments.stage, prims, frames, arguments.style, config, settings)
     if arguments.json:
         print_json(found)
     else:

@@ -1,18 +1,19 @@
 """What is on a stage: Volumes, fields, files, frames, grids, sizes; from USD and file headers."""
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.config import Config
 from usdsmoke.errors import UsdSmokeError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid
 from usdsmoke.grids.velocity import find_velocity
 from usdsmoke.inspection_requests import GivenSettings, describe_requests
+from usdsmoke.pipeline_settings import Settings, Styles
 from usdsmoke.schema import STYLE_API, late_note
 from usdsmoke.stage import find_volumes, open_stage
 from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
@@ -24,7 +25,9 @@ def inspect(
     stage: str | PathLike[str],
     prims: list[str] | None = None,
     frames: str = "",
-    given: GivenSettings | None = None,
+    style: Styles = None,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
 ) -> dict[str, Any]:
     """What usdsmoke sees on a stage, as plain values; no voxel is read and torch is not loaded.
 
@@ -34,20 +37,22 @@ def inspect(
         stage: a .usda, .usdc or .usd file.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
-        given: settings and images of a run; None takes the defaults.
+        style, config, settings: as in ``stylize``; what counts for each Volume is told.
 
     Raises:
         StageError: the stage cannot be opened, or its Volumes not be followed to their files.
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
-    return inspect_stage(open_stage(stage), prims, frames, given)
+    return inspect_stage(open_stage(stage), prims, frames, style, config, settings)
 
 
 def inspect_stage(
     stage: Usd.Stage,
     prims: list[str] | None = None,
     frames: str = "",
-    given: GivenSettings | None = None,
+    style: Styles = None,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
 ) -> dict[str, Any]:
     """``inspect`` for a stage that is open, as it is composed now, unsaved edits included.
 
@@ -55,16 +60,16 @@ def inspect_stage(
         stage: any; only what is loaded is seen.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
-        given: settings and images of a run; None takes the defaults.
+        style, config, settings: as in ``stylize``; what counts for each Volume is told.
 
     Raises:
         StageError: the Volumes cannot be followed to their files.
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
-    given = given or GivenSettings(Config())
-    config = given.config.stage
-    config = replace(config, prims=prims or config.prims, frames=frames or config.frames)
-    source = find_volumes(stage, config, given.explicit)
+    given = GivenSettings.of(style, config, settings)
+    own = given.config.stage
+    own = replace(own, prims=prims or own.prims, frames=frames or own.frames)
+    source = find_volumes(stage, own, given.explicit)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
     return {

@@ -8,7 +8,8 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.config import Config, config_to_dict, explicit_names, merge_settings, read_config
+from usdsmoke.pipeline_settings import Settings, Styles, resolve_settings, style_paths
 from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
 from usdsmoke.volume import StageSource, VolumeSource
 from usdsmoke.volume_requests import has_request, request_origins
@@ -27,6 +28,29 @@ class GivenSettings:
     configured: frozenset[str] = frozenset()  # dotted names that the configuration sets
     explicit: frozenset[str] = frozenset()  # dotted names that are stronger than a prim's
     styles: Sequence[Path] = ()  # absolute; none: Volumes bring theirs
+
+    @classmethod
+    def of(
+        cls, style: Styles, config: Settings, settings: Mapping[str, Any] | Sequence[str]
+    ) -> "GivenSettings":
+        """From the arguments of ``stylize``."""
+        resolved, explicit = resolve_settings(config, settings)
+        configured = explicit_names(_configured(config))
+        styles = [Path(image).absolute() for image in style_paths(style)]
+        return cls(resolved, configured, explicit, styles)
+
+
+def _configured(config: Settings) -> dict[str, dict[str, Any]]:
+    """The settings that a configuration names; of one that is ready made, those it changes."""
+    if config is None or isinstance(config, Mapping):
+        return merge_settings(config or {})
+    if not isinstance(config, Config):
+        return merge_settings(read_config(Path(config)))
+    defaults = config_to_dict(Config())
+    return {
+        section: {key: value for key, value in keys.items() if value != defaults[section][key]}
+        for section, keys in config_to_dict(config).items()
+    }
 
 
 def describe_requests(

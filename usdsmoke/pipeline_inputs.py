@@ -25,7 +25,9 @@ from usdsmoke.needs import Omission
 from usdsmoke.pipeline_originals import check_look_name, check_originals, check_output_folder
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
+from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
 from usdsmoke.stage import find_volumes, open_source, seen_through
+from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.volume_settings import resolve_volumes
 
@@ -201,10 +203,10 @@ def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]
         styles: all images of the run.
 
     Returns:
-        ``settings`` and ``styles`` (name and SHA-256) by prim path; nothing for Volumes that ask
-        for nothing.
+        ``settings``, ``styles`` (name and SHA-256) and, where values change over time, ``samples``
+        (by setting and timeCode) by prim path; nothing for Volumes that ask for nothing.
     """
-    found = {}
+    found: dict[str, Any] = {}
     for volume in plan.volumes:
         request = volume.source.request
         if request.settings or request.styles:
@@ -213,6 +215,19 @@ def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]
                 "settings": {key: dict(values) for key, values in request.settings.items()},
                 "styles": [f"{image.name} {image.sha256}" for image in images],
             }
+            if samples := _requested_samples(volume):
+                found[volume.source.prim_path]["samples"] = samples
+    return found
+
+
+def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for row in (row for row in REQUEST_ATTRIBUTES if row.control):
+        for frame in volume.source.frames:
+            value = getattr(frame.controls, row.control)
+            if value is not None:
+                code = format_time_code(frame.time_code)
+                found.setdefault(row.setting, {})[code] = value
     return found
 
 
