@@ -184,6 +184,34 @@ def test_an_edited_record_is_named(finished: Finished) -> None:
     assert (change.kind, change.file) == ("record-edited", str(look))
 
 
+@pytest.mark.parametrize(
+    "key", ["request", "frames", "inputState", "config", "results", "packages"]
+)
+@pytest.mark.parametrize("value", ["{", "[1]", 7, 0.5])
+def test_a_broken_record_is_an_edited_record_and_stops_nothing(
+    finished: Finished, key: str, value: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    look = finished[1].look_layer
+    layer = Sdf.Layer.OpenAsAnonymous(str(look))
+    data = dict(layer.customLayerData)
+    data["usdsmoke"] = {**data["usdsmoke"], key: value}
+    layer.customLayerData = data
+    layer.Export(str(look))
+    assert "record-edited" in [change.kind for change in verify(look)]
+    assert main(["provenance", str(look)]) == main(["provenance", str(look), "--prov"]) == 0
+
+
+def test_an_edited_input_of_a_frame_that_the_stage_no_longer_has_is_named(
+    finished: Finished,
+) -> None:
+    stage = finished[0].stage
+    file = stage.parent / "cache/smoke.0002.vdb"
+    write_vdb(file, value=0.125)
+    stage.write_text(stage.read_text().replace(", 2: @./cache/smoke.0002.vdb@", ""))
+    found = {change.kind: change.file for change in verify(finished[1].look_layer)}
+    assert found == {"input-edited": str(file), "stage-edited": str(stage)}
+
+
 def test_other_versions_are_notes(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("usdsmoke.provenance_verify.__version__", "9.9")
     change = only(finished)

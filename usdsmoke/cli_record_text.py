@@ -20,7 +20,7 @@ _MOST_LINES = 4  # of a long list of files
 def provenance_text(record: "LookRecord") -> str:
     """A record as a table for people."""
     values = record.values
-    request = record.parsed("request")
+    request = record.request()
     packages = [f"{name} {version}" for name, version in record.pairs("packages").items()]
     timings = [f"{name} {seconds} s" for name, seconds in record.pairs("timings").items()]
     rows: list[tuple[str, str]] = [

@@ -57,7 +57,7 @@ def rerun(
         UsdSmokeError: see ``pipeline.stylize``.
     """
     record = _nearest(find_records(file))
-    request = record.parsed("request")
+    request = record.request()
     if not request:
         raise LayerError(
             f"the record in {record.file} does not say what the run was begun with; give its look "

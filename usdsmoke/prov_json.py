@@ -7,6 +7,7 @@ run's UUID and a number, so documents of several runs can be put together.
 Sources: [PROV-DM2013], [PROV-JSON2013].
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -59,7 +60,7 @@ class _Run:
             self._relate("used", activity=self.activity, entity=entity)
         look = self._entity("look", "LookLayer", self.record.file.name, file=self.record.file.name)
         self._generated(look)
-        if self.values.get("request"):
+        if self.record.request():
             self._derived(look, f"{self.prefix}:stage")
         for result, made_from in self._add_results(sources):
             self._generated(result)
@@ -81,7 +82,7 @@ class _Run:
         self._put("activity", self.activity, facts)
 
     def _add_stage(self) -> list[str]:
-        stage = self.record.parsed("request").get("stage")
+        stage = self.record.request().get("stage")
         if not stage:
             return []
         return [self._entity("stage", "Stage", stage.rpartition("/")[2], file=stage)]
@@ -139,7 +140,7 @@ class _Run:
         versions = {"usdsmoke": str(self.values.get("version", ""))}
         versions |= self.record.pairs("packages")
         for name, version in versions.items():
-            agent = f"{_SOFTWARE}:{name}-{version.replace(' ', '-')}"
+            agent = f"{_SOFTWARE}:{re.sub(r'[^A-Za-z0-9._-]', '-', f'{name}-{version}')}"
             kind = _name("prov:SoftwareAgent")
             facts = {"prov:type": kind, "prov:label": name, f"{_TERMS}:version": version}
             self._put("agent", agent, facts)

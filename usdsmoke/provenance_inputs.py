@@ -5,13 +5,13 @@ content: a file that was only written anew, compressed or copied over, is worth 
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from usdsmoke.config import Config, config_to_dict, resolve_config
-from usdsmoke.errors import ConfigError, FeatureError, UsdSmokeError
+from usdsmoke.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job, requested_job
@@ -63,7 +63,7 @@ def recorded_config(record: LookRecord) -> Config:
 
 def check_inputs(record: LookRecord) -> list[Change]:
     """What differs of stage, VDB files, style images and features."""
-    request = record.parsed("request")
+    request = record.request()
     if not request or not record.values.get("inputState"):
         found = "a record that does not say where the inputs are"
         return [Change.note("unchecked", str(record.file), "stage and style images", found)]
@@ -84,7 +84,7 @@ def check_inputs(record: LookRecord) -> list[Change]:
 
 def _job(record: LookRecord, config: Config) -> Job | None:
     """The run's job with the inputs as they are now; None where that is impossible."""
-    request = {**record.parsed("request"), "config": config_to_dict(config)}
+    request = {**record.request(), "config": config_to_dict(config)}
     try:
         return requested_job(record.folder, request)
     except UsdSmokeError:
@@ -160,7 +160,7 @@ def _check_files(record: LookRecord, stage: Path, job: Job | None) -> list[Chang
             other[file] = Change("input-edited", str(file), wanted, f"sha256 {shown(found)}")
     if not other or job is None:
         return [*changes, *other.values()]
-    contents = _check_contents(record, job, set(other))
+    contents = _check_contents(record, job, other)
     return [*changes, *(contents.get(file, _rewritten(other[file])) for file in other)]
 
 
@@ -169,8 +169,10 @@ def _rewritten(change: Change) -> Change:
     return Change.note("input-rewritten", change.file, change.expected, same)
 
 
-def _check_contents(record: LookRecord, job: Job, files: set[Path]) -> dict[Path, Change]:
-    """Of these files those with a grid that no longer holds what was read."""
+def _check_contents(
+    record: LookRecord, job: Job, other: Mapping[Path, Change]
+) -> dict[Path, Change]:
+    """Of the files whose bytes differ those with a grid that does not hold what was read."""
     frames = {
         (volume.source.prim_path, frame.source.time_code): (volume, frame)
         for volume in job.plan.volumes
@@ -178,23 +180,33 @@ def _check_contents(record: LookRecord, job: Job, files: set[Path]) -> dict[Path
     }
     reader, changes = FrameReader(job.plan), dict[Path, Change]()
     for entry in record.frames():
-        places = {_place(record, source["file"]) for source in entry["sources"]}
+        sources = [(_place(record, source["file"]), source) for source in entry["sources"]]
+        sources = [(file, source) for file, source in sources if file in other]
+        if not sources:
+            continue
         planned = frames.get((entry["prim"], entry["timeCode"]))
-        if not places & files or planned is None:
+        if planned is None:  # the stage no longer has this frame: nothing tells how to read it
+            changes = {file: other[file] for file, _ in sources} | changes
             continue
         try:
             hashes, trouble = hash_sources(reader.read(*planned)), ""
+        except BindingMissing as error:
+            notes = {file: _unread(other[file], str(error)) for file, _ in sources}
+            changes = notes | changes
+            continue
         except UsdSmokeError as error:
             hashes, trouble = {}, str(error)
-        for source in entry["sources"]:
-            file = _place(record, source["file"])
+        for file, source in sources:
             found = hashes.get(source["field"], "")
-            if file in files and (not source["hash"] or found != source["hash"]):
+            if not source["hash"] or found != source["hash"]:
                 wanted = f"{source['grid']} {shown(source['hash'])}"
-                changes.setdefault(
-                    file, Change("input-edited", str(file), wanted, trouble or shown(found))
-                )
+                change = Change("input-edited", str(file), wanted, trouble or shown(found))
+                changes.setdefault(file, change)
     return changes
+
+
+def _unread(change: Change, reason: str) -> Change:
+    return Change.note("unchecked", change.file, change.expected, f"other bytes; {reason}")
 
 
 def _place(record: LookRecord, name: str) -> Path:

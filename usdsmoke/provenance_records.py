@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from pxr import Ar, Sdf, Tf
+from pxr import Ar, Sdf, Tf, Vt
 
 from usdsmoke.diagnostics import captured_diagnostics, short_reason
 from usdsmoke.errors import FileUnreadable, LayerError, StageError
@@ -20,6 +20,7 @@ __all__ = ["LookRecord", "find_records", "split_pair"]
 
 _LAYERS = (".usda", ".usdc", ".usd")
 _OURS = "usdsmoke:"
+_FRAME_KEYS = {"file", "prim", "timeCode", "sources"}
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class LookRecord:
 
     def texts(self, key: str) -> list[str]:
         """A list of the record; empty where it has none."""
-        return [str(item) for item in self.values.get(key, [])]
+        found = self.values.get(key, [])
+        return [str(item) for item in found] if isinstance(found, list) else []
 
     def pairs(self, key: str) -> dict[str, str]:
         """A list of texts ``name=value`` by name."""
@@ -46,15 +48,17 @@ class LookRecord:
 
     def parsed(self, key: str) -> dict[str, Any]:
         """A JSON text of the record; empty where it has none, or none that can be read."""
-        try:
-            value = json.loads(str(self.values.get(key, "")) or "{}")
-        except ValueError:
-            return {}
-        return value if isinstance(value, dict) else {}
+        return _parsed(str(self.values.get(key, "")))
+
+    def request(self) -> dict[str, Any]:
+        """What it takes to run again; empty where stage or images are not named."""
+        request = self.parsed("request")
+        return request if {"stage", "styles"} <= request.keys() else {}
 
     def frames(self) -> list[dict[str, Any]]:
         """The frames of the result: ``file``, ``prim``, ``timeCode``, ``sources``."""
-        return [json.loads(text) for text in self.texts("frames")]
+        found = [_parsed(text) for text in self.texts("frames")]
+        return [frame for frame in found if _FRAME_KEYS <= frame.keys()]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values with the JSON texts read, for machines."""
@@ -138,7 +142,7 @@ def _as_record(path: Path, metadata: Mapping[str, Any]) -> dict[str, Any]:
         key.removeprefix(_OURS): value for key, value in metadata.items() if key.startswith(_OURS)
     }
     same = ("version", "run", "created", "platform", "seed", "config", "features", "featuresHash")
-    styles = [text.rpartition(" ") for text in json.loads(ours.get("styles", "[]"))]
+    styles = [str(text).rpartition(" ") for text in _listed(str(ours.get("styles", "")))]
     return {
         "tool": "usdsmoke",
         **{key: ours[key] for key in same if key in ours},
@@ -193,10 +197,32 @@ def _record_of(layer: Sdf.Layer) -> dict[str, Any]:
     record = layer.customLayerData.get(RECORD_KEY, {})
     if not isinstance(record, dict) or "run" not in record:
         return {}
-    return {
-        key: value if isinstance(value, (str, int)) else [str(item) for item in value]
-        for key, value in record.items()
-    }
+    return {key: _plain(value) for key, value in record.items()}
+
+
+def _plain(value: Any) -> int | str | list[str]:
+    """As it was written; whatever an editing hand has put in its place as text."""
+    if isinstance(value, (str, int)):
+        return value
+    return [str(item) for item in value] if isinstance(value, Vt.StringArray) else str(value)
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """A JSON mapping; empty where it cannot be read."""
+    try:
+        value = json.loads(text or "{}")
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _listed(text: str) -> list[Any]:
+    """A JSON list; empty where it cannot be read."""
+    try:
+        value = json.loads(text or "[]")
+    except ValueError:
+        return []
+    return value if isinstance(value, list) else []
 
 
 def _refusal(path: Path) -> str:
