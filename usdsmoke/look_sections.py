@@ -27,11 +27,13 @@ class ViewsConfig:
     sampling: str = setting(
         "poisson", "how the pool is spread over the ranges", choices=("fixed", "uniform", "poisson")
     )
-    azimuth: float = setting(12.0, "half range around the up axis, degrees", low=0.0, high=180.0)
+    azimuth: float = setting(
+        12.0, "half range around the up axis, or the camera's, degrees", low=0.0, high=180.0
+    )
     elevation: float = setting(6.0, "half range above and below, degrees", low=0.0, high=90.0)
     centre_azimuth: float = setting(
         0.0,
-        "middle of the azimuth range, degrees; 0 looks along -Z (Y-up) or +Y (Z-up)",
+        "middle of the azimuth range, degrees; 0 looks along -Z (Y-up), +Y (Z-up) or as the camera",
     )
     centre_elevation: float = setting(
         0.0, "middle of the elevation range, degrees", low=-90.0, high=90.0

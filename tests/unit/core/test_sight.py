@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, masked, puff, smoke_of
+from tests.smoke_fixtures import affine, frame_of, masked, puff, smoke_of
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core import colour, shape
 from usdsmoke.core.coarse import coarse_frames
 from usdsmoke.core.frustum import frustum_of
-from usdsmoke.core.scene import frame_views, measure_scene
+from usdsmoke.core.scene import crop_view, frame_views, measure_scene
 from usdsmoke.core.sight import visible_part
 from usdsmoke.core.stylize import StylizedFrame
+from usdsmoke.core.views import orbit_view
 from usdsmoke.volume import CameraSource, VolumeFrame
 
 N = 24
@@ -66,10 +67,11 @@ def assert_bitwise(one: StylizedFrame, other: StylizedFrame) -> None:
 
 
 def test_a_parallel_camera_in_front_that_sees_all_changes_no_bit():
-    """The same views, nothing left out."""
+    """The same views, nothing left out; from the very front, where box and voxels end together."""
+    config = quick_config(views={"pool": 1, "azimuth": 0.0, "elevation": 0.0})
     camera = looking(np.add(MIDDLE, [0, 0, 500]), MIDDLE, film=10.0 * 4 * N, parallel=True)
-    result = run_core([seen_by(camera)])[0]
-    assert_bitwise(result, run_core([FRAME])[0])
+    result = run_core([seen_by(camera)], config)[0]
+    assert_bitwise(result, run_core([FRAME], config)[0])
     assert not any("frustum" in key for key in result.report)
 
 
@@ -193,6 +195,23 @@ def test_a_window_under_a_panning_camera_follows_and_keeps_what_is_outside():
         outside = [voxel for voxel, s in share.items() if s == 0]
         assert outside and all(found[voxel] == source[voxel] for voxel in outside)
         assert ("left out" in result.report) == (not any(share.values()))
+
+
+@pytest.mark.parametrize("matrix", [np.eye(4), affine(3), affine(5, mirrored=True)])
+def test_a_cropped_view_holds_every_voxel_and_not_a_pixel_more(matrix):
+    smoke = smoke_of(DENSITY, matrix)
+    smoke = smoke.take(smoke.ijk.sum(1) < 40)  # a diagonal cut
+    ijk = smoke.ijk.numpy()
+    low, high = ijk.min(0) - 0.5, ijk.max(0) + 0.5
+    for azimuth in (0.0, 30.0, 77.0):
+        view = crop_view(orbit_view(azimuth, 20.0, "Y", np.zeros(3), 1, 1, 0.5), smoke, 0)
+        axes = np.stack([view.right, view.up], 1)
+        offsets = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 1, 3)
+        corners = (ijk[None] + offsets).reshape(-1, 3) @ matrix[:3, :3] + matrix[3, :3]
+        seen = (corners - view.centre) @ axes / view.pixel_size
+        assert seen.max(0) == pytest.approx(-seen.min(0))
+        assert np.array_equal(np.ceil(np.ptp(seen, axis=0) - 1e-6), [view.width, view.height])
+    assert np.all(high - low > 5)
 
 
 def views_from(camera: CameraSource, **views: Any) -> list[Any]:
