@@ -2,13 +2,23 @@
 
 import dataclasses
 import json
+import random
 from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd
 
 from tests.farm_fixtures import WINDOWS
-from tests.pipeline_fixtures import FakeCore, Shot, contents, run, shown_files, values_of
+from tests.pipeline_fixtures import (
+    FakeCore,
+    Shot,
+    contents,
+    copied,
+    run,
+    run_until,
+    shown_files,
+    values_of,
+)
 from tests.usd_fixtures import file_hashes
 from usdsmoke import assemble, run_window
 from usdsmoke.cli import main
@@ -133,3 +143,28 @@ def test_a_name_that_differs_from_another_in_case_alone_is_refused(shot: Shot) -
     with pytest.raises(LayerError, match=r"has a look 'ember', which differs from 'Ember' in"):
         run(shot, "layer.look=Ember")
     assert len(list(shot.output.glob("vdb/*"))) == 1
+
+
+def test_killed_while_a_look_is_added_the_asset_is_the_old_one_or_the_new_one(shot: Shot) -> None:
+    run(shot, "layer.mode=reference", "layer.look=ember")
+    options = ("--mode", "reference", "--look", "frost", "--seed", "2")
+    code, steps = run_until(0, *copied(shot, "alive").arguments(*options))
+    assert code == 0
+    for number, step in enumerate(random.Random(6).sample(range(2, len(steps) - 1), 3)):
+        killed = copied(shot, f"killed{number}")
+        assert run_until(step, *killed.arguments(*options))[0] == -9
+        asset = killed.output / "shot_asset.usda"
+        assert variants(asset) in (
+            ("ember", ["ember", "original"]),
+            ("frost", ["ember", "frost", "original"]),
+        )
+        assert len(contents(asset)) == 3  # every file is there and what it says it is
+        run(killed, "layer.mode=reference", "layer.look=frost", "optimize.seed=2")
+        assert variants(asset) == ("frost", ["ember", "frost", "original"])
+
+
+def variants(asset: Path) -> tuple[str, list[str]]:
+    """The selected look and all there are."""
+    stage = Usd.Stage.Open(str(asset))
+    looks = stage.GetPrimAtPath("/World").GetVariantSet("look")
+    return looks.GetVariantSelection(), sorted(looks.GetVariantNames())

@@ -154,6 +154,22 @@ def test_a_shot_references_the_asset_and_chooses_a_look(big: BigShot) -> None:
     assert shown == ["cache", "vdb"]
 
 
+def test_volume_and_field_that_are_root_prims_themselves_switch_as_well(tmp_path: Path) -> None:
+    write_sequence(tmp_path, [1, 2])
+    volume = 'def Volume "smoke"\n{\n rel field:density = </density>\n}\n'
+    text = HEADER + volume + density_prim(sequence([1, 2]))
+    stage_file = write_text(tmp_path / "shot.usda", text)
+    asset = make_look(stage_file, tmp_path / "out", mode="reference").root_stage
+    source, look = read_stage(stage_file), read_stage(asset)
+    assert look["prims"]["/smoke"]["properties"]["field:emission"] == ["/emission"]
+    assert look["prims"]["/emission"]["type"] == "OpenVDBAsset"
+    original = read_stage(asset, original=("/smoke", "/density", "/emission"))
+    left = original["prims"].pop("/emission")  # undefined, without type and properties
+    assert (left["specifier"], left["type"], left["properties"]) == ("Sdf.SpecifierOver", "", {})
+    assert original["prims"] == source["prims"]
+    assert look["stderr"] == original["stderr"] == ""
+
+
 def test_neither_source_nor_looks_are_touched_by_another_look(big: BigShot) -> None:
     make_asset(big, "frost")
     before = {**file_hashes(big.folder / "in"), **file_hashes(big.output)}
