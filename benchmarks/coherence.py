@@ -2,16 +2,17 @@
 
     python -m benchmarks.coherence [--resolution 64] [--frames 24] [--style strokes] [--quick]
 
-Stylizes the example plume twice, each frame alone and in windows as they are configured (settings
-are the defaults but for --set), and writes the table to --report, and a plot of the temporal errors
-and a strip of frames across a window border to --pictures. Needs no data but the repository; on one
-core about a quarter of an hour.
+Stylizes the example plume with each frame alone and in windows as they are configured (settings are
+the defaults but for --set), and alone again with fewer iterations: some of these are as far from
+the style as the windows are, and are what the windows' temporal error has to be compared with.
+Writes the tables to --report, and a plot of the temporal errors and a strip of frames across a
+window border to --pictures. Needs no data but the repository; on one core about 20 minutes.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,19 @@ from usdsmoke.errors import UsdSmokeError
 __all__ = ["Findings", "main", "measure", "render_report"]
 
 MARKS = {"share": 0.25, "border": 1.2, "style": 0.10}
+SHARES = (0.5, 0.25)  # of the iterations, for frames alone that stop early
+STYLE_OF = {"displacement": "grey", "colour": "colour"}  # pictures that show a kind's style
 QUICK = ["windows.size=3", "windows.overlap=1", "optimize.iterations=6", "views.pool=2"]
 STYLE_SIZE = {False: 512, True: 128}  # pixels, by whether it is quick
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """Frames alone with a share of the iterations: means over all frames."""
+
+    share: float
+    errors: dict[str, float]  # by kind
+    distances: dict[str, float]  # by kind of picture
 
 
 @dataclass(frozen=True)
@@ -45,20 +57,63 @@ class Findings:
     errors: dict[str, dict[str, np.ndarray]]
     distances: dict[str, Distances]
     unmoved: float  # grey distance of the source itself
+    stopped: list[Stopped]  # descending share, all iterations first
 
 
 def measure(shot: Shot) -> Findings:
-    """Stylize the shot in both ways and measure the results."""
+    """Stylize the shot in all ways and measure the results."""
     runs = {}
     for name, stylize in (("alone", run_alone), ("windows", run_windows)):
         runs[name] = stylize(shot)
         print(f"{name}: {runs[name].seconds:.0f} s CPU", file=sys.stderr, flush=True)
+    errors = {name: temporal_errors(run, shot.scene.gamma_w) for name, run in runs.items()}
+    distances = {name: style_distances(shot, run) for name, run in runs.items()}
+    stopped = [_means(1.0, errors["alone"], distances["alone"])]
+    for share in SHARES:
+        early = run_alone(stop_early(shot, share))
+        stopped.append(
+            _means(share, temporal_errors(early, shot.scene.gamma_w), style_distances(shot, early))
+        )
+        print(f"alone, {share:.0%}: {early.seconds:.0f} s CPU", file=sys.stderr, flush=True)
     return Findings(
-        shot,
-        runs,
-        {name: temporal_errors(run, shot.scene.gamma_w) for name, run in runs.items()},
-        {name: style_distances(shot, run) for name, run in runs.items()},
-        unmoved_distance(shot, runs["alone"]),
+        shot, runs, errors, distances, unmoved_distance(shot, runs["alone"]), stopped
+    )  # fmt: skip
+
+
+def stop_early(shot: Shot, share: float) -> Shot:
+    """The shot with a share of the iterations in every octave, at least one."""
+    config = shot.config
+    fewer = {
+        step: replace(
+            getattr(config, step),
+            iterations=[max(1, round(share * n)) for n in getattr(config, step).iterations],
+        )
+        for step in config.optimize.steps
+    }
+    return replace(shot, config=replace(config, **fewer))
+
+
+def error_at_equal_style(stopped: Sequence[Stopped], kind: str, distance: float) -> float:
+    """The temporal error of frames alone that stop at a style distance; linear in between.
+
+    Args:
+        stopped: two at least.
+        kind: displacement or colour.
+        distance: of the pictures that show its style.
+
+    Returns:
+        NaN where none stops that near to the style, or that far from it.
+    """
+    points = sorted((item.distances[STYLE_OF[kind]], item.errors[kind]) for item in stopped)
+    found, errors = zip(*points, strict=True)
+    return float(np.interp(distance, found, errors, left=np.nan, right=np.nan))
+
+
+def _means(share: float, errors: dict[str, np.ndarray], distances: Distances) -> Stopped:
+    return Stopped(
+        share,
+        {kind: float(found.mean()) for kind, found in errors.items()},
+        {"colour": float(distances.colour.mean()), "grey": float(distances.grey.mean())},
     )
 
 
@@ -85,6 +140,18 @@ def render_report(findings: Findings, style: str, arguments: Sequence[str]) -> s
         "| style distance | alone | windows | change | mark |",
         "|---|---|---|---|---|",
         *(_style_row(findings, kind) for kind in ("colour", "grey")),
+        "",
+        "At equal style distance: frames alone with fewer iterations are farther from the style;",
+        "*alone* is their error where they are as far from it as the windows are.",
+        "",
+        "| at equal style distance | distance | alone | windows | ratio | mark |",
+        "|---|---|---|---|---|---|",
+        *(_equal_row(findings, kind) for kind in STYLE_OF),
+        "",
+        "| frames alone, share of iterations | displacement error | grey distance | colour error "
+        "| colour distance |",
+        "|---|---|---|---|---|",
+        *(_stopped_row(item) for item in findings.stopped),
         "",
         *_notes(findings),
         "",
@@ -114,6 +181,26 @@ def _style_row(findings: Findings, kind: str) -> str:
     change = windows / alone - 1
     verdict = _verdict(abs(change), MARKS["style"], "±10 %")
     return f"| {kind} pictures | {alone:.3f} | {windows:.3f} | {change:+.1%} | {verdict} |"
+
+
+def _equal_row(findings: Findings, kind: str) -> str:
+    distance = float(getattr(findings.distances["windows"], STYLE_OF[kind]).mean())
+    alone = error_at_equal_style(findings.stopped, kind, distance)
+    windows = float(findings.errors["windows"][kind].mean())
+    cells = [
+        f"temporal error, {kind}", f"{distance:.3f}", f"{alone:.3f}", f"{windows:.3f}",
+        f"{windows / alone:.3f}", _verdict(windows / alone, MARKS["share"]),
+    ]  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+def _stopped_row(item: Stopped) -> str:
+    numbers = (
+        number
+        for kind, pictures in STYLE_OF.items()
+        for number in (item.errors[kind], item.distances[pictures])
+    )
+    return f"| {item.share:.0%} | " + " | ".join(f"{number:.3f}" for number in numbers) + " |"
 
 
 def _verdict(value: float, limit: float, text: str = "") -> str:

@@ -40,6 +40,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("time_codes", {"errors"}, set()),
     ("naming", {"errors"}, set()),
     ("publish", {"errors"}, set()),
+    ("memory", set(), set()),
     ("provenance", {"errors"}, set()),
     ("provenance_versions", set(), set()),
     ("provenance_stage", {"volume"}, {"numpy"}),

@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.errors import FileUnreadable
+from usdsmoke.memory import give_back_memory
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_outputs import plain_values
@@ -168,5 +169,6 @@ def _run_chain(
         publish_file(run.folder / name, partial(save_start, start))
         digest = hash_file(run.folder / name)
         record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
+        give_back_memory()
     seconds = record.seconds + time.monotonic() - started
     finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds))

@@ -7,7 +7,7 @@ from usdsmoke.volume import VolumeFrame
 
 __all__ = ["KEPT_BYTES", "FrameReader", "hash_sources"]
 
-KEPT_BYTES = 32 * 2**20  # of voxels, over all frames: memory must not grow with the shot
+KEPT_BYTES = 8 * 2**20  # of voxels, over all frames: memory must not grow with the shot
 
 
 class FrameReader:

@@ -14,6 +14,7 @@ from usdsmoke.core.controls import frame_config
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.images import write_png
 from usdsmoke.layer.records import EMISSION
+from usdsmoke.memory import give_back_memory
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.time_codes import format_time_code, spread
@@ -61,6 +62,7 @@ def write_contact_sheet(
         seen = _frame_scene(scene, source, volume.config)
         for name, picture in _frame_pictures(volume.config, source, result, seen).items():
             rows.setdefault(name, []).append(picture)
+        give_back_memory()
     columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
     write_png(target, compose_sheet(title, columns, list(rows.items()), styles))

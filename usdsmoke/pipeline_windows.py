@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.errors import ConfigError
+from usdsmoke.memory import give_back_memory
 from usdsmoke.pipeline_coarse import coarse_starts, read_scene
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job
@@ -202,6 +203,7 @@ def _stylize_window(
         records[name] = write_result(
             run, name, task.volume, frame, stylized, gamma_w, config, hashes
         )
+        give_back_memory()
     window = WindowRecord(
         run_id=run.run_id,
         window=task.window.index,

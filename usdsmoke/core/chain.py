@@ -167,7 +167,7 @@ def _paint_one(link: Link, before: Link | None, job: Job) -> None:
     link.colours, ends = run_colour_step(
         link.smoke, start, link.targets, link.scene, config, plan,
         job.watch(link.frame.time_code)("colour", plan), link.mask,
-        1.0 if paint is None else config.colour.warm_rate,
+        paint is not None,
     )  # fmt: skip
     seconds = time.perf_counter() - started
     link.report["colour"] = {**_summarize(ends), "seconds": seconds}

@@ -30,6 +30,8 @@ from usdsmoke.core.views import View, draw_views
 
 __all__ = ["ColourView", "initial_colours", "optimize_colours", "prepare_views", "run_colour_step"]
 
+WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
+# error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 LATER_RATE = 0.7  # octaves after the first start near their goal
 THIN = 0.05  # exposed opacity at which a pixel of the straight picture is half background
 
@@ -153,7 +155,7 @@ def run_colour_step(
     iterations: Sequence[int],
     watch: Callable[[int, Minimum], None] | None = None,
     mask: EffectMask | None = None,
-    slower: float = 1.0,
+    warm: bool = False,
 ) -> tuple[Tensor, list[Minimum]]:
     """Colours of one frame, coarse to fine.
 
@@ -165,15 +167,17 @@ def run_colour_step(
         iterations: per octave, coarse to fine; an octave with 0 is passed over.
         watch: called with the octave and the optimiser's state after every iteration.
         mask: voxels where it is 0 are not painted, and only hide what is behind them.
-
-        slower: share of the learning rate, in (0, 1].
+        warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
+            learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
 
     Returns:
         Display-encoded colours [N 3] in [0, 1] of the painted voxels, in the smoke's order, and how
         each octave ended.
     """
     painted = _painted(smoke, _shown(smoke, mask))
-    colours, before, adam = start, painted, Adam()
+    fresh = partial(Adam, epsilon=WARM_EPSILON) if warm else Adam
+    rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
+    colours, before, adam = start, painted, fresh()
     ends: list[Minimum] = []
     for number, factor, octave, n_iterations in octaves_to_do(smoke, iterations):
         shown = _shown(octave, mask)
@@ -182,14 +186,14 @@ def run_colour_step(
             continue
         if ends:
             carry = config.optimize.carry_moments
-            adam = adam.carried(partial(_moments_on, here, before)) if carry else Adam()
+            adam = adam.carried(partial(_moments_on, here, before)) if carry else fresh()
         seed = config.optimize.seed + number
         colours, end = optimize_colours(
             _octave_views(octave, shown, targets, scene, config, seed, factor),
             _colours_on(here, before, colours, config),
             targets.at(factor),
             targets.background,
-            slower * config.colour.learning_rate * (LATER_RATE if number else 1.0),
+            rate * (LATER_RATE if number else 1.0),
             n_iterations,
             config.views.count,
             seed,
