@@ -5,13 +5,18 @@ no file is opened by OpenVDB in this process. A child does it under a limit of a
 time, and hands arrays over through files in a private folder.
 """
 
+import fcntl
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +29,9 @@ __all__ = ["ChildFailure", "run_child"]
 
 _GIB = 2**30
 _STDERR_TAIL = 400  # bytes of the child's last words that a message quotes
+_PREFIX = "usdsmoke-"  # of folders for temporary files
+_HELD = "held"  # a file in them, locked as long as their process lives
+_STALE = 600.0  # seconds after which a folder that nobody holds is swept away
 _PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
@@ -50,7 +58,8 @@ def run_child(
         WriteFailed: the folder for temporary files is full or may not be written to.
     """
     try:
-        with tempfile.TemporaryDirectory(prefix="usdsmoke-") as folder:
+        _sweep(tempfile.gettempdir())
+        with _private_folder() as folder:
             for n, array in enumerate(arrays):
                 np.save(Path(folder) / f"in{n}.npy", array, allow_pickle=False)
             limits = {"folder": folder, "memory_limit_bytes": int(config.memory_limit_gib * _GIB)}
@@ -62,6 +71,30 @@ def run_child(
             f"cannot hand grids over in {tempfile.gettempdir()}: {error.strerror or error}; "
             "free some space there or set TMPDIR to another folder"
         ) from error
+
+
+@contextmanager
+def _private_folder() -> Iterator[str]:
+    """A folder that goes when it is left; ``_sweep`` finds it if the process is killed before."""
+    with (
+        tempfile.TemporaryDirectory(prefix=_PREFIX) as folder,
+        open(Path(folder) / _HELD, "wb") as held,
+    ):
+        with suppress(OSError):  # a file system without locks: only its age protects it then
+            fcntl.flock(held, fcntl.LOCK_EX)
+        yield folder
+
+
+@lru_cache(maxsize=4)
+def _sweep(folder: str) -> None:
+    """Remove what killed processes left in a folder for temporary files; once a process."""
+    for path in Path(folder).glob(f"{_PREFIX}*/{_HELD}"):
+        with suppress(OSError):  # somebody else's, or gone meanwhile
+            if time.time() - path.stat().st_mtime < _STALE:
+                continue
+            with open(path, "rb") as held:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path.parent, ignore_errors=True)
 
 
 def _run(request: str, folder: str, config: GridsConfig) -> None:
