@@ -30,6 +30,7 @@ __all__ = [
 
 MARGIN = 2  # pixels around the smoke
 FAINTEST = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
+FEWEST = 16  # pixels along the smoke that a camera far away leaves: fewer hold no structure
 VISIBLE = 0.7  # opacity that the thick columns are exposed to where they have less
 
 
@@ -264,7 +265,8 @@ def _pixel_size(
     fine = voxel / config.grids.refine
     finest = min((nearest_footprint(*pair, config) for pair in seen), default=0.0)
     wanted = round(longest / config.views.image_size / fine)
-    return fine * max(1, wanted, math.ceil(finest / fine - 1e-6))
+    resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / FEWEST / fine))
+    return fine * max(1, wanted, resolved)
 
 
 def _longest_side(

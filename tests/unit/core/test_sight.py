@@ -256,13 +256,37 @@ def test_a_camera_that_goes_around_changes_its_views_smoothly():
 
 def test_no_pixel_is_finer_than_the_cameras_at_the_nearest_smoke_it_sees():
     config = quick_config(views={"image_size": 512, "camera_width": 100})
-    camera = looking(np.add(MIDDLE, [0, 0, 500]), MIDDLE)
-    scene = measure_scene([seen_by(camera)], config, "Y")
-    nearest = 500 - (np.argwhere(DENSITY > 0)[:, 2].max() - MIDDLE[2])
-    assert scene.pixel_size == np.ceil(nearest / 100) == 5.0
-    assert measure_scene([FRAME], config, "Y").pixel_size == 1.0
+    density = puff(4 * N)
+    middle = np.full(3, 2 * N - 0.5)
+    camera = looking(np.add(middle, [0, 0, 500]), middle)
+    seen = seen_by(camera, frame_of(density))
+    nearest = 500 - (np.argwhere(density > 0)[:, 2].max() - middle[2])
+    assert measure_scene([seen], config, "Y").pixel_size == np.ceil(nearest / 100) == 5.0
+    assert measure_scene([frame_of(density)], config, "Y").pixel_size == 1.0
     wide = quick_config(views={"image_size": 512, "camera_width": 8192})
-    assert measure_scene([seen_by(camera)], wide, "Y").pixel_size == 1.0
+    assert measure_scene([seen], wide, "Y").pixel_size == 1.0
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        looking(MIDDLE, np.add(MIDDLE, [0, 0, -1])),  # the eye in the midst of the smoke
+        looking(np.add(MIDDLE, [0, 0, 3]), MIDDLE, film=2000.0),
+        looking(np.add(MIDDLE, [0, 0, 60]), MIDDLE, film=0.5),
+        dataclasses.replace(
+            looking(np.add(MIDDLE, [0, 0, 1e12]), MIDDLE), clipping_range=(1.0, 1e20)
+        ),
+        dataclasses.replace(looking(np.add(MIDDLE, [0, 0, 6]), MIDDLE), clipping_range=(-60, 1e30)),
+        dataclasses.replace(looking(np.add(MIDDLE, [0, 0, 60]), MIDDLE), clipping_range=(60, 61)),
+    ],
+    ids=["inside", "wide", "narrow", "far", "behind", "thin"],
+)
+def test_extreme_cameras_give_finite_smoke_and_sixteen_pixels_at_least(camera):
+    scene = measure_scene([seen_by(camera)], quick_config(), "Y")
+    assert scene.image_size >= 16
+    result = run_core([seen_by(camera)], scene=scene)[0]
+    assert np.isfinite(result.density.values).all() and np.isfinite(result.emission.values).all()
+    assert result.emission.values.any()
 
 
 def test_extinction_is_measured_on_what_the_camera_sees():
