@@ -23,7 +23,7 @@ GROUND = {
 REQUESTS = {"request_attributes", "volume_requests"}
 PLAN = {
     "plan", "plan_record", "volume_settings", "needs", "camera_needs", "control_needs",
-    "estimate", "frames", "windows",
+    "loss_needs", "estimate", "frames", "windows",
 }  # fmt: skip
 WITHOUT_TORCH = {  # planning may count with these
     "core.controls", "core.frustum", "core.progress", "core.schedule",
@@ -97,6 +97,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("camera_needs", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("control_needs", GROUND | PLAN | WITHOUT_TORCH, set()),
+    ("loss_needs", {"config", "core.definition"}, set()),
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("inspection*", {"*"}, {"pxr", "numpy"}),
     ("openjd_template", {"errors"}, {"yaml"}),

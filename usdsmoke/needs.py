@@ -9,6 +9,7 @@ from usdsmoke.config import Config
 from usdsmoke.control_needs import controls_needed, controls_omitted, takes_effect
 from usdsmoke.core.schedule import octave_iterations
 from usdsmoke.estimate import n_different_views
+from usdsmoke.loss_needs import losses_omitted
 from usdsmoke.naming import colour_names
 from usdsmoke.time_codes import format_time_codes
 from usdsmoke.volume import StageSource
@@ -185,7 +186,7 @@ def _describe_windows(volumes: Sequence["VolumePlan"]) -> list[str]:
 
 
 def _omitted_steps(config: Config) -> list[Omission]:
-    steps, network = config.optimize.steps, config.features.network
+    steps = config.optimize.steps
     omitted = []
     if "colour" not in steps:
         what = "RGB emission"
@@ -203,21 +204,7 @@ def _omitted_steps(config: Config) -> list[Omission]:
                 "a grey picture is the opacity, which needs column sums only",
             )
         )
-    if config.losses.style == 0:
-        omitted.append(Omission("style loss and features", "losses.style is 0"))
-    names = ("total_variation", "histogram", "content", "laplacian", "photorealism")
-    omitted += [
-        Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0")
-        for name in names
-        if getattr(config.losses, name) == 0
-    ]
-    if network == "embedded":
-        omitted.append(Omission("VGG-19 parameters", "the embedded features need no file"))
-    else:
-        omitted.append(
-            Omission("network layers below the last style layer", "nothing looks at them")
-        )
-    return omitted
+    return omitted + [Omission(*pair) for pair in losses_omitted(config)]
 
 
 def _omitted_views(config: Config) -> list[Omission]:

@@ -126,6 +126,7 @@ def optimize_colours(
         Colours [N 3] and how the optimisation ended.
     """
     unknown = colours.detach().clone().requires_grad_(True)
+    n_views = min(n_views, len(views))  # twice the same view tells nothing
 
     def term(view: ColourView, iteration: int, linear: Tensor) -> Tensor:
         picture = view.straight_picture(linear, background)

@@ -28,7 +28,10 @@ __all__ = [
     "REVISION",
     "SIZE",
     "WHITENING_FLOOR",
+    "default_layers",
     "embedded_hash",
+    "learned_layers",
+    "oriented_layers",
 ]
 
 REVISION = 1
@@ -64,3 +67,18 @@ def embedded_hash() -> str:
     """SHA-256, 64 hexadecimal digits, of all numbers of this module with their names."""
     numbers = {name: value for name, value in globals().items() if name.isupper()}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()
+
+
+def oriented_layers() -> tuple[str, ...]:
+    """Names of the oriented filters' layers, finest first."""
+    return tuple(f"oriented{level + 1}" for level in range(N_LEVELS))
+
+
+def learned_layers() -> tuple[str, ...]:
+    """Names of the learned filters' layers, shallow to deep; the first is whitened colour."""
+    return tuple(f"learned{depth}" for depth in range(len(N_FILTERS) + 1))
+
+
+def default_layers() -> tuple[str, ...]:
+    """The style layers when none are named: all but the deepest of either kind."""
+    return oriented_layers()[:-1] + learned_layers()[:-1]

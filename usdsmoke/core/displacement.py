@@ -38,8 +38,8 @@ def from_stream(psi: Tensor, spacing: Sequence[float]) -> Tensor:
     """u = curl psi, [I J K 3], world units; divergence-free to round-off.
 
     Args:
-        psi: stream function, [I J K 3], world units squared; in 2-D (one axis of length 1) also
-            [I J K 1], its out-of-plane component.
+        psi: stream function, [I J K 3], world units squared; where an axis has length 1
+            also [I J K 1], its component along that axis: in 2-D the out-of-plane one.
         spacing: voxel size along i, j, k, world units, > 0.
 
     Returns:
@@ -50,7 +50,7 @@ def from_stream(psi: Tensor, spacing: Sequence[float]) -> Tensor:
 
     Gradients: through ``psi``.
     """
-    if psi.ndim == 4 and psi.shape[3] == 1 and list(psi.shape[:3]).count(1) == 1:
+    if psi.ndim == 4 and psi.shape[3] == 1 and 1 in psi.shape[:3]:
         zero = torch.zeros_like(psi)
         parts = [psi if psi.shape[axis] == 1 else zero for axis in range(3)]
         psi = torch.cat(parts, dim=3)

@@ -10,6 +10,7 @@ from typing import Protocol
 from torch import Tensor
 
 from usdsmoke.config import FeaturesConfig
+from usdsmoke.core.definition import default_layers
 from usdsmoke.core.learned import LearnedFeatures
 from usdsmoke.core.oriented import OrientedFeatures
 from usdsmoke.core.vgg19 import Vgg19Features
@@ -39,7 +40,7 @@ class EmbeddedFeatures:
     """
 
     names = OrientedFeatures.names + LearnedFeatures.names
-    default_style_layers = OrientedFeatures.names[:3] + LearnedFeatures.names[:4]
+    default_style_layers = default_layers()
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._style, self._seed = style, seed

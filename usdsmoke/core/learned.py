@@ -26,6 +26,7 @@ from usdsmoke.core.definition import (
     N_PATCHES,
     PATCH_SIZES,
     WHITENING_FLOOR,
+    learned_layers,
 )
 from usdsmoke.core.oriented import colour_whitening
 
@@ -84,7 +85,7 @@ class LearnedFeatures:
             a layer's filters are the same whether or not deeper ones are learned after it.
     """
 
-    names = ("learned0", "learned1", "learned2", "learned3", "learned4")
+    names = learned_layers()
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._generator = torch.Generator().manual_seed(seed)

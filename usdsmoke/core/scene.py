@@ -118,12 +118,14 @@ def frame_views(
 
     Args:
         smoke: decides the images' extent, and a single face-on view when it is one voxel thick.
+        config: ``views``; ranges of 0 leave one view, whatever the pool's size.
         factor: pixels are this many times the scene's.
     """
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
-    angles = sample_angles(config.views, config.views.pool, seed)
+    one = config.views.azimuth == 0 and config.views.elevation == 0
+    angles = sample_angles(config.views, 1 if one else config.views.pool, seed)
     if scene.camera is not None:
         target = _middle(smoke)
         return [

@@ -79,7 +79,7 @@ class _Octave:
         positions = self.lattice.positions(self.active)
         shown = None if self._share is None else self._share[tuple(self.active.T)]
         still = self.density[tuple(self.active.T)]
-        self._views = []
+        self._views: list[GreyView] = []
         for view in frame_views(smoke, config, scene, seed, factor):
             image = column_map(positions, smoke.voxel_volume, view)
             look = look_at(image, still, shown, scene.gamma_w_shape, scene.exposure_shape)
@@ -87,6 +87,7 @@ class _Octave:
                 content = judge.remember(look.filled(look.grey, self._behind))
                 look = replace(look, content=content)
             self._views.append(look)
+        self._n_drawn = min(config.views.count, len(self._views))  # twice the same tells nothing
 
     def _reached(self) -> Tensor:
         """Voxels that smoke is in or can come to, [I J K] bool.
@@ -117,7 +118,7 @@ class _Octave:
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
-        n_views, keep = self._config.views.count, self._config.losses.keep
+        n_views, keep = self._n_drawn, self._config.losses.keep
 
         def term(view: GreyView, density: Tensor) -> Tensor:
             grey = view.picture(density)
@@ -158,10 +159,11 @@ def run_shape_step(
     """
     cap, rate = longest_move(source, config), slower * config.shape.learning_rate
     potential, ends, carried, done = None, [], None, None
+    n_channels = _n_channels(config.shape.displacement, source)
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
         octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start)
-        first = _potential_on(octave.lattice, potential, config, octave.density)
+        first = _potential_on(octave.lattice, potential, n_channels, octave.density)
         told = partial(watch, number) if watch is not None else None
         values, adam, end = _optimize_octave(
             octave, first, cap, config, n_iterations, rate, carried, told
@@ -176,7 +178,7 @@ def run_shape_step(
         density = lattice.fill(source)
         effect = effect_on(density, shares_on(lattice, mask, density))
         base = None if start is None else start(lattice)
-    found = _potential_on(lattice, potential, config, source.density)
+    found = _potential_on(lattice, potential, n_channels, source.density)
     free = free_displacement(found, effect, config.shape.displacement, lattice, base)
     return Displacement(lattice.to_stage(free), lattice), ends
 
@@ -188,12 +190,17 @@ def longest_move(source: ActiveSmoke, config: Config) -> float:
     return config.shape.reach * float(max((high - low + 1) * sides))
 
 
+def _n_channels(kind: str, source: ActiveSmoke) -> int:
+    """Of the potential: in a slab only a stream function's component across it moves anything."""
+    return 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
+
+
 def _potential_on(
-    lattice: Lattice, potential: Potential | None, config: Config, like: Tensor
+    lattice: Lattice, potential: Potential | None, n_channels: int, like: Tensor
 ) -> Tensor:
     if potential is not None:
         return potential.on(lattice)
-    return like.new_zeros(*lattice.shape, N_CHANNELS[config.shape.displacement])
+    return like.new_zeros(*lattice.shape, n_channels)
 
 
 def _optimize_octave(
