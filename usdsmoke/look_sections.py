@@ -186,7 +186,7 @@ class ColourConfig:
         [120, 120, 120], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
     warm_rate: float = setting(
-        0.6,
+        0.35,
         "share of the learning rate for a frame that starts from its neighbour's result",
         above=0.0,
         high=1.0,
