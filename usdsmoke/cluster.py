@@ -5,6 +5,7 @@ folder by itself, so nothing but names travels over the network, and a worker th
 the window with it that it was at. The scheduler gives that window to another worker.
 """
 
+import gc
 import threading
 import time
 import uuid
@@ -134,13 +135,18 @@ def _connected(address: str) -> "Iterator[Client]":
         ) from None
     if "://" not in address:
         raise ClusterError(f"the cluster {address!r} has no protocol; wanted tcp://HOST:PORT")
+    client, reason = None, ""
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+    if client is None:
+        # What is left of it ends now: at the beginning of another one its end would wait for ever.
+        gc.collect()
         raise ClusterError(
-            f"no Dask scheduler answers at {address} ({' '.join(str(error).split())[:200]}); start "
+            f"no Dask scheduler answers at {address} ({reason}); start "
             "one with 'dask scheduler', or check host, port and firewall"
-        ) from None
+        )
     with client, client.as_current():
         yield client
 
