@@ -48,6 +48,8 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("provenance_*", {"*"}, set()),
     ("prov_json", {"provenance_records"}, set()),
     ("run_figures", set(), set()),
+    ("error_budget", set(), set()),
+    ("storage_error", {"sections", "volume"}, {"numpy"}),
     ("windows", {"errors", "config"}, set()),
     ("blend", {"errors", "volume"}, {"numpy"}),
     ("colour_grids", {"naming", "sections", "volume"}, {"numpy"}),

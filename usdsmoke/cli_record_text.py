@@ -40,6 +40,7 @@ def provenance_text(record: "LookRecord") -> str:
         *_listed("result", record.texts("results")),
         ("time", ", ".join(timings)),
         *(("figure", text.replace("=", ": ", 1)) for text in record.texts("figures")),
+        *(("error", text.replace("=", ": ", 1)) for text in record.texts("errorBudget")),
         *(("extinction", text.replace("=", ": ", 1)) for text in record.texts("extinction")),
         *(("left out", text) for text in record.texts("omitted")),
     ]

@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.cli_arguments import given_settings
+from usdsmoke.cli_budget import budget_text
 from usdsmoke.cli_text import job_text, plan_text, print_json, result_text, step_text
 from usdsmoke.config import config_to_dict
 
@@ -129,6 +130,8 @@ def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None
         print_json(result_as_dict(result))
     else:
         print(result_text(result))
+        if result.error_budget is not None:
+            print(f"\n{budget_text(result.error_budget)}")
 
 
 def _step_as_dict(step: "StepResult") -> dict[str, Any]:
@@ -146,5 +149,6 @@ def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
         "warnings": list(result.warnings),
         "temporal_error": result.temporal_error,
         "overlap_difference": result.overlap_difference,
+        "error_budget": result.error_budget.to_dict() if result.error_budget else None,
         "plan": result.plan.to_dict(),
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 from usdsmoke.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.contact_sheet import sheet_files
+from usdsmoke.error_budget import ErrorBudget, make_budget
 from usdsmoke.errors import LayerError, UsdSmokeError
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.grids.write import write_frame
@@ -19,6 +20,7 @@ from usdsmoke.pipeline_outputs import (
     collect_volume,
     frame_record,
     result_fields,
+    with_storage,
 )
 from usdsmoke.pipeline_pictures import write_contact_sheet
 from usdsmoke.pipeline_records import frame_metadata, make_provenance
@@ -55,6 +57,7 @@ class StylizeResult:
     # How far two windows' versions of a frame were apart before they were blended, relative to
     # their size: mean over all such frames, for "density" and "emission"; None where there is none.
     overlap_difference: Mapping[str, float] | None = None
+    error_budget: ErrorBudget | None = None  # what is left of which error
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ def assemble_run(
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     temporal, overlap = _temporal_error(run), _overlap_difference(run)
+    run.error_budget = make_budget(_reports(run)).to_dict()
     provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
     source, layer = job.plan.source, job.config.layer
     files = author_look(job.stage, source, volumes, job.output, layer, provenance, job.earlier)
@@ -146,6 +150,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         warnings=(*job.earlier.notes, *_warnings(job.plan, run), *more),
         temporal_error=_temporal_error(run),
         overlap_difference=_overlap_difference(run),
+        error_budget=make_budget(_reports(run)),
     )
 
 
@@ -200,6 +205,7 @@ def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
     errors = _blend_errors([item["report"] for item in reports], pair.weight)
     if errors:
         report["temporal error"] = errors
+    report = with_storage(report, blended, config.grids)
     report["overlap"] = {
         "windows": [pair.tail.window, pair.head.window],
         "weight": pair.weight,

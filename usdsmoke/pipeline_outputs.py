@@ -8,7 +8,7 @@ import numpy as np
 
 from usdsmoke import __version__
 from usdsmoke.colour_grids import empty_colour_grids, make_colour_grids
-from usdsmoke.config import Config
+from usdsmoke.config import Config, GridsConfig
 from usdsmoke.frames import read_velocity_grids
 from usdsmoke.grids.transform import field_extent
 from usdsmoke.grids.write import write_frame
@@ -20,6 +20,7 @@ from usdsmoke.plan import FramePlan, VolumePlan, result_file_names
 from usdsmoke.provenance import hash_file
 from usdsmoke.publish import make_folders
 from usdsmoke.run_folder import RunFolder
+from usdsmoke.storage_error import pruned, storage_errors
 from usdsmoke.volume import DenseField, WrittenFrame
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ __all__ = [
     "frame_record",
     "plain_values",
     "result_fields",
+    "with_storage",
     "write_result",
 ]
 
@@ -50,10 +52,7 @@ def result_fields(
         gamma_w: extinction per density, 1/stage unit.
         config: the resolved settings.
     """
-    fields, density = list(fields), fields[0]
-    if config.grids.prune > 0 and not density.is_empty:
-        smoke = density.values > config.grids.prune
-        fields = [_keep_where(smoke, field) for field in fields]
+    fields = pruned(fields, config.grids.prune)
     fields[1:] = [
         grid
         for emission in fields[1:]
@@ -100,18 +99,26 @@ def write_result(
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
     if stylized.emission is not None:
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
-    is_part = name != frame.file_name
+    is_part, report = name != frame.file_name, plain_values(stylized.report)
     if not is_part:
+        report = with_storage(report, fields, config.grids)
         own = stylized.report.get("extinction", gamma_w)
         fields = result_fields(fields, volume, frame, own, config)
     make_folders((run.folder / name).parent)
-    report = plain_values(stylized.report)
     metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
     half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
     return {**record, "sha256": digest, "part": is_part, "report": report}
+
+
+def with_storage(
+    report: Mapping[str, Any], fields: Sequence[DenseField], config: GridsConfig
+) -> dict[str, Any]:
+    """A frame's report with what is lost when these fields are written, see ``storage_errors``."""
+    errors = {**report.get("errors", {}), **storage_errors(fields, config)}
+    return {**report, "errors": errors}
 
 
 def frame_record(
@@ -187,13 +194,6 @@ def collect_volume(
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
         seed=config.optimize.seed,
     )
-
-
-def _keep_where(smoke: np.ndarray, field: DenseField) -> DenseField:
-    """The field with its background wherever there is too little smoke."""
-    mask = smoke[..., None] if field.values.ndim == 4 else smoke
-    background = np.asarray(field.background, np.float32)
-    return dataclasses.replace(field, values=np.where(mask, field.values, background))
 
 
 def _copied_velocity(volume: VolumePlan) -> dict[str, str]:

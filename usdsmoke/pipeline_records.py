@@ -12,6 +12,7 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.config import GridsConfig, config_to_dict, merge_settings
+from usdsmoke.error_budget import make_budget
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import read_binding_version
 from usdsmoke.images import StyleImage
@@ -118,6 +119,7 @@ def make_provenance(
         temporal_error=temporal_error,
         overlap_difference=overlap_difference,
         figures=summarize_figures(reports),
+        error_budget=make_budget(reports).texts,
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         stage_values=stage_values(plan.source),
         request={**run.request, "config": _settings(run.request["config"], run.output)},

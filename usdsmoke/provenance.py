@@ -60,6 +60,7 @@ class RunFacts:
     finished: str = ""  # likewise, when the layer was made; empty takes the time of the call
     platform: str = ""  # system and processor family
     figures: Mapping[str, Any] = field(default_factory=dict)  # by name; their texts are recorded
+    error_budget: Sequence[str] = ()  # texts name=figures, see ``error_budget``
     stage_values: Mapping[str, str] = field(default_factory=dict)  # what the stage said, by name
     # What it takes to run again; files relative to the layer.
     request: Mapping[str, Any] = field(default_factory=dict)
@@ -144,6 +145,7 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "finished": facts.finished or utc_now(),
         "platform": facts.platform,
         "figures": [f"{name}={figure}" for name, figure in facts.figures.items()],
+        "errorBudget": list(facts.error_budget),
         "stageValues": [f"{name}={value}" for name, value in facts.stage_values.items()],
         "request": _as_json(facts.request),
         "inputState": _as_json(facts.input_state),

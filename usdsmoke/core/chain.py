@@ -26,6 +26,7 @@ from usdsmoke.core.coherence import (
     displacement_error,
 )
 from usdsmoke.core.colour import run_colour_step
+from usdsmoke.core.error_estimates import tail_figures
 from usdsmoke.core.link import Job, Link
 from usdsmoke.core.motion import estimate_velocity
 from usdsmoke.core.move import move_density, shares_on
@@ -111,7 +112,7 @@ def _shape_one(link: Link, before: Link | None, job: Job) -> None:
         1.0 if before is None else config.shape.warm_rate,
     )  # fmt: skip
     seconds = time.perf_counter() - started
-    link.report["shape"] = {**_summarize(ends), "seconds": seconds}
+    link.report["shape"] = {**_summarize(ends, link), "seconds": seconds}
 
 
 def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -170,7 +171,7 @@ def _paint_one(link: Link, before: Link | None, job: Job) -> None:
         paint is not None,
     )  # fmt: skip
     seconds = time.perf_counter() - started
-    link.report["colour"] = {**_summarize(ends), "seconds": seconds}
+    link.report["colour"] = {**_summarize(ends, link), "seconds": seconds}
 
 
 def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -225,12 +226,15 @@ def _plan(per_octave: Sequence[int], link: Link, warm: bool, config: Config) -> 
     return [0 if number < n_done else n for number, n in enumerate(plan)]
 
 
-def _summarize(ends: Sequence[Minimum]) -> dict[str, Any]:
+def _summarize(ends: Sequence[Minimum], link: Link) -> dict[str, Any]:
     """How the octaves of a step ended, as plain values."""
+    views = link.config.views
+    pool = views.pool if link.source.thin_axis is None else 1
     return {
         "loss": [end.smoothed for end in ends],
         "iterations": [end.iteration + 1 for end in ends],
         "rollbacks": sum(end.rollbacks for end in ends),
         "restored": sum(end.restored for end in ends),
         "ended": [end.reason for end in ends],
+        **tail_figures(ends, pool, views.count),
     }

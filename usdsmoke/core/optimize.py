@@ -106,6 +106,8 @@ class Minimum:
     rate: float  # of the step just taken
     reason: str  # "" while running, then "iterations" or "converged"
     restored: bool = False  # the result is an earlier state, because the last one was worse
+    losses: tuple[float, ...] = ()  # of every good iteration; the last item alone has these two
+    rates: tuple[float, ...] = ()
 
 
 def minimize(
@@ -138,6 +140,8 @@ def minimize(
     """
     state = _State(parameters, adam or Adam(), rate)
     history: list[float] = []
+    losses: list[float] = []
+    rates: list[float] = []
     span = max(n_iterations // 4, 10)
     latest = None
     for iteration in range(n_iterations):
@@ -150,6 +154,8 @@ def minimize(
             if project is not None:
                 project()
         history.append(state.smoothed)
+        losses.append(value)
+        rates.append(now)
         latest = Minimum(iteration, value, state.smoothed, state.rollbacks, now, "")
         fallen = history[-1 - span] - state.smoothed if len(history) > span else math.inf
         if fallen < tolerance * abs(state.smoothed) and tolerance > 0:
@@ -158,7 +164,8 @@ def minimize(
         if iteration < n_iterations - 1:
             yield latest
     if n_iterations > 0:
-        yield state.settle(latest, lambda: _evaluate(objective, n_iterations, parameters)[0])
+        end = state.settle(latest, lambda: _evaluate(objective, n_iterations, parameters)[0])
+        yield replace(end, losses=tuple(losses), rates=tuple(rates))
 
 
 def _evaluate(

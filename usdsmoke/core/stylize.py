@@ -12,6 +12,7 @@ from usdsmoke.config import Config
 from usdsmoke.core.chain import run_chain
 from usdsmoke.core.controls import frame_config
 from usdsmoke.core.device import choose_device
+from usdsmoke.core.error_estimates import frame_errors
 from usdsmoke.core.link import Job, Link, Watch
 from usdsmoke.core.mask import EffectMask, effect_mask
 from usdsmoke.core.optimize import Minimum
@@ -169,6 +170,9 @@ def _stylized(link: Link, job: Job) -> StylizedFrame:
             if link.mask is not None:
                 strength = strength * link.mask.at(link.painted.positions)
             _emit(emission, link.painted, link.colours, link.scene, strength)
+    errors = frame_errors(link)
+    if errors:
+        link.report["errors"] = errors
     return StylizedFrame(link.frame.time_code, link.density, emission, link.report)
 
 

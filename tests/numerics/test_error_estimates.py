@@ -1,0 +1,222 @@
+"""Estimated errors against true ones, on problems where these are known."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import erf
+from torch import Tensor
+
+from tests.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
+from usdsmoke.core.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.optimize import minimize
+from usdsmoke.core.picture_errors import (
+    Painted,
+    fit_blocks,
+    quadrature_error,
+    resolution_error,
+)
+from usdsmoke.core.richardson import step_error
+from usdsmoke.core.scene import fit_view
+from usdsmoke.core.smoke import ActiveSmoke
+from usdsmoke.core.transport import Scheme, warp
+from usdsmoke.core.transport_error import warp_error
+from usdsmoke.core.views import View, orbit_view
+
+WITHIN = 3.0  # times too large or too small
+WIDTH = 0.09  # of the Gaussian, whose box ends at 1/2: 2e-7 of it lies outside
+
+
+def agree(estimated: float, true: float) -> bool:
+    return true / WITHIN < estimated < true * WITHIN
+
+
+def view_of(smoke: ActiveSmoke, azimuth: float, elevation: float, pixel: float) -> View:
+    tiny = orbit_view(azimuth, elevation, "Y", np.zeros(3), 1, 1, pixel)
+    return fit_blocks(fit_view(tiny, smoke))
+
+
+def slab(n: int) -> ActiveSmoke:
+    """Density 1, one unit deep in n voxels along Z."""
+    matrix = np.diag([1 / n, 1 / n, 1 / n, 1.0])
+    matrix[3, :3] = [0, 0, 0.5 / n]
+    return smoke_of(np.ones((4, 4, n)), matrix)
+
+
+@pytest.mark.parametrize("thickness", [0.5, 2.0, 8.0])
+@pytest.mark.parametrize("n_slabs", [16, 32])
+def test_quadrature_of_a_slab_whose_colour_grows_with_depth(thickness: float, n_slabs: int) -> None:
+    """Colour s in depth s: (1 - exp(-t) (1 + t)) / t."""
+    n = 4 * n_slabs
+    smoke = slab(n)
+    view = view_of(smoke, 0, 0, 1 / n)
+    depth = smoke.positions @ torch.as_tensor(view.forward)
+    colour = (depth - depth.min() + 0.5 / n).float()
+    painted = Painted(smoke, colour[:, None].expand(-1, 3))
+    seen = painted.picture(view, thickness, 4 / n)[view.height // 2, view.width // 2]
+    light = (1 - math.exp(-thickness) * (1 + thickness)) / thickness
+    true = 3 * abs(float(seen[0]) - light) / (3 * light - math.expm1(-thickness))
+    assert agree(quadrature_error(painted, view, thickness, 4 / n).value, true)
+
+
+def test_one_colour_has_no_quadrature_error() -> None:
+    smoke = slab(32)
+    painted = Painted(smoke, torch.full((len(smoke.ijk), 3), 0.5))
+    view = view_of(smoke, 7, 3, 1 / 32)
+    assert quadrature_error(painted, view, 5.0, 1 / 32).value < 1e-6
+
+
+def blob(n: int, gamma: float, azimuth: float, elevation: float) -> tuple[Painted, View]:
+    """A Gaussian whose colour is its own transmittance: the ray's sum is (1 - T^2) / 2."""
+    smoke = gaussian_smoke(n, WIDTH)
+    view = view_of(smoke, azimuth, elevation, 1 / n)
+    axes = np.stack([view.right, view.up, view.forward], axis=1)
+    x, y, z = (smoke.positions.numpy() @ axes).T
+    before = gaussian_column(x, y, WIDTH) / 2 * (1 + erf(z / (WIDTH * math.sqrt(2))))
+    colour = torch.as_tensor(np.exp(-gamma * before), dtype=torch.float32)
+    return Painted(smoke, colour[:, None].repeat(1, 3)), view
+
+
+def exact_picture(view: View, gamma: float) -> np.ndarray:
+    x = (np.arange(view.width) - (view.width - 1) / 2) * view.pixel_size + view.centre @ view.right
+    y = ((view.height - 1) / 2 - np.arange(view.height)) * view.pixel_size + view.centre @ view.up
+    column = gamma * gaussian_column(x[None], y[:, None], WIDTH)
+    light = -np.expm1(-2 * column) / 2
+    return np.stack([light, light, light, -np.expm1(-column)], axis=-1)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("angles", [(17.0, 9.0), (-31.0, 4.0)])
+def test_quadrature_of_a_blob_that_hides_itself(gamma: float, angles: tuple[float, float]) -> None:
+    painted, view = blob(32, gamma, *angles)
+    step = painted.smoke.voxel_size
+    fine, found = (painted.picture(view, gamma, part * step) for part in (1 / 16, 1.0))
+    true = float((found - fine).abs().sum() / fine.sum())
+    assert agree(quadrature_error(painted, view, gamma, step).value, true)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 10.0, 50.0])
+@pytest.mark.parametrize("n", [24, 48])
+@pytest.mark.parametrize("angles", [(-31.0, 4.0), (17.0, 9.0)])
+def test_resolution_of_a_blob_with_analytic_columns(
+    gamma: float, n: int, angles: tuple[float, float]
+) -> None:
+    painted, view = blob(n, gamma, *angles)
+    found, exact = painted.picture(view, gamma).double().numpy(), exact_picture(view, gamma)
+    true = float(np.abs(found - exact).sum() / exact.sum())
+    assert agree(resolution_error(painted, view, gamma).value, true)
+
+
+def test_resolution_is_not_underestimated_where_voxels_fall_on_pixels() -> None:
+    """Such a view of point samples is exact, which coarser voxels, being means, cannot tell."""
+    painted, view = blob(32, 10.0, 0.0, 0.0)
+    found, exact = painted.picture(view, 10.0).double().numpy(), exact_picture(view, 10.0)
+    assert resolution_error(painted, view, 10.0).value > np.abs(found - exact).sum() / exact.sum()
+
+
+def moved_blob(width: float, turned: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """A Gaussian in 48^3 voxels, a displacement, and what it becomes."""
+
+    def at(i: Tensor, j: Tensor, k: Tensor) -> Tensor:
+        squares = (i - 24) ** 2 + (j - 23) ** 2 + (k - 25) ** 2
+        return torch.exp(-squares / (2 * width**2))
+
+    axis = torch.arange(48, dtype=torch.float64)
+    place = torch.meshgrid(axis, axis, axis, indexing="ij")
+    if turned:
+        x, y, turn = place[0] - 20, place[1] - 20, 0.3
+        u = torch.stack(
+            [
+                x - math.cos(turn) * x - math.sin(turn) * y,
+                y + math.sin(turn) * x - math.cos(turn) * y,
+                torch.zeros_like(x),
+            ],
+            dim=-1,
+        )
+    else:
+        u = torch.tensor([2.3, -1.4, 0.5], dtype=torch.float64).expand(48, 48, 48, 3)
+    departures = [p - part for p, part in zip(place, u.unbind(-1), strict=True)]
+    return at(*place), u, at(*departures)
+
+
+@pytest.mark.parametrize("scheme", ["linear", "maccormack", "cubic"])
+@pytest.mark.parametrize("width", [3.0, 4.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_transport_of_a_blob_shifted_and_turned(scheme: Scheme, width: float, turned: bool) -> None:
+    values, u, exact = moved_blob(width, turned)
+    moved = warp(values, u, scheme=scheme)
+    true = float((moved - exact).abs().sum() / exact.sum())
+    assert agree(warp_error(values, u, moved, scheme).value, true)
+
+
+def test_a_shift_by_four_voxels_has_no_transport_error() -> None:
+    values = moved_blob(3.0, False)[0]
+    u = torch.zeros(48, 48, 48, 3, dtype=torch.float64)
+    u[..., 0] = 4
+    assert warp_error(values, u, warp(values, u, scheme="linear"), "linear").value < 1e-12
+
+
+def bowl(conditioning: float, noise: float) -> tuple[Tensor, Callable[[int], Tensor]]:
+    """200 unknowns from chance, and 10 + half their weighted squares, with noise on the 10."""
+    generator = torch.Generator().manual_seed(1)
+    weights = torch.logspace(0, -math.log10(conditioning), 200, dtype=torch.float64)
+    unknowns = torch.randn(200, generator=generator, dtype=torch.float64).requires_grad_()
+    shaken = torch.randn(1000, generator=generator, dtype=torch.float64)
+
+    def loss(iteration: int) -> Tensor:
+        return 0.5 * (weights * unknowns**2).sum() + 10 * (1 + noise * shaken[iteration])
+
+    return unknowns, loss
+
+
+@pytest.mark.parametrize("conditioning", [3.0, 1000.0])
+@pytest.mark.parametrize(("rate", "n"), [(0.01, 60), (0.01, 120), (0.03, 60)])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_what_a_bowl_s_loss_still_has_to_fall(
+    conditioning: float, rate: float, n: int, noise: float
+) -> None:
+    unknowns, loss = bowl(conditioning, noise)
+    end = list(minimize(loss, [unknowns], rate, n))[-1]
+    weights = torch.logspace(0, -math.log10(conditioning), 200, dtype=torch.float64)
+    left = float(0.5 * (weights * unknowns.detach() ** 2).sum())
+    assert agree(remaining_decrease(end.losses, end.rates), left)
+
+
+def test_a_bowl_whose_bottom_is_reached_has_nothing_left() -> None:
+    unknowns, loss = bowl(3.0, 0.0)
+    end = list(minimize(loss, [unknowns], 0.05, 300))[-1]
+    assert remaining_decrease(end.losses, end.rates) < 1e-3 * (end.losses[0] - end.losses[-1])
+
+
+def test_few_losses_or_some_that_are_not_finite_tell_nothing() -> None:
+    assert math.isnan(remaining_decrease([1.0] * 9, [1.0] * 9))
+    assert math.isnan(remaining_decrease([1.0] * 9 + [math.inf], [1.0] * 10))
+    assert remaining_decrease([1.0] * 20, [1.0] * 20) == 0.0
+
+
+@pytest.mark.parametrize(("pool", "count"), [(16, 1), (12, 1), (16, 4)])
+def test_spread_over_views_is_that_of_the_means_of_many_pools(pool: int, count: int) -> None:
+    """Losses like those of Gram matrices, sums of 50 squares, the same view with the same loss."""
+    generator = np.random.default_rng(0)
+
+    def pool_losses() -> np.ndarray:
+        return generator.normal(size=(pool, 50)) ** 2 @ np.ones(50)
+
+    true = np.std([losses.mean() / 50 for losses in (pool_losses() for _ in range(2000))])
+    for _ in range(20):
+        drawn = generator.permutation(pool_losses()).reshape(-1, count).mean(axis=1)
+        falling = np.linspace(0.1, 0.0, len(drawn)) * 50
+        assert agree(spread_of_mean(list(drawn + falling), pool, count), float(true))
+
+
+def test_one_view_has_no_spread() -> None:
+    assert spread_of_mean([3.0, 2.0, 1.0], 1) == 0.0
+
+
+def test_the_order_is_fitted_and_held_in_its_limits() -> None:
+    exact = torch.linspace(1, 2, 100)
+    for order, fitted in ((1.5, 1.5), (0.5, 1.0), (3.0, 2.0)):
+        found = step_error([exact + 1e-3 * h**order for h in (1.0, 2.0, 4.0)])
+        assert found.order == pytest.approx(fitted, abs=1e-2)

@@ -1,0 +1,85 @@
+"""The error budget of whole runs: in the result, in run.json, in the layer's record, in print."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot
+from tests.smoke_fixtures import frame_of, puff
+from tests.stylize_fixtures import quick_config, run_core
+from usdsmoke.cli import main
+from usdsmoke.config import GridsConfig
+from usdsmoke.error_budget import make_budget
+from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.pipeline import assemble, stylize
+from usdsmoke.provenance_records import find_records
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Shot:
+    return make_shot(tmp_path)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_same_budget_stands_in_result_record_and_layer(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = stylize(shot.stage, shot.style, shot.output)
+    budget = result.error_budget
+    assert budget is not None and budget["temporal, colour"].mean == 0.5
+    (kept,) = shot.output.glob("vdb/*/run.json")
+    assert json.loads(kept.read_text())["error_budget"] == budget.to_dict()
+    (record,) = find_records(result.look_layer)
+    assert record.texts("errorBudget") == budget.texts
+    assert main(["provenance", str(result.look_layer)]) == 0
+    assert "temporal, colour: mean 0.5" in capsys.readouterr().out
+    assert assemble(shot.output).error_budget == budget
+
+
+@pytest.mark.usefixtures("core")
+def test_the_command_prints_it_as_a_table_and_as_json(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments()) == 0
+    printed = capsys.readouterr().out
+    assert "temporal, colour" in printed and "without quadrature:" in printed
+    assert main(["assemble", str(shot.output), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["error_budget"]
+    assert {entry["name"] for entry in found["estimates"]} >= {"storage, density"}
+
+
+@pytest.mark.usefixtures("core")
+def test_storage_is_the_difference_between_files(shot: Shot, core: FakeCore) -> None:
+    exact = stylize(shot.stage, shot.style, shot.output)
+    rough = stylize(
+        shot.stage, shot.style, shot.folder / "half", settings={"grids": {"half": True}}
+    )
+    differences = []
+    for one, other in zip(exact.frames, rough.frames, strict=True):
+        wanted = [GridRequest("density")]
+        (a,), (b,) = (read_grids(file, wanted, GridsConfig()) for file in (one, other))
+        size = np.abs(a.values).sum(dtype=float)
+        differences.append(np.abs(a.values - b.values).sum(dtype=float) / size)
+    assert exact.error_budget is not None and rough.error_budget is not None
+    assert exact.error_budget["storage, density"].largest == 0
+    assert rough.error_budget["storage, density"].largest == pytest.approx(max(differences))
+
+
+def test_a_real_frame_has_an_estimate_of_everything_in_it() -> None:
+    config = quick_config()
+    frames = [frame_of(puff(14, seed), time_code=1.0 + seed) for seed in range(2)]
+    steps = {"shape": {"iterations": [12]}, "colour": {"iterations": [12]}}
+    config = replace(quick_config(**steps), windows=config.windows)
+    budget = make_budget(frame.report for frame in run_core(frames, config))
+    assert set(budget.left_out) == {
+        "windows, density", "windows, emission", "storage, density", "storage, emission",
+    }  # fmt: skip
+    assert all(np.isfinite(entry.mean) for entry in budget.estimates)
+
+
+def test_an_empty_frame_has_none() -> None:
+    (frame,) = run_core([frame_of(np.zeros((4, 4, 4)))], quick_config())
+    assert make_budget([frame.report]).estimates == ()

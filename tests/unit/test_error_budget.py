@@ -1,0 +1,133 @@
+"""The budget of a run, put together from the reports of its frames, and what storing loses."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from usdsmoke.cli_budget import budget_text
+from usdsmoke.config import GridsConfig
+from usdsmoke.error_budget import ErrorBudget, make_budget
+from usdsmoke.storage_error import pruned, storage_errors
+from usdsmoke.volume import DenseField
+
+FIRST: dict[str, Any] = {
+    "shape": {
+        "seconds": 2.0,
+        "transport error": {"value": 0.01, "order": 3.0, "seconds": 0.25},
+        "cheap scheme differs": 0.08,
+        "mass error": -0.03,
+        "fallen": 3.0,
+        "remaining": 1.0,
+        "view spread": 0.5,
+    },
+    "colour": {"seconds": 4.0, "fallen": 9.0, "remaining": 1.0, "view spread": 0.02},
+    "errors": {"quadrature": {"value": 0.002, "order": 2.0, "seconds": 0.5}},
+    "temporal error": {"colour": 0.1},
+}
+SECOND: dict[str, Any] = {
+    **FIRST,
+    "shape": {**FIRST["shape"], "mass error": 0.01, "transport error": {"value": 0.03}},
+    "errors": {"quadrature": {"value": 0.004, "seconds": 0.25}},
+    "temporal error": {"colour": 0.3, "displacement": 0.2},
+}
+
+
+def test_every_error_is_mean_and_largest_of_the_frames_that_have_it() -> None:
+    budget = make_budget([FIRST, {"voxels": 0, "left out": "empty frame"}, SECOND])
+    found = budget["quadrature"]
+    assert (found.mean, found.largest) == pytest.approx((0.003, 0.004))
+    assert (found.n_frames, found.seconds, found.relative_to) == (2, 0.75, "the picture")
+    assert budget["transport"].largest == 0.03
+    assert budget["temporal, displacement"].n_frames == 1
+
+
+def test_losses_of_mass_do_not_make_up_for_gains() -> None:
+    assert make_budget([FIRST, SECOND])["mass"].mean == pytest.approx(0.02)
+
+
+def test_what_the_optimiser_leaves_is_a_share_of_the_fall_with_it() -> None:
+    budget = make_budget([FIRST])
+    assert budget["optimiser, shape"].mean == 0.25
+    assert budget["optimiser, colour"].mean == 0.1
+
+
+def test_views_are_those_of_the_last_step() -> None:
+    assert make_budget([FIRST])["view sampling"].mean == 0.02
+    assert make_budget([{"shape": FIRST["shape"]}])["view sampling"].mean == 0.5
+
+
+def test_what_has_no_figure_is_named_with_the_reason() -> None:
+    budget = make_budget([{"shape": FIRST["shape"]}])
+    assert "opacity" in budget.left_out["quadrature"]
+    assert "no frame follows another" in budget.left_out["temporal, displacement"]
+    names = {estimate.name for estimate in budget.estimates}
+    assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == 15
+
+
+def test_seconds_are_those_of_steps_and_estimates() -> None:
+    assert make_budget([FIRST, SECOND]).seconds == {"shape": 4.0, "colour": 8.0, "estimates": 1.0}
+
+
+def test_a_report_of_the_past_gives_what_it_has() -> None:
+    old = {"shape": {"mass error": 0.5, "seconds": 1.0}, "colour": {"loss": [1.0]}}
+    assert [estimate.name for estimate in make_budget([old]).estimates] == ["mass"]
+
+
+def test_a_budget_comes_back_from_json() -> None:
+    budget = make_budget([FIRST, SECOND])
+    assert ErrorBudget.from_dict(json.loads(json.dumps(budget.to_dict()))) == budget
+
+
+def test_the_table_and_the_record_name_every_entry() -> None:
+    budget = make_budget([FIRST])
+    text = budget_text(budget)
+    for name in (*[estimate.name for estimate in budget.estimates], *budget.left_out):
+        assert name in text
+        assert any(entry.startswith(f"{name}=") for entry in budget.texts)
+    assert "0.20%" in text and "time: shape 2 s, colour 4 s" in text
+
+
+def fields() -> list[DenseField]:
+    generator = np.random.default_rng(0)
+    density = generator.uniform(0, 1, (6, 5, 4)).astype(np.float32)
+    light = density[..., None] * generator.uniform(0, 1, (6, 5, 4, 3)).astype(np.float32)
+    place = ((0, 0, 0), np.eye(4))
+    return [
+        DenseField("density", density, *place),
+        DenseField("emission", light, *place, (0.0, 0.0, 0.0)),
+    ]
+
+
+def test_nothing_is_lost_in_32_bit_floats() -> None:
+    assert [entry["value"] for entry in storage_errors(fields(), GridsConfig()).values()] == [0, 0]
+
+
+def test_pruning_loses_the_share_of_the_thin_smoke() -> None:
+    density, emission = fields()
+    thin = density.values <= 0.25
+    lost = storage_errors([density, emission], GridsConfig(prune=0.25))
+    shares = [
+        part.values[thin].sum(dtype=float) / part.values.sum(dtype=float)
+        for part in (density, emission)
+    ]
+    assert [entry["value"] for entry in lost.values()] == pytest.approx(shares, rel=1e-6)
+    assert (pruned([density, emission], 0.25)[1].values[thin] == 0).all()
+
+
+def test_half_floats_lose_a_quarter_of_their_unit_on_average() -> None:
+    lost = storage_errors(fields()[:1], GridsConfig(half=True))
+    # numbers are off by at most half of their last of 11 bits, evenly spread: 2^-13 to 2^-14
+    assert 2**-14 < lost["storage density"]["value"] * 1.5 < 2**-12
+
+
+def test_what_half_floats_cannot_hold_is_lost_altogether() -> None:
+    faint = DenseField("density", np.full((2, 2, 2), 1e-9, np.float32), (0, 0, 0), np.eye(4))
+    assert storage_errors([faint], GridsConfig(half=True))["storage density"]["value"] == 1.0
+
+
+def test_an_empty_field_loses_nothing() -> None:
+    empty = DenseField("density", np.zeros((0, 0, 0), np.float32), (0, 0, 0), np.eye(4))
+    lost = storage_errors([empty], GridsConfig(half=True, prune=0.1))
+    assert lost["storage density"]["value"] == 0

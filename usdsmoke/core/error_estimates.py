@@ -1,0 +1,145 @@
+"""What is left of a finished frame's errors, estimated from the frame itself.
+
+Each estimate looks at one view, or a few, of what was found: a small part of the frame's own time,
+which is measured and kept with it. What transport and optimiser can tell of themselves stands in
+the reports of the steps.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from usdsmoke.core.colour import prepare_views
+from usdsmoke.core.grey import look_at
+from usdsmoke.core.link import Link
+from usdsmoke.core.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.optimize import Minimum
+from usdsmoke.core.picture_errors import Painted, fit_blocks, quadrature_error, resolution_error
+from usdsmoke.core.project import column_map
+from usdsmoke.core.richardson import StepError
+from usdsmoke.core.scene import frame_views
+from usdsmoke.core.style import decode_srgb
+from usdsmoke.core.views import View
+
+__all__ = ["frame_errors", "tail_figures"]
+
+N_VIEWS = 2  # that were not optimised, and as many that were
+OTHER_SEED = 0x0DD5EED  # of their angles
+
+
+def frame_errors(link: Link) -> dict[str, dict[str, float]]:
+    """Errors of a finished frame: ``quadrature``, ``resolution``, ``unseen views``.
+
+    Args:
+        link: at the end of its chain.
+
+    Returns:
+        by name ``value`` (relative to the picture; of unseen views to the style loss of seen ones)
+        and ``seconds``, and the fitted ``order`` of the first two. Empty for a frame that was left
+        out. Without colours there is no quadrature to be wrong: opacity is exact. A slab has one
+        view alone.
+    """
+    if not link.in_effect or len(link.smoke.ijk) == 0:
+        return {}
+    painted, found = _painted(link), {}
+    view = fit_blocks(_views(link, 1, link.config.optimize.seed)[0])
+    gamma_w, step = link.scene.gamma_w, link.smoke.voxel_size
+    with torch.no_grad():
+        if link.paint is not None:
+            found["quadrature"] = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
+        found["resolution"] = _timed(lambda: resolution_error(painted, view, gamma_w))
+        if link.smoke.thin_axis is None and link.config.losses.style > 0:
+            found["unseen views"] = _timed(lambda: _unseen_views(link))
+    return found
+
+
+def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, float]:
+    """What the last octave's losses tell of the optimiser and of the views.
+
+    Args:
+        ends: how the octaves of a step ended.
+        pool: different views that were drawn from.
+        count: views an iteration.
+
+    Returns:
+        ``fallen`` and ``remaining``, how far the loss fell and, as is predicted, would still fall;
+        ``view spread``, the standard error of its mean over the views, relative to it. Without
+        what too few iterations tell nothing of.
+    """
+    if not ends:
+        return {}
+    losses = ends[-1].losses
+    found = {
+        "fallen": max(losses[0] - ends[-1].smoothed, 0.0) if losses else math.nan,
+        "remaining": remaining_decrease(losses, ends[-1].rates),
+        "view spread": spread_of_mean(losses, pool, count),
+    }
+    return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def _painted(link: Link) -> Painted:
+    """The frame as it is written: colours times strength and mask; white without any."""
+    smoke, paint = link.smoke, link.paint
+    light = smoke.density.new_ones(len(smoke.ijk), 3)
+    if paint is not None:
+        light = torch.zeros_like(light)
+        share = _share(link)
+        here = slice(None) if share is None else share > 0
+        part = 1.0 if share is None else share[share > 0, None]
+        light[here] = decode_srgb(paint[1]) * (link.config.optimize.strength * part)
+    return Painted(smoke, light)
+
+
+def _share(link: Link) -> Tensor | None:
+    return None if link.mask is None else link.mask.at(link.smoke.positions)
+
+
+def _views(link: Link, pool: int, seed: int, sampling: str | None = None) -> list[View]:
+    """A pool of views of the finished smoke."""
+    views = link.config.views
+    views = replace(views, pool=pool, sampling=sampling or views.sampling)
+    return frame_views(link.smoke, replace(link.config, views=views), link.scene, seed)
+
+
+def _unseen_views(link: Link) -> float:
+    """How far the style loss of views nobody optimised differs from that of optimised ones."""
+    config = link.config
+    iterations = config.shape.iterations if link.paint is None else config.colour.iterations
+    pool = _views(link, config.views.pool, config.optimize.seed + len(iterations) - 1)
+    seen = pool[:: max(1, len(pool) // N_VIEWS)][:N_VIEWS]
+    unseen = _views(link, N_VIEWS, config.optimize.seed ^ OTHER_SEED, "poisson")
+    ours, others = (
+        sum(losses) / len(losses) for losses in (_losses(link, seen), _losses(link, unseen))
+    )
+    return abs(others - ours) / ours if ours > 0 else 0.0
+
+
+def _losses(link: Link, views: Sequence[View]) -> list[float]:
+    """The style loss of each view of the finished frame, in colour where there is any."""
+    smoke, scene, share = link.smoke, link.scene, _share(link)
+    if link.paint is None:
+        judge, found = link.targets.at(1, grey=True), []
+        for view in views:
+            image = column_map(smoke.positions, smoke.voxel_volume, view)
+            look = look_at(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
+            found.append(float(judge(look.filled(look.grey, scene.grey_mean), look.guide)))
+        return found
+    judge, linear = link.targets.at(1), decode_srgb(link.paint[1])
+    behind = link.targets.background
+    return [
+        float(judge(view.straight_picture(linear, behind), view.guide))
+        for view in prepare_views(smoke, views, scene.gamma_w, scene.exposure, share)
+    ]
+
+
+def _timed(estimate: Callable[[], StepError | float]) -> dict[str, float]:
+    started = time.perf_counter()
+    found = estimate()
+    seconds = time.perf_counter() - started
+    if isinstance(found, StepError):
+        return {"value": found.value, "order": found.order, "seconds": seconds}
+    return {"value": found, "seconds": seconds}
