@@ -22,7 +22,7 @@ def quick_config(**sections: Mapping[str, Any]) -> Config:
         "features": {"layers": ["oriented1", "oriented2"]},
         "shape": {"iterations": [2, 2]},
         "colour": {"iterations": [2, 2]},
-        "optimize": {"threads": 1, "tolerance": 0.0},
+        "optimize": {"threads": 1, "tolerance": 0.0, "error_budget": False},
     }
     return resolve_config(base, sections)
 

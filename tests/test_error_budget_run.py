@@ -1,8 +1,9 @@
 """The error budget of whole runs: in the result, in run.json, in the layer's record, in print."""
 
 import json
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.cli import main
-from usdsmoke.config import GridsConfig
+from usdsmoke.config import Config, GridsConfig
 from usdsmoke.error_budget import make_budget
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.pipeline import assemble, stylize
@@ -69,17 +70,42 @@ def test_storage_is_the_difference_between_files(shot: Shot, core: FakeCore) -> 
 
 
 def test_a_real_frame_has_an_estimate_of_everything_in_it() -> None:
-    config = quick_config()
     frames = [frame_of(puff(14, seed), time_code=1.0 + seed) for seed in range(2)]
-    steps = {"shape": {"iterations": [12]}, "colour": {"iterations": [12]}}
-    config = replace(quick_config(**steps), windows=config.windows)
-    budget = make_budget(frame.report for frame in run_core(frames, config))
+    budget = make_budget(frame.report for frame in run_core(frames, estimating()))
     assert set(budget.left_out) == {
         "windows, density", "windows, emission", "storage, density", "storage, emission",
     }  # fmt: skip
     assert all(np.isfinite(entry.mean) for entry in budget.estimates)
 
 
+def test_grey_smoke_has_no_quadrature_and_a_slab_no_other_views() -> None:
+    config = estimating(optimize={"error_budget": True, "steps": ["shape"]})
+    slab = puff(14)[:, :, 6:7]
+    budgets = [
+        make_budget([run_core([frame_of(density)], config)[0].report])
+        for density in (puff(14), slab)
+    ]
+    assert all("opacity" in budget.left_out["quadrature"] for budget in budgets)
+    assert ["unseen views" in budget.left_out for budget in budgets] == [False, True]
+
+
+def test_the_estimates_do_not_change_the_result_and_can_be_left_out() -> None:
+    results = [
+        run_core([frame_of(puff(12))], estimating(optimize={"error_budget": wanted}))[0]
+        for wanted in (True, False)
+    ]
+    for name in ("density", "emission"):
+        one, other = (getattr(result, name).values for result in results)
+        assert np.array_equal(one, other)
+    left_out = make_budget([results[1].report]).left_out
+    assert {"quadrature", "resolution", "unseen views"} <= set(left_out)
+
+
 def test_an_empty_frame_has_none() -> None:
-    (frame,) = run_core([frame_of(np.zeros((4, 4, 4)))], quick_config())
+    (frame,) = run_core([frame_of(np.zeros((4, 4, 4)))], estimating())
     assert make_budget([frame.report]).estimates == ()
+
+
+def estimating(**sections: Mapping[str, Any]) -> Config:
+    steps = {"shape": {"iterations": [12]}, "colour": {"iterations": [12]}}
+    return quick_config(**{"optimize": {"error_budget": True}, **steps, **sections})

@@ -224,6 +224,9 @@ class OptimizeConfig:
     strength: float = setting(
         1.0, "share of the effect that is kept: 0 gives the source back", low=0.0, high=1.0
     )
+    error_budget: bool = setting(
+        True, "estimate what is left of each error, from a few pictures of every finished frame"
+    )
     seed: int = setting(0, "seed of every random draw", low=0, high=2**63 - 1)
     device: str = setting("auto", "auto, cpu or cuda")
     threads: int = setting(0, "CPU threads; 0 means all", low=0)

@@ -44,7 +44,7 @@ __all__ = [
 # Settings that change when or whether a result comes about, but not the result.
 _NEUTRAL = {
     "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("memory_limit_gib", "threads"),
+    "optimize": ("memory_limit_gib", "threads", "error_budget"),
     "layer": ("mode",),
 }
 

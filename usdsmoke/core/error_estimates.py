@@ -40,14 +40,17 @@ def frame_errors(link: Link) -> dict[str, dict[str, float]]:
     Returns:
         by name ``value`` (relative to the picture; of unseen views to the style loss of seen ones)
         and ``seconds``, and the fitted ``order`` of the first two. Empty for a frame that was left
-        out. Without colours there is no quadrature to be wrong: opacity is exact. A slab has one
-        view alone.
+        out, and without ``optimize.error_budget``. Without colours there is no quadrature to be
+        wrong: opacity is exact. A slab has one view alone.
     """
-    if not link.in_effect or len(link.smoke.ijk) == 0:
+    optimize = link.config.optimize
+    if not (link.in_effect and optimize.error_budget) or len(link.smoke.ijk) == 0:
         return {}
     painted, found = _painted(link), {}
-    view = fit_blocks(_views(link, 1, link.config.optimize.seed)[0])
+    view = fit_blocks(_views(link, 1, optimize.seed)[0])
     gamma_w, step = link.scene.gamma_w, link.smoke.voxel_size
+    if link.paint is None:
+        gamma_w = link.scene.gamma_w_shape
     with torch.no_grad():
         if link.paint is not None:
             found["quadrature"] = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
@@ -82,15 +85,14 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
 
 
 def _painted(link: Link) -> Painted:
-    """The frame as it is written: colours times strength and mask; white without any."""
+    """The frame as it is written: colours times strength and mask; grey without any."""
     smoke, paint = link.smoke, link.paint
-    light = smoke.density.new_ones(len(smoke.ijk), 3)
-    if paint is not None:
-        light = torch.zeros_like(light)
-        share = _share(link)
-        here = slice(None) if share is None else share > 0
-        part = 1.0 if share is None else share[share > 0, None]
-        light[here] = decode_srgb(paint[1]) * (link.config.optimize.strength * part)
+    if paint is None:
+        return Painted(smoke, None)
+    light, share = smoke.density.new_zeros(len(smoke.ijk), 3), _share(link)
+    here = slice(None) if share is None else share > 0
+    part = 1.0 if share is None else share[share > 0, None]
+    light[here] = decode_srgb(paint[1]) * (link.config.optimize.strength * part)
     return Painted(smoke, light)
 
 

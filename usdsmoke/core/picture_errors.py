@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.project import colour_map
+from usdsmoke.core.optics import opacity
+from usdsmoke.core.project import colour_map, column_map
 from usdsmoke.core.resample import upsample
 from usdsmoke.core.richardson import StepError, step_error
 from usdsmoke.core.smoke import ActiveSmoke, coarsen
@@ -16,14 +17,22 @@ __all__ = ["Painted", "fit_blocks", "quadrature_error", "resolution_error"]
 
 @dataclass(frozen=True)
 class Painted:
-    """Smoke with what it shines: linear colours [N 3], each times the share that is shown."""
+    """Smoke with what it shines: linear colours [N 3], each times the share that is shown.
+
+    None is grey smoke, whose picture is its opacity.
+    """
 
     smoke: ActiveSmoke
-    colours: Tensor
+    colours: Tensor | None
 
     def picture(self, view: View, gamma_w: float, step: float | None = None) -> Tensor:
-        """Scene-linear colour premultiplied by alpha, and alpha, [H W 4]; ``step`` as in
-        ``project.colour_map``, None takes the voxel's size."""
+        """Scene-linear colour premultiplied by alpha, and alpha, [H W 4]; alpha [H W 1] in grey.
+
+        ``step`` is as in ``project.colour_map``; None takes the voxel's size.
+        """
+        if self.colours is None:
+            image = column_map(self.smoke.positions, self.smoke.voxel_volume, view)
+            return opacity(gamma_w * image.apply(self.smoke.density[:, None]))
         image, alpha = colour_map(
             self.smoke.positions, self.smoke.density, self.smoke.voxel_volume, gamma_w, view,
             step or self.smoke.voxel_size,
@@ -33,6 +42,8 @@ class Painted:
     def halved(self) -> "Painted":
         """At half the resolution: density and what it shines are averaged over blocks of voxels."""
         smoke, density = coarsen(self.smoke), self.smoke.density
+        if self.colours is None:
+            return Painted(smoke, None)
         light = [
             coarsen(replace(self.smoke, density=density * channel)).density / smoke.density
             for channel in self.colours.unbind(1)

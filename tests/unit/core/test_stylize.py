@@ -127,7 +127,7 @@ def test_without_a_colour_step_there_is_no_emission():
 def test_without_a_shape_step_the_density_is_the_source_s_own():
     result = run_core([FRAME], quick_config(**COLOUR))[0]
     assert result.density is FRAME.density
-    assert set(result.report) == {"voxels", "colour", "errors"}
+    assert set(result.report) == {"voxels", "colour"}
 
 
 def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized):
