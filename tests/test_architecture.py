@@ -109,6 +109,8 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("pipeline_features", {"core.definition", "core.vgg19_file", "provenance", "sections"}, set()),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
     ("preview*", {"*"}, {"pxr", "numpy"}),
+    ("report.diagrams", {"errors", "report.records"}, {"matplotlib"}),
+    ("report*", {"*"}, {"numpy", "torch"}),
     ("cli*", {"*"}, {"rich"}),
     # Qt comes through pxr.Usdviewq, which only usdview has; only this module needs it.
     ("usdview.container", set(), {"pxr"}),
@@ -175,8 +177,20 @@ def test_command_line_loads_nothing_heavy_at_its_top() -> None:
 
 
 def test_packages_of_extras_are_loaded_inside_functions() -> None:
-    extras = {"distributed", "dask", "openjd"}
+    extras = {"distributed", "dask", "openjd", "matplotlib"}
     assert not [name for name, module in MODULES.items() if module.foreign_at_top & extras]
+
+
+def test_nothing_but_its_command_needs_the_report() -> None:
+    inside = {name for name in MODULES if name.startswith("report")}
+    users = {name for name in MODULES if MODULES[name].ours & inside} - inside
+    assert users == {"cli_report"}
+
+
+def test_the_report_loads_torch_inside_functions() -> None:
+    assert not [
+        n for n in MODULES if n.startswith("report") and "torch" in MODULES[n].foreign_at_top
+    ]
 
 
 def test_imports_form_no_cycle() -> None:

@@ -22,6 +22,7 @@ from usdsmoke.cli_arguments import build_parser
 from usdsmoke.cli_look import run_inspect, run_plugin_path, run_settings, run_validate
 from usdsmoke.cli_preview import run_preview
 from usdsmoke.cli_record import run_provenance, run_rerun, run_verify
+from usdsmoke.cli_report import run_report
 from usdsmoke.cli_text import print_json
 from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
 from usdsmoke.errors import Interrupted, UsdSmokeError
@@ -37,6 +38,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "validate": run_validate,
     "plugin-path": run_plugin_path,
     "preview": run_preview,
+    "report": run_report,
     "provenance": run_provenance,
     "verify": run_verify,
     "rerun": run_rerun,

@@ -1,13 +1,13 @@
 """What the command line takes; defaults and limits of settings come from the settings."""
 
 import argparse
-import math
 from dataclasses import fields
 from functools import partial
 from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.cli_record_arguments import add_record_commands
+from usdsmoke.cli_values import repair_value, size_value
 from usdsmoke.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
 
 __all__ = ["build_parser", "given_settings"]
@@ -34,6 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
     _add_preview(commands)
+    _add_report(commands)
     add_record_commands(partial(_add_command, commands))
     _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
     return parser
@@ -173,7 +174,7 @@ def _add_preview(commands: Any) -> None:
         "--compare", action="store_true", help="draw the stage without its look as well"
     )
     parser.add_argument("--width", type=int, metavar="N", help="pixels; default: 512 at most")
-    parser.add_argument("--size", type=_size_value, metavar="WxH", help="pixels each way")
+    parser.add_argument("--size", type=size_value, metavar="WxH", help="pixels each way")
     parser.add_argument(
         "--background",
         choices=("grey", "black", "none"),
@@ -182,11 +183,21 @@ def _add_preview(commands: Any) -> None:
     )
 
 
-def _size_value(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted WIDTHxHEIGHT, as in 960x540")
-    return int(width), int(height)
+def _add_report(commands: Any) -> None:
+    parser = _add_command(commands, "report", "measure what a scene's choices gain and cost")
+    parser.add_argument("stage", metavar="STAGE", help="a USD file")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="DIR", help="the folder of the report"
+    )
+    _add_selection(parser)
+    _add_style(parser)
+    _add_settings(parser)
+    parser.add_argument(
+        "--budget",
+        default="5min",
+        metavar="TIME",
+        help="how long to measure: 300s, 5min, 1h; what does not fit is named; default: 5min",
+    )
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
@@ -209,7 +220,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     _add_client_options(parser)
     parser.add_argument(
         "--repair",
-        type=_repair_value,
+        type=repair_value,
         metavar="nan=0",
         help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
     )
@@ -269,17 +280,6 @@ def _add_client_options(parser: argparse.ArgumentParser) -> None:
         choices=("absolute", "perDensity"),
         help="perDensity is for renderers that multiply emission by density",
     )
-
-
-def _repair_value(text: str) -> float:
-    name, equals, value = text.partition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if name.strip().lower() != "nan" or not equals or not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted nan=NUMBER, as in nan=0")
-    return number
 
 
 def _settings_summary() -> str:

@@ -22,6 +22,7 @@
         OutputExists
         WriteFailed
       ClusterError        a Dask cluster cannot be reached or used
+      MissingExtra        an optional package that a command needs is not installed
       Interrupted         the user stopped the run
 
 A message says what, where, what was found against what was wanted, and what to do.
@@ -42,6 +43,7 @@ __all__ = [
     "ImageError",
     "Interrupted",
     "LayerError",
+    "MissingExtra",
     "NonFiniteError",
     "OutputExists",
     "PlanError",
@@ -140,6 +142,10 @@ class WriteFailed(LayerError):
 
 class ClusterError(UsdSmokeError):
     """A Dask cluster cannot be reached or used, or lost its workers."""
+
+
+class MissingExtra(UsdSmokeError):
+    """An optional package that a command needs is not installed; the message names the extra."""
 
 
 class Interrupted(UsdSmokeError):

@@ -1,0 +1,234 @@
+"""Reports of tiny scenes: the page holds what was measured, and names what was not."""
+
+import csv
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.pipeline_fixtures import run_here
+from tests.report_fixtures import QUICK, case_of, make_scene
+from usdsmoke.cli import main
+from usdsmoke.errors import PlanError, WriteFailed
+from usdsmoke.grids.write import write_frame
+from usdsmoke.report.data import COLUMNS
+from usdsmoke.report.engine import Sweep
+from usdsmoke.report.page import number
+from usdsmoke.report.run import SWEEPS, ReportResult, make_report
+from usdsmoke.volume import DenseField
+
+_VOID = {"meta", "img", "br"}
+
+
+def shortened(sweep: Sweep) -> Sweep:
+    """Two points of a sweep, once each."""
+
+    def plan(case: object) -> object:
+        whole = sweep.plan(case)  # type: ignore[arg-type]
+        return replace(whole, tasks=whole.tasks[:2], n_runs=1, warm_up=False)
+
+    return replace(sweep, plan=plan)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReportResult]:
+    """A report with two points of every sweep that a moving puff has a use for."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("usdsmoke.grids.read.run_child", run_here)
+        patch.setattr("usdsmoke.grids.write.run_child", run_here)
+        scene = make_scene(tmp_path_factory.mktemp("report"))
+        sweeps = [shortened(sweep) for sweep in SWEEPS]
+        yield make_report(
+            scene.stage, scene.style, scene.output, settings=QUICK, sweeps=sweeps, now=lambda: 0.0
+        )
+
+
+class Page(HTMLParser):
+    """Tags that are closed in their order, links, pictures and the text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.cells: list[list[str]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag not in ("script", "link", "iframe", "object")
+        if tag not in _VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.cells.append([])
+        for name, value in attrs:
+            if name in ("src", "href", "srcset", "data", "action"):
+                self.links.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if "td" in self.open:
+            self.cells[-1].append(data)
+
+
+def test_the_page_is_whole_and_needs_nothing_else(result: ReportResult) -> None:
+    text = result.page.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == [] and "http" not in text and "url(" not in text
+    for link in page.links:
+        assert link.startswith("data:image/png;base64,") or link[1:] in page.ids
+    pictures = [link for link in page.links if link.startswith("data:")]
+    assert len(pictures) == len(result.report.sweeps) == 11
+
+
+def test_every_curve_has_a_sentence_and_every_sweep_a_verdict(result: ReportResult) -> None:
+    text = Page(result.page.read_text(encoding="utf-8")).text
+    for sweep in result.report.sweeps:
+        assert sweep.verdict in text
+        assert set(sweep.curves) == set(sweep.sentences)
+        assert all(sentence and sentence in text for sentence in sweep.sentences.values())
+        assert any(point.configured for point in sweep.points), sweep.name
+
+
+def test_csv_and_json_hold_the_numbers_of_the_page(result: ReportResult) -> None:
+    folder = result.page.parent
+    rows = list(csv.DictReader((folder / "report.csv").read_text(encoding="utf-8").splitlines()))
+    held = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert tuple(rows[0]) == COLUMNS
+    points = [(sweep["name"], point) for sweep in held["sweeps"] for point in sweep["points"]]
+    assert len(points) == len(rows) >= 20
+    page = Page((folder / "report.html").read_text(encoding="utf-8"))
+    cells = [row for row in page.cells if row]
+    for (name, point), row in zip(points, rows, strict=True):
+        assert (row["sweep"], row["curve"], row["label"]) == (name, point["curve"], point["label"])
+        assert float(row["error"]) == point["error"]["median"]
+        assert float(row["cost_high"]) == point["cost"]["high"]
+        label = point["label"] + (" (configured)" if point["configured"] else "")
+        shown = [number(point["error"]["median"]), number(point["cost"]["median"])]
+        assert [point["curve"], label, *shown] in [[*c[:2], c[2], c[4]] for c in cells]
+
+
+def test_diagrams_are_files_too_and_nothing_else_is_left(result: ReportResult) -> None:
+    names = {file_path.name for file_path in result.page.parent.iterdir()}
+    pictures = {f"{sweep.name}.png" for sweep in result.report.sweeps}
+    assert names == pictures | {"report.html", "report.csv", "report.json"}
+    for name in pictures:
+        with Image.open(result.page.parent / name) as picture:
+            assert picture.width > 600
+
+
+def test_machine_versions_and_omissions_are_told(result: ReportResult) -> None:
+    page = Page(result.page.read_text(encoding="utf-8"))
+    for word in ("processor", "cores", "torch", "usd-core", "matplotlib", "Omissions"):
+        assert word in page.text
+    whats = {item.what: item.reason for item in result.report.omissions}
+    assert "no weights of VGG-19" in whats["Embedded features against VGG-19"]
+    assert "Other frames" in whats
+
+
+@pytest.mark.usefixtures("quick_grids")
+@pytest.mark.parametrize(
+    ("scene", "settings", "left_out"),
+    [
+        ({"n_frames": 1}, [], {"windows": "one frame", "backtrace": "one frame"}),
+        ({"moving": False}, [], {"windows": "no velocity", "backtrace": "no velocity"}),
+        (
+            {"n_frames": 1},
+            ["optimize.steps=[colour]"],
+            {"iterations_shape": "no shape", "interpolation": "no shape"},
+        ),
+        (
+            {"n_frames": 1},
+            ["optimize.steps=[shape]"],
+            {"iterations_colour": "no colour", "quadrature": "no colour", "network": "no colour"},
+        ),
+        ({"n_frames": 1}, ["losses.style=0"], {"views": "style is 0", "octaves": "style is 0"}),
+    ],
+)
+def test_sweeps_without_use_say_why(
+    scene: dict[str, int], settings: list[str], left_out: dict[str, str], tmp_path: Path
+) -> None:
+    case = case_of(make_scene(tmp_path, **scene), *settings)
+    reasons = {sweep.name: sweep.applies(case) for sweep in SWEEPS}
+    for name, reason in left_out.items():
+        assert reason in reasons[name]
+    always = {"files", "projection"}
+    assert all(reasons[name] == "" for name in always)
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_the_small_copy_keeps_mass_and_place(tmp_path: Path) -> None:
+    case = case_of(make_scene(tmp_path, n_frames=1, n=12))
+    case.longest = 6
+    assert case.halvings == 1 and case.small_smoke.voxel_size == pytest.approx(2.0)
+    mass = [
+        float(s.density.double().sum()) * s.voxel_volume for s in (case.smoke, case.small_smoke)
+    ]
+    assert mass[1] == pytest.approx(mass[0], rel=1e-6)
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_a_folder_that_is_a_file_and_a_scene_without_smoke_are_refused(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, n_frames=1)
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    with pytest.raises(WriteFailed, match="it is a file"):
+        make_report(scene.stage, scene.style, taken)
+    assert taken.read_text() == "mine"
+    write_frame(
+        scene.stage.parent / "cache/smoke.0001.vdb",
+        [DenseField("density", np.zeros((0, 0, 0), np.float32), (0, 0, 0), np.eye(4))],
+        {},
+        False,
+    )
+    with pytest.raises(PlanError, match="holds any smoke"):
+        make_report(scene.stage, scene.style, scene.output)
+    assert not scene.output.exists()
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_the_command_prints_the_page_and_json_holds_everything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = next(sweep for sweep in SWEEPS if sweep.name == "files")
+    monkeypatch.setattr("usdsmoke.report.run.SWEEPS", (shortened(files),))
+    scene = make_scene(tmp_path, n_frames=1)
+    words = [str(scene.stage), "--style", str(scene.style), "-o", str(scene.output)]
+    words += ["--budget", "60s", *(part for text in QUICK for part in ("--set", text))]
+    assert main(["report", *words]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0] == str(scene.output / "report.html")
+    assert "  VDB files: precision and pruning: The configured point" in out
+    assert main(["report", *words, "--json"]) == 0
+    held = json.loads(capsys.readouterr().out)
+    assert held["page"] == str(scene.output / "report.html")
+    assert held["sweeps"][0]["points"][0]["configured"]
+
+
+def test_a_time_that_is_none_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["report", str(tmp_path / "none.usda"), "-o", str(tmp_path / "out"), "--budget", "soon"]
+    assert main(words) == 1
+    assert "wanted a number of seconds, minutes or hours" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_matplotlib_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["report", str(tmp_path / "none.usda"), "-o", str(tmp_path / "out")]) == 1
+    assert "pip install 'usdsmoke[report]'" in capsys.readouterr().err

@@ -1,0 +1,78 @@
+"""What the sentences say follows from the points."""
+
+from tests.report_fixtures import point, result_of
+from usdsmoke.report.conclude import conclude
+from usdsmoke.report.records import Spread
+
+
+def test_a_cheaper_point_of_the_same_error_is_named_with_its_ratio() -> None:
+    found = conclude(
+        result_of(
+            [
+                point("ours", "8", 0.1, 1.3, configured=True),
+                point("ours", "16", 0.05, 2.6),
+                point("other", "7", 0.1, 1.0),
+            ]
+        )
+    )
+    assert found.verdict == (
+        "The configured point (ours, 8) is within 1.3x of the cheapest at its error: other, 7."
+    )
+    assert found.sentences["ours"] == (
+        "Beside what is configured, 16 takes 2x the time and lowers the error by 50.0%."
+    )
+    assert found.sentences["other"] == "It has the configured error at 0.77x the time (7)."
+
+
+def test_the_cheapest_point_is_told_to_be_it() -> None:
+    found = conclude(
+        result_of(
+            [point("ours", "8", 0.1, 1.0, configured=True), point("other", "7", 0.5, 0.2)],
+            y_label="size of the file [bytes]",
+        )
+    )
+    assert "is the cheapest of those measured at its error" in found.verdict
+    assert found.sentences["other"] == (
+        "It does not come down to the configured error: 7 has 5x the error at 0.2x the size."
+    )
+
+
+def test_a_point_far_too_dear_is_told_by_the_share_of_its_cost() -> None:
+    points = [point("ours", "8", 0.1, 10.0, configured=True), point("other", "7", 0.09, 2.5)]
+    assert conclude(result_of(points)).verdict == (
+        "The configured point (ours, 8) could be had in 0.25x of its time: other, 7."
+    )
+
+
+def test_differences_within_the_spread_of_the_runs_count_as_none() -> None:
+    noisy = [
+        point("ours", "8", 0.10, 1.0, configured=True),
+        point("ours", "16", 0.095, 2.0),
+    ]
+    noisy = [type(p)(**{**p.__dict__, "error": Spread(p.error.median, 0.09, 0.11)}) for p in noisy]
+    sentence = conclude(result_of(noisy)).sentences["ours"]
+    assert sentence.endswith("16 takes 2x the time and changes the error by no more than the runs "
+                             "differ.")  # fmt: skip
+
+
+def test_the_order_is_fitted_where_the_curve_has_numbers() -> None:
+    points = [
+        point("ours", f"{h:g}", h**2, 1 / h, setting=h, configured=h == 0.5)
+        for h in (1.0, 0.5, 0.25)
+    ]
+    found = conclude(result_of(points, setting="the step"))
+    assert found.sentences["ours"].endswith("Fitted order in the step: 2.0.")
+
+
+def test_an_exact_point_beside_an_inexact_one() -> None:
+    points = [point("float", "0", 0.0, 100.0, configured=True), point("half", "0", 3e-4, 60.0)]
+    found = conclude(result_of(points))
+    assert found.sentences["half"] == (
+        "It is not exact as what is configured is; 0 has an error of 0.0003 at 0.6x the time."
+    )
+
+
+def test_without_the_configured_point_nothing_is_said_of_it() -> None:
+    found = conclude(result_of([point("a", "1", 0.2, 1.0), point("a", "2", 0.1, 2.0)]))
+    assert found.verdict == "What is configured is not among these points."
+    assert found.sentences["a"] == "The least error is that of 2."

@@ -1,0 +1,74 @@
+"""The report's own machinery finds the orders that are known."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import puff
+from usdsmoke.report.fit import cost_at, fitted_order
+from usdsmoke.report.quadrature import RULES, integrate
+from usdsmoke.report.sweep_interpolation import Turn
+from usdsmoke.report.sweep_projection import tent_mean
+
+
+def light(rule: str, n: int, k: float) -> float:
+    """A ray whose extinction does not vanish at its ends, and whose colour changes."""
+    s = ((torch.arange(n, dtype=torch.float64) + 0.5) / n)[:, None]
+    sigma = k * (1 + s**2)
+    return float(integrate(rule, (0.5 + 0.5 * torch.sin(7 * s + 0.3)) * sigma, sigma, 1 / n))
+
+
+@pytest.mark.parametrize("k", [1.0, 20.0])
+@pytest.mark.parametrize(
+    ("rule", "order"), [("segments", 2.0), ("middle", 2.0), ("inclusive", 1.0), ("exclusive", 1.0)]
+)
+def test_fitted_orders_of_the_rules(rule: str, order: float, k: float) -> None:
+    exact = light("segments", 200_000, k)
+    counts = [64, 128, 256, 512]
+    errors = [abs(light(rule, n, k) - exact) / exact for n in counts]
+    found = fitted_order([1 / n for n in counts], errors)
+    assert found == pytest.approx(order, abs=0.1), RULES[rule]
+
+
+def test_exponential_segments_are_exact_in_a_slab_of_one_colour() -> None:
+    sigma = torch.full((4, 1), 30.0, dtype=torch.float64)
+    found = float(integrate("segments", 0.25 * sigma, sigma, 0.25))
+    assert found == pytest.approx(0.25 * -math.expm1(-30.0), rel=1e-14)
+
+
+def test_no_order_is_fitted_to_two_points_or_to_round_off() -> None:
+    assert fitted_order([1, 0.5], [1, 0.25]) is None
+    assert fitted_order([1, 0.5, 0.25, 0.125], [1, 0.25, 1e-16, 1e-16]) is None
+    assert fitted_order([1, 0.5, 0.25], [8, 1, 0.125]) == pytest.approx(3)
+
+
+def test_cost_at_an_error_lies_on_the_straight_line_of_the_logarithms() -> None:
+    assert cost_at(0.1, [1, 0.01], [1, 100]) == pytest.approx(10)
+    assert cost_at(0.001, [1, 0.01], [1, 100]) is None
+
+
+def test_a_quarter_turn_in_one_step_meets_its_exact_result() -> None:
+    turn = Turn.of(puff(7), 1)  # voxels come to lie on voxels: nothing is interpolated
+    for scheme in ("linear", "cubic"):
+        assert turn.error(turn.turned(scheme, True, 1)) < 1e-5
+    assert turn.error(turn.box) > 0.1
+
+
+def test_a_better_scheme_has_less_error_after_a_turn() -> None:
+    axis = (np.arange(20) - 9.5) / 20
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    turn = Turn.of(np.exp(-((x - 0.1) ** 2 + y**2 + z**2) / 0.02).astype(np.float32), 6)
+    linear, cubic = (turn.error(turn.turned(scheme, False, 6)) for scheme in ("linear", "cubic"))
+    assert cubic < 0.1 * linear
+
+
+def test_a_tent_keeps_the_sum_and_is_what_a_splat_leaves() -> None:
+    fine = np.zeros((20, 20))
+    fine[8, 10] = 25.0  # one sample of a pixel of 5 x 5, at (1.2 + 0.5, 2 + 0.1) - 0.5
+    coarse = tent_mean(fine, 5)
+    assert coarse.sum() == pytest.approx(1.0)
+    y, x = 8.5 / 5 - 0.5, 10.5 / 5 - 0.5
+    assert coarse[1, 1] == pytest.approx((2 - y) * (2 - x))
+    assert coarse[2, 2] == 0 or coarse[2, 2] == pytest.approx((y - 1) * (x - 1))

@@ -1,0 +1,187 @@
+"""The scene of a report: one frame as it is, and a smaller copy of it to try things on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usdsmoke.config import Config
+from usdsmoke.errors import PlanError
+from usdsmoke.pipeline_frames import FrameReader
+from usdsmoke.pipeline_inputs import Job
+from usdsmoke.plan import FramePlan, VolumePlan
+from usdsmoke.volume import DenseField, VolumeFrame
+
+if TYPE_CHECKING:
+    import torch
+
+    from usdsmoke.core.scene import Scene
+    from usdsmoke.core.smoke import ActiveSmoke
+
+__all__ = ["Case", "open_case"]
+
+_MOST_FRAMES = 5  # of the sweep over windows
+
+
+@dataclass
+class Case:
+    """What sweeps look at.
+
+    ``scene`` and ``frame`` are those of a run. ``small`` is the same frame with its voxels merged
+    in blocks until its longest side has ``longest`` at most, and ``small_scene`` has the pictures
+    that go with it; extinction is the same.
+    """
+
+    job: Job
+    volume: VolumePlan
+    reader: FrameReader
+    plan: FramePlan  # of the frame
+    frame: VolumeFrame
+    scene: "Scene"
+    longest: int
+    seconds: float  # that the whole report may take
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def config(self) -> Config:
+        """The Volume's settings."""
+        return self.volume.config
+
+    @property
+    def steps(self) -> Sequence[str]:
+        """The configured steps."""
+        return self.config.optimize.steps
+
+    @cached_property
+    def styles(self) -> list[np.ndarray]:
+        """The Volume's style images, display-encoded [H W 3]."""
+        return self.job.pictures(self.volume)
+
+    @cached_property
+    def device(self) -> "torch.device":
+        """Where the core computes."""
+        from usdsmoke.core.device import choose_device
+
+        return choose_device(self.config.optimize)
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether CPU time says nothing."""
+        return self.device.type != "cpu"
+
+    @cached_property
+    def smoke(self) -> "ActiveSmoke":
+        """The frame's active voxels."""
+        from usdsmoke.core.smoke import activate
+
+        return activate(self.frame.density, self.frame.density_to_stage, self.device)
+
+    @cached_property
+    def small(self) -> VolumeFrame:
+        """The smaller copy."""
+        return self.shrunk(self.frame)
+
+    @cached_property
+    def small_smoke(self) -> "ActiveSmoke":
+        """Its active voxels."""
+        from usdsmoke.core.smoke import activate
+
+        return activate(self.small.density, self.small.density_to_stage, self.device)
+
+    @cached_property
+    def small_scene(self) -> "Scene":
+        """Pictures with the small copy's voxels as pixels, or coarser ones where configured."""
+        scene, voxel = self.scene, self.small_smoke.voxel_size
+        pixel = voxel * max(1, round(scene.pixel_size / voxel))
+        image_size = max(16, round(scene.image_size * scene.pixel_size / pixel))
+        return replace(scene, pixel_size=pixel, image_size=image_size, camera=self.frame.camera)
+
+    @cached_property
+    def halvings(self) -> int:
+        """How many times the small copy's voxels were merged."""
+        return _halvings(self.smoke, self.longest)
+
+    def shrunk(self, frame: VolumeFrame) -> VolumeFrame:
+        """A frame with its density as coarse as the small copy's; without its mask."""
+        from usdsmoke.core.smoke import activate, coarsen
+
+        smoke = activate(frame.density, frame.density_to_stage, self.device)
+        for _ in range(self.halvings):
+            smoke = coarsen(smoke)
+        return replace(
+            frame, density=_field_of(smoke, frame.density), density_to_stage=np.eye(4),
+            mask=None, mask_to_stage=None,
+        )  # fmt: skip
+
+    @cached_property
+    def neighbours(self) -> list[FramePlan]:
+        """The frame with those around it, in order, without empty ones: a few at most."""
+        frames = [frame for frame in self.volume.frames if not frame.is_empty]
+        place = next(n for n, frame in enumerate(frames) if frame is self.plan)
+        first = max(0, min(place - _MOST_FRAMES // 2, len(frames) - _MOST_FRAMES))
+        return frames[first : first + _MOST_FRAMES]
+
+
+def open_case(job: Job, longest: int, seconds: float) -> Case:
+    """The frame of a job that a report is made on: the middle one of the largest Volume.
+
+    Args:
+        job: from ``prepare_job``.
+        longest: voxels along the longest side of the small copy, at most.
+        seconds: that the report may take.
+
+    Raises:
+        PlanError: there is no smoke in any frame.
+        GridError, NonFiniteError: a file cannot be used.
+    """
+    from usdsmoke.core.scene import Scene
+    from usdsmoke.pipeline_coarse import measure_scenes
+
+    filled = [
+        (volume, frames)
+        for volume in job.plan.volumes
+        if (frames := [frame for frame in volume.frames if not frame.is_empty])
+    ]
+    if not filled:
+        raise PlanError(
+            f"no selected frame of {job.plan.source.file_path} holds any smoke; wanted one at "
+            "least: choose others with --frames or --prim"
+        )
+    volume, frames = max(filled, key=lambda item: max(f.size.active_voxels for f in item[1]))
+    chosen, reader = frames[len(frames) // 2], FrameReader(job.plan)
+    place = next(n for n, other in enumerate(job.plan.volumes) if other is volume)
+    scene = Scene(**measure_scenes(reader, job.plan)[place])
+    frame = reader.read(volume, chosen)
+    scene = replace(scene, camera=frame.camera)
+    case = Case(job, volume, reader, chosen, frame, scene, longest, seconds)
+    if len(case.smoke.ijk) == 0:
+        raise PlanError(
+            f"timeCode {frame.time_code:g} of <{volume.source.prim_path}> holds no positive "
+            "density; wanted smoke: choose other frames with --frames"
+        )
+    return case
+
+
+def _halvings(smoke: "ActiveSmoke", longest: int) -> int:
+    low, high = smoke.box
+    side, count = int((high - low + 1).max()), 0
+    while side > longest:
+        side, count = (side + 1) // 2, count + 1
+    return count
+
+
+def _field_of(smoke: "ActiveSmoke", like: DenseField) -> DenseField:
+    """Smoke as a dense field whose grid world is stage space."""
+    from usdsmoke.core.smoke import densify
+
+    if len(smoke.ijk) == 0:
+        return replace(like, values=np.zeros((0, 0, 0), np.float32))
+    low, high = smoke.box
+    shape = tuple(int(n) for n in high - low + 1)
+    values = densify(smoke.ijk, smoke.density[:, None], smoke.ijk.amin(0), shape)[..., 0]
+    return DenseField(
+        like.name, values.cpu().numpy(), (int(low[0]), int(low[1]), int(low[2])),
+        smoke.index_to_stage,
+    )  # fmt: skip

@@ -1,0 +1,197 @@
+"""A report from end to end: scene, sweeps, diagrams, page."""
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from usdsmoke.errors import WriteFailed
+from usdsmoke.pipeline_inputs import prepare_job
+from usdsmoke.pipeline_settings import FilePath, Settings, Styles, resolve_settings, style_paths
+from usdsmoke.publish import publish_file
+from usdsmoke.report import (
+    sweep_backtrace,
+    sweep_files,
+    sweep_interpolation,
+    sweep_iterations,
+    sweep_network,
+    sweep_octaves,
+    sweep_precision,
+    sweep_projection,
+    sweep_quadrature,
+    sweep_views,
+    sweep_windows,
+)
+from usdsmoke.report.budget import Budget
+from usdsmoke.report.case import Case, open_case
+from usdsmoke.report.circumstances import machine_figures, scene_figures, version_figures
+from usdsmoke.report.data import report_as_csv, report_as_json
+from usdsmoke.report.diagrams import check_matplotlib, draw_sweep
+from usdsmoke.report.engine import Sweep, Tell, run_sweeps
+from usdsmoke.report.measure import Clock
+from usdsmoke.report.page import make_page
+from usdsmoke.report.records import Omission, Report
+
+__all__ = ["SWEEPS", "ReportResult", "make_report"]
+
+# The most useful first: what decides a run's time and look, then its parts.
+SWEEPS: tuple[Sweep, ...] = (
+    *sweep_iterations.SWEEPS,
+    sweep_views.SWEEP,
+    sweep_octaves.SWEEP,
+    sweep_windows.SWEEP,
+    sweep_network.SWEEP,
+    sweep_projection.SWEEP,
+    sweep_quadrature.SWEEP,
+    sweep_interpolation.SWEEP,
+    sweep_backtrace.SWEEP,
+    sweep_precision.SWEEP,
+    sweep_files.SWEEP,
+)
+_LONGEST, _LONGEST_PATIENT = 64, 128  # voxels of the small copy
+_PATIENT = 1800.0  # seconds from which on the larger copy is taken
+PAGE, TABLE, DATA = "report.html", "report.csv", "report.json"
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written."""
+
+    page: Path
+    files: tuple[Path, ...]  # page, CSV, JSON and pictures
+    report: Report
+
+
+def make_report(
+    stage: FilePath,
+    style: Styles,
+    output: FilePath,
+    config: Settings = None,
+    settings: Mapping[str, Any] | Sequence[str] = (),
+    seconds: float = 300.0,
+    progress: Tell | None = None,
+    clock: Clock | None = None,
+    sweeps: Sequence[Sweep] | None = None,
+    now: Callable[[], float] = time.monotonic,
+) -> ReportResult:
+    """Measure a scene's choices around the configured ones and write what that says.
+
+    Args:
+        stage: a USD file.
+        style: one image file or several; None where every Volume's prim brings its own.
+        output: the folder of the report; made if missing. An old report in it is replaced.
+        config, settings: as in ``pipeline.stylize``.
+        seconds: that the measurements may take; a point that is begun is finished.
+        progress: called with the sweep, the point, and the share of the time that is used.
+        clock: of the measurements, for tests.
+        sweeps: which, the most useful first; None takes all.
+        now: clock of the budget, for tests.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+        UsdSmokeError: the scene cannot be used, see ``prepare_job``; nothing is written then.
+        WriteFailed: the report cannot be written.
+    """
+    check_matplotlib()
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # see pipeline.py
+    tell = progress or (lambda sweep, point, share: None)
+    target = Path(output).absolute()
+    if target.exists() and not target.is_dir():
+        raise WriteFailed(f"cannot write a report to {target}: it is a file; name a folder")
+    resolved, explicit = resolve_settings(config, settings)
+    tell("scene", "reading", 0.0)
+    job = prepare_job(stage, style_paths(style), target, resolved, False, explicit)
+    longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
+    case = open_case(job, longest, seconds)
+    budget = Budget(seconds, now)
+    results, omitted = run_sweeps(
+        SWEEPS if sweeps is None else sweeps, case, budget, clock or _clock_of(case), tell
+    )
+    report = Report(
+        f"Work and precision: {Path(job.plan.source.file_path).name}, "
+        f"{case.volume.source.prim_path}",
+        (scene_figures(case), machine_figures(case, budget.spent), version_figures()),
+        tuple(results),
+        (*omitted, *_simplified(case)),
+        tuple(_notes(case)),
+    )
+    tell("page", "writing", 1.0)
+    return _write(report, target)
+
+
+def _clock_of(case: Case) -> Clock:
+    if not case.on_gpu:
+        return Clock()
+    import torch
+
+    return Clock(settle=torch.cuda.synchronize)
+
+
+def _notes(case: Case) -> list[str]:
+    kind = (
+        "Times are wall-clock times: CPU time says nothing on a GPU."
+        if case.on_gpu
+        else "Times are CPU seconds of all threads, which a busy machine changes little; "
+        "wall-clock seconds stand in the tables."
+    )
+    return [kind, *case.notes]
+
+
+def _simplified(case: Case) -> list[Omission]:
+    """What is simpler in the report than in a run."""
+    found = []
+    volumes = case.job.plan.volumes
+    others = [v.source.prim_path for v in volumes if v is not case.volume]
+    if others:
+        found.append(
+            Omission("Other Volumes", f"only the largest was measured, not {', '.join(others)}")
+        )
+    if len(case.volume.frames) > 1:
+        found.append(
+            Omission("Other frames", "all sweeps but that of windows look at one frame, the middle "
+                                     "one; others may differ")
+        )  # fmt: skip
+    if case.halvings:
+        found.append(
+            Omission("Full resolution of trials", f"voxels of the trials are {2**case.halvings} "
+                     "times as large along each side as the scene's")
+        )  # fmt: skip
+    if case.frame.mask is not None:
+        found.append(Omission("The mask", "trials stylize all of the smoke"))
+    if case.scene.camera is not None:
+        found.append(
+            Omission("The camera's frustum", "trials stylize all of the smoke, seen from the "
+                                             "camera's direction")
+        )  # fmt: skip
+    found.append(
+        Omission("Trained eyes", "errors and losses are measured; whether a difference shows, only "
+                 "a look at the pictures can tell")
+    )  # fmt: skip
+    return found
+
+
+def _write(report: Report, target: Path) -> ReportResult:
+    """Pictures and data first, the page last."""
+    pictures = {result.name: draw_sweep(result) for result in report.sweeps}
+    texts = {
+        TABLE: report_as_csv(report),
+        DATA: report_as_json(report),
+        PAGE: make_page(report, pictures),
+    }
+    contents = {f"{name}.png": data for name, data in pictures.items()}
+    contents |= {name: text.encode("utf-8") for name, text in texts.items()}
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteFailed(f"cannot make the folder {target}: {error.strerror}") from error
+    for name, data in contents.items():
+        publish_file(target / name, partial(_save, data))
+    files = tuple(target / name for name in contents)
+    return ReportResult(target / PAGE, files, report)
+
+
+def _save(data: bytes, file_path: Path) -> None:
+    file_path.write_bytes(data)

@@ -1,0 +1,111 @@
+"""Embedded features against those of VGG-19, judged by neither."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.errors import FeatureError
+from usdsmoke.report.case import Case
+from usdsmoke.report.engine import Sweep
+from usdsmoke.report.records import Plan
+from usdsmoke.report.sweep_iterations import scaled
+from usdsmoke.report.trial import Setting, Trial, base_iterations
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["SWEEP", "patch_distance"]
+
+_SHARES = (1.0, 0.5, 2.0)
+_PATCH = 7  # pixels
+_N_DIRECTIONS = 64
+
+
+def _applies(case: Case) -> str:
+    from usdsmoke.core.vgg19_file import find_vgg19_file
+
+    if "colour" not in case.steps:
+        return "optimize.steps has no colour: patches of colour tell nothing"
+    if case.config.losses.style == 0:
+        return "losses.style is 0: no network is evaluated"
+    try:
+        find_vgg19_file(case.config.features.vgg19_file)
+    except FeatureError:
+        return (
+            "no weights of VGG-19 were given (features.vgg19_file), so there is nothing to "
+            "compare the embedded features with"
+        )
+    return ""
+
+
+def _plan(case: Case) -> Plan:
+    base = base_iterations(case, "colour")
+    trial = Trial(case, "colour", case.config)
+    style = _style_patches(case)
+
+    def error(result: Any) -> float:
+        found = [patch_distance(seen, style) for seen in trial.pictures(result)]
+        return sum(found) / len(found)
+
+    tasks = []
+    for share in _SHARES:
+        for network in ("embedded", "vgg19"):
+            chosen = case.config.features.network
+            own = case.config.features
+            if network != chosen:  # its layers would mean nothing to the other network
+                own = replace(own, network=network, layers=[], weights=[], content_layers=[])
+            setting = Setting(scaled(base, share), replace(case.config, features=own))
+            label = f"{network}, {sum(setting.per_octave)} iterations"
+            configured = share == 1.0 and network == chosen
+            tasks.append(trial.task(network, label, setting, configured, share, error))
+    return Plan(
+        tasks,
+        "distance of colour patches from the style's",
+        "The colour step on the small copy of the frame with either network. A loss cannot be "
+        "compared between networks, so results are judged by the distributions of their "
+        f"{_PATCH} x {_PATCH} pixels' patches (sliced Wasserstein), which neither network sees.",
+        "0 is the distance of the style image from itself.",
+    )
+
+
+def _style_patches(case: Case) -> "Tensor":
+    """Patches of the first style at the pictures' size, [N D]."""
+    import torch
+
+    from usdsmoke.core.style import scale_style
+
+    style = scale_style(
+        case.styles[0], case.small_scene.image_size, case.config.style, torch.zeros(())
+    )
+    return _patches(torch.cat([style, torch.ones_like(style[..., :1])], dim=-1))
+
+
+def _patches(seen: "Tensor") -> "Tensor":
+    """Patches of a picture that lie in its smoke, [N 147], of [H W 4]."""
+    import torch.nn.functional as F
+
+    columns = F.unfold(seen.permute(2, 0, 1)[None].cpu(), _PATCH)[0].T
+    guide = columns[:, -(_PATCH**2) :]
+    return columns[guide.min(dim=1).values > 0.5][:, : -(_PATCH**2)]
+
+
+def patch_distance(seen: "Tensor", style: "Tensor") -> float:
+    """Sliced Wasserstein distance of a picture's patches from the style's; 0 for the style itself.
+
+    Args:
+        seen: [H W 4], picture and guide.
+        style: patches [N D].
+    """
+    import torch
+
+    patches = _patches(seen)
+    if len(patches) == 0:
+        return float("nan")
+    generator = torch.Generator().manual_seed(0)
+    ways = torch.randn(style.shape[1], _N_DIRECTIONS, generator=generator)
+    ways = ways / ways.norm(dim=0)
+    levels = torch.linspace(0.005, 0.995, 100)
+    found, wanted = (torch.quantile(p[:20000] @ ways, levels, dim=0) for p in (patches, style))
+    return float((found - wanted).square().mean().sqrt())
+
+
+SWEEP = Sweep("network", "Embedded features against VGG-19", 2.0, _applies, _plan)

@@ -1,0 +1,151 @@
+"""Precision and memory layout of the feature network's convolutions."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.report.case import Case
+from usdsmoke.report.engine import Sweep
+from usdsmoke.report.records import Plan, Task
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from usdsmoke.core.picture_loss import PictureLoss
+
+__all__ = ["SWEEP", "gradient"]
+
+_STEP = 1e-4  # of the finite differences
+
+
+def _applies(case: Case) -> str:
+    return "losses.style is 0: no network is evaluated" if case.config.losses.style == 0 else ""
+
+
+def _plan(case: Case) -> Plan:
+    import torch
+
+    picture, guide, judge = _problem(case)
+    exact = gradient(judge, picture, guide, torch.float64, None)[0]
+
+    def error(found: tuple["Tensor", float]) -> float:
+        return float((found[0] - exact).norm() / exact.norm())
+
+    kinds = [("float32", torch.float32), ("bfloat16", torch.bfloat16)]
+    if case.on_gpu:
+        kinds.append(("float16", torch.float16))
+    layouts = [("as they come", None), ("channels last", torch.channels_last),
+               ("channels first", torch.contiguous_format)]  # fmt: skip
+    tasks = [
+        Task(
+            name,
+            f"{name}, {layout}",
+            partial(
+                lambda dtype, order, run: gradient(judge, picture, guide, dtype, order),
+                dtype,
+                order,
+            ),
+            error,
+            configured=name == "float32" and order is None,
+        )
+        for name, dtype in kinds
+        for layout, order in layouts
+    ]
+    height, width = guide.shape
+    others = () if case.on_gpu else ("float16 is for GPUs: processors have no fast sums of it.",)
+    return Plan(
+        tasks,
+        "relative error of the loss's gradient",
+        f"The style loss of one picture of the frame, {width} x {height} pixels, with its gradient "
+        "by the pixels. The convolutions alone are done in that precision and layout; sums of "
+        "Gram matrices stay in single precision.",
+        "convolutions in double precision; finite differences of the loss differ from that "
+        f"gradient by {_differences(judge, picture, guide, exact):.1e}.",
+        n_runs=5,
+        warm_up=True,
+        notes=others,
+    )
+
+
+def gradient(
+    judge: "PictureLoss", picture: "Tensor", guide: "Tensor", dtype: Any, layout: Any
+) -> tuple["Tensor", float]:
+    """Gradient [H W 3] of a loss by its picture, and the loss.
+
+    Args:
+        judge: the loss.
+        picture: [H W 3], float32.
+        guide: [H W].
+        dtype: that convolutions are done in.
+        layout: memory format of their inputs and weights; None leaves them as they come.
+    """
+    import torch
+
+    leaf = picture.detach().clone().requires_grad_(True)
+    with _Convolutions(dtype, layout):
+        loss = judge(leaf, guide)
+    (found,) = torch.autograd.grad(loss, leaf)
+    return found.double(), float(loss.detach())
+
+
+def _Convolutions(dtype: Any, layout: Any) -> Any:
+    """A context in which convolutions have another precision and layout."""
+    import torch
+    from torch.overrides import TorchFunctionMode
+
+    class Convolutions(TorchFunctionMode):
+        def __torch_function__(
+            self, function: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
+            if function is not torch.conv2d:
+                return function(*args, **(kwargs or {}))
+            tensors = [self._converted(item) for item in args]
+            named = {key: self._converted(item) for key, item in (kwargs or {}).items()}
+            found = function(*tensors, **named)
+            return found if dtype == torch.float64 else found.float()
+
+        def _converted(self, item: Any) -> Any:
+            if not isinstance(item, torch.Tensor):
+                return item
+            item = item.to(dtype)
+            return (
+                item if layout is None or item.ndim != 4 else item.contiguous(memory_format=layout)
+            )
+
+    return Convolutions()
+
+
+def _problem(case: Case) -> tuple["Tensor", "Tensor", "PictureLoss"]:
+    """A picture of the frame as the first iteration of the finest octave has it."""
+    from usdsmoke.core.colour import initial_colours, prepare_views
+    from usdsmoke.core.scene import frame_views
+    from usdsmoke.core.style import decode_srgb
+    from usdsmoke.core.targets import StyleTargets
+
+    scene, smoke, config = case.scene, case.smoke, case.config
+    targets = StyleTargets(case.styles, scene, config, case.device)
+    view = frame_views(smoke, config, scene, config.optimize.seed)[0]
+    (seen,) = prepare_views(smoke, [view], scene.gamma_w, scene.exposure)
+    colours = decode_srgb(initial_colours(smoke, "noise", config.optimize.seed))
+    picture = seen.straight_picture(colours, targets.background)
+    judge = targets.at(1)
+    judge(picture, seen.guide)  # statistics of the style are made once, in single precision
+    return picture, seen.guide, judge
+
+
+def _differences(
+    judge: "PictureLoss", picture: "Tensor", guide: "Tensor", exact: "Tensor"
+) -> float:
+    """Relative difference of a derivative from its central difference, along one direction."""
+    import torch
+
+    way = torch.randn(picture.shape, generator=torch.Generator().manual_seed(0)).to(picture)
+    ends = [
+        gradient(judge, picture + sign * _STEP * way, guide, torch.float64, None)[1]
+        for sign in (1, -1)
+    ]
+    slope = (ends[0] - ends[1]) / (2 * _STEP)
+    wanted = float((exact * way).sum())
+    return abs(slope - wanted) / abs(wanted)
+
+
+SWEEP = Sweep("precision", "Precision and layout of the feature network", 1.0, _applies, _plan)
