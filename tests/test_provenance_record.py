@@ -9,6 +9,7 @@ import pytest
 from pxr import Sdf, Usd, UsdMedia
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot, run
+from tests.usd_fixtures import write_text
 from usdsmoke.core.definition import embedded_hash
 from usdsmoke.grids.content_hash import hash_vdb_file
 from usdsmoke.grids.header import read_header
@@ -131,3 +132,22 @@ def test_the_document_explains_every_key_and_every_kind_of_change(shot: Shot) ->
     calls = "".join(source.read_text(encoding="utf-8") for source in sources)
     kinds = set(re.findall(r'Change(?:\.note)?\(\s*"([a-z-]+)"', calls))
     assert len(kinds) > 12 and kinds <= named
+
+
+@pytest.mark.usefixtures("core")
+def test_no_file_of_a_result_names_a_folder_that_the_shot_lies_in(tmp_path: Path) -> None:
+    """Though the plan tells of a Volume inside an instance, and of the layer it comes from."""
+    shot = make_shot(tmp_path / "somebody")
+    text = shot.stage.read_text(encoding="utf-8").rstrip().removesuffix("}")
+    steam = text.replace("World", "Steam")
+    write_text(shot.stage.with_name("steam.usda"), f"{steam}}}\n")
+    nested = 'def "set" (instanceable = true\nreferences = @./steam.usda@</Steam>) {}'
+    write_text(shot.stage, f"{text}{nested}\n}}\n")
+    record = record_of(run(shot).look_layer)
+    assert any("</Steam/smoke> in steam.usda" in text for text in record["omitted"])
+    named = [
+        path.name
+        for path in shot.output.rglob("*")
+        if path.is_file() and b"somebody" in path.read_bytes()
+    ]
+    assert named == []

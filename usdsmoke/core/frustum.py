@@ -76,7 +76,8 @@ class Frustum:
 
     def _beyond_clips(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         near, far = self._clip_borders()
-        return (self.near - depth) / near, (depth - self.far) / far
+        beyond = np.zeros_like(depth) if np.isinf(self.far) else (depth - self.far) / far
+        return (self.near - depth) / near, beyond
 
     def _clip_borders(self) -> tuple[float, float]:
         """Widths of the borders before the near and behind the far plane, stage units, > 0."""

@@ -1,5 +1,6 @@
 """From a Volume's relationships to the field prims of its density, its velocity and its mask."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,16 +91,30 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
 
 
 def describe_instance(prim: Usd.Prim) -> str:
-    """The instance that an instance proxy belongs to, where its opinions stand, what to do."""
+    """The instance that an instance proxy belongs to, where its opinions stand, what to do.
+
+    Layers are named relative to the stage's file.
+    """
     instance = prim
     while instance and not instance.IsInstance():
         instance = instance.GetParent()
     source = prim.GetPrimStack()[0]
     return (
         f"it lies inside the instance <{instance.GetPath()}>, whose prims cannot be changed one by "
-        f"one; stylize its source, <{source.path}> in {source.layer.identifier}, "
+        f"one; stylize its source, <{source.path}> in {_beside_root(source.layer, prim)}, "
         f"or set instanceable = false on <{instance.GetPath()}>"
     )
+
+
+def _beside_root(layer: Sdf.Layer, prim: Usd.Prim) -> str:
+    """A layer's file as seen from the stage's: results repeat it, and name no other folders."""
+    root = prim.GetStage().GetRootLayer()
+    if not (layer.realPath and root.realPath):
+        return str(layer.identifier)
+    try:
+        return os.path.relpath(layer.realPath, os.path.dirname(root.realPath))
+    except ValueError:  # there is no relative way from one Windows drive to another
+        return str(layer.GetDisplayName())
 
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:

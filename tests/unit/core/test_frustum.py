@@ -111,3 +111,15 @@ def test_a_pixel_covers_what_film_and_lens_give():
     assert pixel_footprint(camera, 90.0, 600) == pytest.approx(0.1)  # 60 wide at 90
     parallel = dataclasses.replace(camera, is_orthographic=True)
     assert pixel_footprint(parallel, 90.0, 600) == pytest.approx(0.005)  # 3 wide everywhere
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_without_a_far_plane_smoke_is_seen_as_with_one_far_away(parallel):
+    camera = camera_at(parallel)
+    points = np.random.default_rng(1).uniform(-12, 12, (10_000, 3)) + camera.camera_to_stage[3, :3]
+    ends = [frustum_of(dataclasses.replace(camera, clipping_range=(2.0, far)), MARGIN)
+            for far in (1e6, np.inf)]  # fmt: skip
+    shares = [frustum.shares(points) for frustum in ends]
+    assert (shares[0] > 0).sum() > 30
+    assert np.array_equal(*shares)
+    assert not ends[1].misses(points)
