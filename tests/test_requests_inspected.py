@@ -131,6 +131,24 @@ def test_what_does_not_count_is_noted(stage: Path, capsys: pytest.CaptureFixture
     assert "note: usdSmoke:request:gamma, usdSmoke:request:seed" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [("/World/none", "no prim </World/none>"), ("/World/camera", "has horizontalAperture 0")],
+)
+def test_a_camera_that_nothing_can_be_seen_through_is_a_problem(
+    stage: Path, target: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = stage.read_text(encoding="utf-8")
+    camera = f"rel usdSmoke:request:camera = <{target}>"
+    text = text.replace("int64 usd", f"{camera}\n        int64 usd", 1)
+    end = text.rindex("}")
+    film = 'def Camera "camera" {\nfloat horizontalAperture = 0\n}\n'
+    write_text(stage, f"{text[:end]}{film}{text[end:]}")
+    assert main(["inspect", str(stage), "--json"]) == 1
+    (problem,) = json.loads(capsys.readouterr().out)["problems"]
+    assert message in problem
+
+
 @pytest.mark.parametrize("command", ["inspect", "validate"])
 def test_a_schema_that_came_too_late_is_told_and_requests_are_read_all_the_same(
     stage: Path, command: str

@@ -8,14 +8,14 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.errors import StageError, UsdSmokeError
 from usdsmoke.grids.header import FileHeader, GridHeader, read_header
 from usdsmoke.grids.read import GridRequest, check_readable, find_grid
 from usdsmoke.grids.velocity import find_velocity
 from usdsmoke.inspection_requests import GivenSettings, describe_requests
 from usdsmoke.pipeline_settings import Settings, Styles
 from usdsmoke.schema import STYLE_API, late_note
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.stage import find_volumes, open_stage, seen_through
 from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
 
 __all__ = ["inspect", "inspect_stage"]
@@ -80,7 +80,7 @@ def inspect_stage(
         ],
         "notes": _notes(source),
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
-        "problems": _problems(source, headers),
+        "problems": [*_problems(source, headers), *_camera_problems(stage, source, requests)],
     }
 
 
@@ -194,4 +194,18 @@ def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list
                 text = header if isinstance(header, str) else _grid_problem(field, header)
                 if text:
                     found[text] = None
+    return list(found)
+
+
+def _camera_problems(
+    stage: Usd.Stage, source: StageSource, requests: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """What keeps smoke from being seen through the cameras that count, each once."""
+    found: dict[str, None] = {}
+    for volume, request in zip(source.volumes, requests, strict=True):
+        camera = request["settings"]["views.camera"]["value"]
+        try:
+            seen_through(stage, replace(source, volumes=(volume,)), camera)
+        except StageError as error:
+            found[str(error)] = None
     return list(found)

@@ -1,5 +1,6 @@
 """Results start from original smoke, and nothing that is read is written over."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from usdsmoke.volume import StageSource
 __all__ = ["check_look_name", "check_originals", "check_output_folder"]
 
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
+_LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
 
 def check_originals(stage: Usd.Stage, source: StageSource) -> None:
@@ -51,10 +53,19 @@ def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[
         targets: files that will be written outside the folder of frames.
 
     Raises:
-        LayerError: the folder is a file, or an input stands where the result goes.
+        LayerError: the folder is a file, an input stands where the result goes, or a file's name
+            would be too long, which would come out only when everything is computed.
     """
     if output.exists() and not output.is_dir():
         raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
+    for target in targets:
+        length = len(os.fsencode(target.name))
+        if length > _LONGEST_NAME:
+            raise LayerError(
+                f"the file {target.name[:24]}... of the result would have a name of {length} "
+                f"bytes; wanted at most {_LONGEST_NAME}: shorten layer.look (--look), or the name "
+                "of the stage's file or its Volumes"
+            )
     frames = (output / "vdb").resolve()
     taken = {target.resolve() for target in targets}
     for file_path in inputs:

@@ -236,7 +236,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
     """
     everything = StageConfig(prims=list(prims))
     try:
-        selected = find_volumes(stage, replace(everything, frames=frames))
+        selected = _find(stage, replace(everything, frames=frames))
     except VolumeNotFound:
         if not is_look_layer(stage.GetRootLayer()):
             raise
@@ -245,13 +245,18 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
             "stage with Volumes: draw the root stage that was written beside it, NAME_look.usda"
         ) from None
     try:
-        whole = find_volumes(stage, everything) if frames else selected
+        whole = _find(stage, everything) if frames else selected
     except AssetNotResolved:
         whole = selected  # files of frames that nobody asked for may be missing
     smoke = Smoke(stage, selected, whole)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
     return smoke
+
+
+def _find(stage: Usd.Stage, config: StageConfig) -> StageSource:
+    """Whatever Volumes ask for: a request that cannot be fulfilled hides no smoke."""
+    return find_volumes(stage, config, with_requests=False)
 
 
 def _time_codes(source: StageSource) -> list[float]:

@@ -39,8 +39,6 @@ def image_paths(value: Any) -> list[tuple[str, str]] | None:
     if value is None:
         return None
     assets = [value] if isinstance(value, Sdf.AssetPath) else value
-    if not all(isinstance(asset, Sdf.AssetPath) for asset in assets):
-        return [("", str(asset)) for asset in assets]
     return [(str(asset.resolvedPath), str(asset.authoredPath)) for asset in assets]
 
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.config import check_value
 from usdsmoke.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
-from usdsmoke.relationships import field_targets
+from usdsmoke.relationships import field_prim, field_targets
 from usdsmoke.request_attributes import (
     CAMERA,
     MASK,
@@ -146,7 +146,7 @@ def request_origins(volume: Usd.Prim) -> dict[str, dict[str, str]]:
 
 
 def request_problems(volume: Usd.Prim) -> dict[str, str]:
-    """What is wrong with a Volume's request, by the property's path.
+    """What is wrong with a Volume's request, by the property's path; where it leads to, too.
 
     Time samples are looked at where they stand, all others at the default time.
     """
@@ -160,7 +160,8 @@ def request_problems(volume: Usd.Prim) -> dict[str, str]:
         (row.name, partial(_read_values, volume, row, _samples(volume, row.name)))
         for row in _authored_rows(volume)
     ]
-    checks += [(name, partial(_target, volume, name)) for name in (MASK, CAMERA)]
+    checks.append((CAMERA, partial(_check_target, volume, CAMERA, UsdGeom.Camera)))
+    checks.append((MASK, partial(_check_target, volume, MASK, UsdVol.OpenVDBAsset)))
     checks.append((STYLE_IMAGES, partial(_read_styles, volume, _samples(volume, STYLE_IMAGES))))
     for name, check in checks:
         try:
@@ -180,9 +181,15 @@ def _authored(volume: Usd.Prim) -> list[str]:
     return [
         item.GetName()
         for item in properties
-        if (isinstance(item, Usd.Attribute) and item.HasAuthoredValue())
+        if (isinstance(item, Usd.Attribute) and _says_something(item))
         or (isinstance(item, Usd.Relationship) and forwarded_targets(item) != [])
     ]
+
+
+def _says_something(item: Usd.Attribute) -> bool:
+    """Also where a layer has a relationship in an attribute's place."""
+    relationship = item.GetPrim().GetRelationship(item.GetName())
+    return item.HasAuthoredValue() or bool(forwarded_targets(relationship))
 
 
 def _authored_rows(volume: Usd.Prim) -> Iterable[RequestAttribute]:
@@ -200,8 +207,7 @@ def _check_known(volume: Usd.Prim, name: str) -> None:
             f"<{volume.GetPath()}> asks for {name}, which {STYLE_API} does not know"
             f"{nearest(name, _NAMES)}"
         )
-    relationship = volume.GetRelationship(name)
-    is_relationship = bool(relationship) and forwarded_targets(relationship) is not None
+    is_relationship = bool(forwarded_targets(volume.GetRelationship(name)))
     if is_relationship != (name in (CAMERA, MASK)):
         wanted = "an attribute" if is_relationship else "a relationship"
         raise ConfigError(f"<{volume.GetPath()}.{name}> is of the wrong kind; wanted {wanted}")
@@ -235,6 +241,9 @@ def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ..
     if not attribute.HasAuthoredValue():
         return ()
     where = f"<{volume.GetPath()}.{STYLE_IMAGES}>"
+    value = attribute.Get(time_codes[0])
+    if value is not None and not isinstance(value, (Sdf.AssetPath, Sdf.AssetPathArray)):
+        raise ConfigError(f"{where} is {value!r}; wanted images as asset[], as in [@./fire.png@]")
     found = values_at(attribute, time_codes, image_paths)
     for code, images in zip(time_codes, found, strict=True):
         if images != found[0]:
@@ -256,3 +265,14 @@ def _target(volume: Usd.Prim, name: str) -> Sdf.Path | None:
             f"({', '.join(f'<{target}>' for target in targets)}); wanted one"
         )
     return targets[0] if targets else None
+
+
+def _check_target(volume: Usd.Prim, name: str, kind: type) -> None:
+    """Refuse a relationship that leads to no prim of a kind; one without targets says nothing."""
+    target = _target(volume, name)
+    found = field_prim(volume.GetStage(), [target], kind) if target else None
+    if isinstance(found, str):
+        raise StageError(
+            f"<{volume.GetPath()}.{name}> {found}; wanted a prim of type {kind.__name__}: correct "
+            "its target"
+        )

@@ -255,3 +255,21 @@ def test_an_old_picture_is_replaced_as_a_whole_or_stays(
         preview(look, target, frames="2", width=16)
     assert target.read_text() == "something older"
     monkeypatch.undo()
+
+
+@pytest.mark.parametrize(
+    "request_text",
+    ["asset[] @@styleImages = [@./gone.png@]", "double @@strenght = 1", "rel @@mask = </none>"],
+)
+def test_a_request_that_cannot_be_fulfilled_hides_no_smoke(
+    request_text: str, tmp_path: Path
+) -> None:
+    stage = plume_stage(tmp_path / "in", (1,))
+    asked = request_text.replace("@@", "usdSmoke:request:")
+    text = stage.read_text(encoding="utf-8").replace(
+        'def Volume "smoke"\n    {',
+        f'def Volume "smoke" (prepend apiSchemas = ["UsdSmokeStyleAPI"])\n    {{\n{asked}',
+    )
+    write_text(stage, text)
+    assert asked in text
+    assert preview(stage, tmp_path / "a.png", width=16).files == (tmp_path / "a.png",)

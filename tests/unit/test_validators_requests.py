@@ -36,6 +36,11 @@ def test_a_sound_request_finds_nothing(tmp_path: Path) -> None:
         ("double @@gama = 2", "gama", "did you mean 'usdSmoke:request:gamma'"),
         ("asset[] @@styleImages = [@./no.png@]", "styleImages", "no file is found there"),
         ("rel @@camera = [</a>, </b>]", "camera", "has 2 targets"),
+        ("rel @@camera = </World/none>", "camera", "where there is no prim; wanted a prim of type"),
+        ("rel @@camera = </World/smoke>", "camera", "is of type Volume; wanted a prim of type Cam"),
+        ("rel @@mask = </World>", "mask", "is of type Xform; wanted a prim of type OpenVDBAsset"),
+        ('string @@styleImages = "fire.png"', "styleImages", "is 'fire.png'; wanted images as"),
+        ("rel @@seed = </World>", "seed", "of the wrong kind; wanted an attribute"),
         ("int64 @@seed.timeSamples = { 1: 1, 2: 3 }", "seed", "at timeCode 2 has another value"),
     ],
 )
@@ -60,3 +65,11 @@ def test_a_request_without_the_schema_applied_is_a_warning(tmp_path: Path) -> No
     assert (finding.severity, finding.rule) == (Severity.WARN, "RequestNotApplied")
     assert finding.prim_path == "/World/smoke"
     assert "usdSmoke:request:strength do not count" in finding.message
+
+
+def test_a_request_on_a_prim_that_is_no_volume_is_a_warning(tmp_path: Path) -> None:
+    text = world('def Mesh "m" (prepend apiSchemas = ["UsdSmokeStyleAPI"]) {}')
+    found = validate(write_text(tmp_path / "s.usda", text))
+    (finding,) = [item for item in found if item.rule == "RequestMisplaced"]
+    assert (finding.severity, finding.prim_path) == (Severity.WARN, "/World/m")
+    assert "of type Mesh, where it does not count" in finding.message

@@ -16,7 +16,14 @@ from usdsmoke.time_codes import (
     parse_frames,
     select_frames,
 )
-from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.volume import (
+    FieldSource,
+    FrameControls,
+    FrameSource,
+    StageSource,
+    StyleRequest,
+    VolumeSource,
+)
 from usdsmoke.volume_requests import read_request, requested_mask
 
 __all__ = ["find_volumes"]
@@ -36,7 +43,10 @@ class _Outline:
 
 
 def find_volumes(
-    stage: Usd.Stage, config: StageConfig, explicit: Collection[str] = ()
+    stage: Usd.Stage,
+    config: StageConfig,
+    explicit: Collection[str] = (),
+    with_requests: bool = True,
 ) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
@@ -48,6 +58,7 @@ def find_volumes(
         stage: from ``open_stage``.
         config: the section ``stage`` of the settings.
         explicit: dotted names of the settings that are stronger than what a Volume asks for itself.
+        with_requests: whether to read what Volumes ask for; not for who only looks at the smoke.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
@@ -59,12 +70,13 @@ def find_volumes(
     """
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
-    outlines = [_outline_volume(prim, _own_config(prim, config, explicit)) for prim in prims]
+    own = [_own_config(prim, config, explicit) if with_requests else config for prim in prims]
+    outlines = [_outline_volume(*pair) for pair in zip(prims, own, strict=True)]
     selections = _select_time_codes(outlines, ranges, config.frames)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         if selected:
-            volumes.append(_read_volume(outline, selected))
+            volumes.append(_read_volume(outline, selected, with_requests))
             continue
         reason = (
             f"none of its timeCodes {format_time_codes(outline.existing)} is in {config.frames!r}"
@@ -201,9 +213,11 @@ def _select_time_codes(
     raise StageError(f"no density is authored at {wanted}; {there}; choose frames among these")
 
 
-def _read_volume(outline: _Outline, selected: Sequence[float]) -> VolumeSource:
+def _read_volume(outline: _Outline, selected: Sequence[float], with_requests: bool) -> VolumeSource:
     frames = []
-    request, controls = read_request(outline.prim, selected)
+    request, controls = StyleRequest(), (FrameControls(),) * len(selected)
+    if with_requests:
+        request, controls = read_request(outline.prim, selected)
     for time_code, control in zip(selected, controls, strict=True):
         xforms = UsdGeom.XformCache(time_code)
         found = {

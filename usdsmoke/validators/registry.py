@@ -37,6 +37,12 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
         "Files with a hash of usdsmoke's hold what they were written with.",
     ),
 }
+_PRIM_RULES: dict[str, tuple[PrimRule, str]] = {
+    "RequestMisplaced": (
+        request_rules.check_request_placed,
+        "UsdSmokeStyleAPI is applied to Volumes alone.",
+    ),
+}
 _LAYER_RULES = {
     "ResultChanged": (
         result_rules.check_layer_results,
@@ -53,13 +59,13 @@ def register_validators() -> list[str]:
         UsdValidation carries no time itself.
     """
     registry = UsdValidation.ValidationRegistry()
-    for name, (rule, doc) in _VOLUME_RULES.items():
+    for name, (rule, doc) in (_VOLUME_RULES | _PRIM_RULES).items():
         if not registry.HasValidator(PREFIX + name):
             metadata = UsdValidation.ValidatorMetadata(
                 name=PREFIX + name,
                 keywords=["usdsmoke", "UsdVol"],
                 doc=doc,
-                schemaTypes=["UsdVolVolume"],
+                schemaTypes=["UsdVolVolume"] if name in _VOLUME_RULES else [],
                 isTimeDependent=True,
             )
             registry.RegisterPrimValidator(metadata, _prim_task(name, rule))
@@ -69,7 +75,7 @@ def register_validators() -> list[str]:
                 name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
             )
             registry.RegisterLayerValidator(metadata, _layer_task(name, layer_rule))
-    return [PREFIX + name for name in (*_VOLUME_RULES, *_LAYER_RULES)]
+    return [PREFIX + name for name in (*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES)]
 
 
 def _prim_task(
