@@ -102,7 +102,7 @@ def displacement_from(
     Arguments as of ``free_displacement`` and ``hold``.
     """
     free = free_displacement(potential, mask, kind, lattice, base)
-    held = hold(free, cap, None if base is None else share)
+    held = hold(free, cap, share)
     return held / held.new_tensor(lattice.spacing)
 
 
