@@ -254,7 +254,7 @@ def test_a_changed_layer_format_leaves_one_look(shot: Shot) -> None:
 @pytest.mark.usefixtures("core")
 def test_a_moved_result_still_finds_its_files(shot: Shot) -> None:
     result = run(shot)
-    moved = shot.folder.rename(shot.folder.with_name("elsewhere"))
+    moved = shot.folder.rename(shot.folder.with_name(f"{shot.folder.name}_elsewhere"))
     files = shown_files(moved / result.root_stage.relative_to(shot.folder))
     assert all(Path(file_path).is_file() for file_path in files.values())
     assert all("elsewhere" in file_path for file_path in files.values())

@@ -47,7 +47,7 @@ def test_an_untouched_result_is_as_recorded(
 
 def test_an_untouched_result_in_a_moved_folder_is_as_recorded(finished: Finished) -> None:
     shot, result = finished
-    moved = shot.folder.with_name("elsewhere")
+    moved = shot.folder.with_name(f"{shot.folder.name}_elsewhere")
     shutil.move(shot.folder, moved)
     assert verify(moved / "out") == []
     assert verify(moved / "out" / result.frames[0].relative_to(shot.output)) == []

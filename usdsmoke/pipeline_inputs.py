@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict, resolve_config
+from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ConfigError
@@ -95,6 +95,8 @@ def prepare_job(
     """
     output = Path(output).absolute()
     style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
+    if style_files:  # then no Volume's own images or weights count
+        style_shares(config.style, len(style_files))
     stage, earlier = open_source(stage_path, config.stage.restylize)
     found = find_volumes(stage, config.stage, explicit)
     if not config.stage.restylize:
