@@ -1,0 +1,300 @@
+"""CPU seconds to the same style loss: a dense baseline of the reference's shape, and usdsmoke.
+
+    python -m benchmarks.equal_loss [--width 48] [--scenes plume real_plume] [--quick]
+
+One frame of the example plume and the real plume (skipped without its file), in turn: a part of the
+baseline's iterations (``benchmarks.baselines``), then usdsmoke with more and more iterations, each
+time from the start and with everything that a run does, until its style loss is no greater than
+the baseline's so far. Everything runs in one process on one thread; seconds are its CPU seconds,
+without what judging takes.
+
+Style losses are judged alike: the finished fields are drawn by ``benchmarks.raymarch``, which
+shares no code with either side's renderer, at full size from views that neither had, and compared
+with the style by the loss that both minimise. Measures that neither minimises stand beside it.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.baselines import baseline_colour, baseline_shape, dense_box, with_values
+from benchmarks.circumstances import circumstances
+from benchmarks.equal_judge import Judge, Verdict, find_scenes
+from usdsmoke.config import Config, resolve_config
+from usdsmoke.core.scene import measure_scene
+from usdsmoke.core.style import decode_srgb
+from usdsmoke.core.stylize import stylize_window
+from usdsmoke.core.targets import StyleTargets
+from usdsmoke.errors import UsdSmokeError
+from usdsmoke.volume import DenseField, VolumeFrame
+
+__all__ = ["Comparison", "Point", "compare", "main", "render_report"]
+
+MARK = 10.0  # times shorter
+BASELINE = {"shape": (20, 20), "colour": (60,)}  # iterations of each octave, nine views each
+OURS = {  # iterations in all octaves
+    "shape": (6, 12, 24, 48, 96, 150, 300),
+    "colour": (6, 12, 24, 48, 96, 180, 360, 720),
+}
+PARTS = 3  # the baseline's iterations are done in so many parts, with usdsmoke's runs in between
+
+
+@dataclass(frozen=True)
+class Point:
+    """One result of one side."""
+
+    iterations: int
+    cpu_s: float
+    verdict: Verdict
+
+
+@dataclass
+class Comparison:
+    """Both sides on one scene and step."""
+
+    scene: str
+    step: str
+    box: tuple[int, ...]
+    voxels: int
+    start: Verdict
+    baseline: list[Point] = field(default_factory=list)
+    ours: dict[int, Point] = field(default_factory=dict)  # median seconds, by iterations
+    repeats: dict[int, list[float]] = field(default_factory=dict)
+
+    def reached(self, loss: float) -> Point | None:
+        """The quickest of ours with at most this loss."""
+        found = [point for point in self.ours.values() if point.verdict.loss <= loss]
+        return min(found, key=lambda point: point.cpu_s) if found else None
+
+    @property
+    def target(self) -> Point:
+        """The baseline at its least loss: its end, unless it has become worse on the way there."""
+        return min(self.baseline, key=lambda point: point.verdict.loss)
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times shorter ours takes to the baseline's least loss."""
+        found = self.reached(self.target.verdict.loss)
+        return self.target.cpu_s / found.cpu_s if found else None
+
+
+def _settings(step: str, frame: VolumeFrame, iterations: int | None = None) -> Config:
+    longest = max(frame.density.values.shape)
+    optimize = {"steps": [step], "threads": 1, "device": "cpu", "tolerance": 0.0}
+    if iterations is not None:
+        optimize["iterations"] = iterations
+    views = {"image_size": max(16, longest)}
+    # the reference's kind of unknown for both sides, and its mass as transport leaves it
+    shape = {"displacement": "potential", "mass_correction": False}
+    return resolve_config({"views": views, "shape": shape, "optimize": optimize})
+
+
+def _run_ours(
+    frame: VolumeFrame, style: np.ndarray, step: str, iterations: int
+) -> tuple[float, DenseField, DenseField | None]:
+    """One whole run from the start: CPU seconds, density, emission."""
+    config = _settings(step, frame, iterations)
+    begin = time.process_time()
+    scene = measure_scene([frame], config, "Y")
+    (result,) = stylize_window([frame], [style], scene, config)
+    return time.process_time() - begin, result.density, result.emission
+
+
+def _run_baseline(
+    frame: VolumeFrame, style: np.ndarray, step: str, octaves: Sequence[int]
+) -> Iterator[tuple[float, Callable[[], tuple[DenseField, DenseField | None]]]]:
+    """CPU seconds so far and, when called, density and emission; after every iteration."""
+    config = _settings(step, frame)
+    spent, begin = 0.0, time.process_time()
+    scene, box = measure_scene([frame], config, "Y"), dense_box(frame.density)
+    targets = StyleTargets([style], scene, config, torch.device("cpu"))
+
+    def shaped(moved: Callable[[], torch.Tensor]) -> tuple[DenseField, None]:
+        with torch.no_grad():
+            return with_values(frame.density, box, moved()), None
+
+    def painted(colours: torch.Tensor) -> tuple[DenseField, DenseField]:
+        light = decode_srgb(colours) * (scene.gamma_w * box.density)
+        return with_values(frame.density, box, box.density), with_values(frame.density, box, light)
+
+    states: Iterator[Callable[[], tuple[DenseField, DenseField | None]]]
+    if step == "shape":
+        states = (
+            lambda moved=moved: shaped(moved)  # type: ignore[misc]
+            for moved in baseline_shape(
+                box, lambda factor: targets.at(factor, grey=True), scene, config, octaves
+            )
+        )
+    else:
+        found = baseline_colour(box, targets.at(1), targets.background, scene, config, sum(octaves))
+        states = (lambda colours=colours: painted(colours) for colours in found)  # type: ignore[misc]
+    for state in states:
+        spent += time.process_time() - begin
+        yield spent, state
+        begin = time.process_time()
+
+
+def compare(
+    name: str,
+    frame: VolumeFrame,
+    style: np.ndarray,
+    step: str,
+    octaves: Sequence[int],
+    ladder: Sequence[int],
+) -> Comparison:
+    """Both sides on one frame, in turn.
+
+    Args:
+        octaves: the baseline's iterations.
+        ladder: ours, ascending.
+    """
+    config = _settings(step, frame)
+    judge = Judge(frame, style, measure_scene([frame], config, "Y"), config, step)
+    box = dense_box(frame.density)
+    found = Comparison(
+        name, step, tuple(box.density.shape[::-1]), int((box.density > 0).sum()),
+        judge(frame.density, None),
+    )  # fmt: skip
+    total = sum(octaves)
+    stops = {max(1, round(total * part / PARTS)) for part in range(1, PARTS + 1)}
+    for number, (cpu, state) in enumerate(_run_baseline(frame, style, step, octaves), 1):
+        if number not in stops:
+            continue
+        found.baseline.append(Point(number, cpu, judge(*state())))
+        print(f"{name}, {step}: baseline {found.baseline[-1]}", file=sys.stderr, flush=True)
+        _climb(found, frame, style, ladder, judge)
+    return found
+
+
+def _climb(
+    found: Comparison, frame: VolumeFrame, style: np.ndarray, ladder: Sequence[int], judge: Judge
+) -> None:
+    """Ours with more and more iterations, until the baseline's loss so far is reached."""
+    for iterations in ladder:
+        cpu, density, emission = _run_ours(frame, style, found.step, iterations)
+        times = found.repeats.setdefault(iterations, [])
+        times.append(cpu)
+        known = found.ours.get(iterations)
+        verdict = known.verdict if known else judge(density, emission)
+        found.ours[iterations] = Point(iterations, statistics.median(times), verdict)
+        print(f"  ours {found.ours[iterations]}", file=sys.stderr, flush=True)
+        if verdict.loss <= found.target.verdict.loss:
+            return
+
+
+def render_report(found: Sequence[Comparison], command: Sequence[str]) -> str:
+    """Markdown: a table of the ends, and one of the way there."""
+    lines = [
+        "# Time to equal style loss",
+        "",
+        *(line.strip() for line in (__doc__ or "").split("\n\n", 2)[2].strip().splitlines()),
+        "",
+        "The baseline at its least loss (its end, unless it got worse before), and usdsmoke's",
+        f"quickest result that has no more; set-up is in all seconds. Mark: {MARK:g} times less.",
+        "Patches, colours, spectrum: closures on the same views, where 1 is the style pasted",
+        "through the mask; the shape step has no colours to compare.",
+        "",
+        "| scene | box | voxels | step | loss at start | baseline: iterations x views | CPU s "
+        "| loss | usdsmoke: iterations | CPU s | loss | times shorter | mark |",
+        "|" + "---|" * 13,
+        *map(_row, found),
+        "",
+        *_both_steps(found),
+        "On the way there, and what measures say that neither side minimises:",
+        "",
+        "| scene | step | side | iterations | CPU s | loss | patches | colours | spectrum |",
+        "|" + "---|" * 9,
+    ]
+    for comparison in found:
+        sides = [("baseline", comparison.baseline)]
+        sides.append(("usdsmoke", [comparison.ours[n] for n in sorted(comparison.ours)]))
+        lines += [_point_row(comparison, side, p) for side, points in sides for p in points]
+    return "\n".join([*lines, "", *circumstances(command)]) + "\n"
+
+
+def _row(found: Comparison) -> str:
+    last = found.target
+    ours, ratio = found.reached(last.verdict.loss), found.ratio
+    reached = [ours.iterations, f"{ours.cpu_s:.2f}", f"{ours.verdict.loss:.3f}"] if ours else []
+    cells = [
+        found.scene, " x ".join(map(str, found.box)), found.voxels, found.step,
+        f"{found.start.loss:.3f}", f"{last.iterations} x 9", f"{last.cpu_s:.1f}",
+        f"{last.verdict.loss:.3f}",
+        *(reached or ["-"] * 3),
+        f"{ratio:.1f}" if ratio else "not reached",
+        "met" if ratio and ratio >= MARK else "missed",
+    ]  # fmt: skip
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def _point_row(found: Comparison, side: str, point: Point) -> str:
+    others = [f"{value:.2f}" for value in point.verdict.closures.values()] or ["", "", ""]
+    cells = [found.scene, found.step, side, point.iterations, f"{point.cpu_s:.2f}"]
+    return "| " + " | ".join(map(str, [*cells, f"{point.verdict.loss:.3f}", *others])) + " |"
+
+
+def _both_steps(found: Sequence[Comparison]) -> list[str]:
+    """One line a scene: both steps together."""
+    lines = []
+    for scene in dict.fromkeys(comparison.scene for comparison in found):
+        of_scene = [comparison for comparison in found if comparison.scene == scene]
+        ends = [(c.target, c.reached(c.target.verdict.loss)) for c in of_scene]
+        theirs = sum(last.cpu_s for last, _ in ends)
+        ours = [point.cpu_s for _, point in ends if point is not None]
+        if len(ours) == len(ends):
+            ratio = theirs / sum(ours)
+            verdict = "met" if ratio >= MARK else "missed"
+            lines += [
+                f"- {scene}, {' and '.join(c.step for c in of_scene)}: {theirs:.1f} against "
+                f"{sum(ours):.2f} CPU s, {ratio:.1f} times shorter (mark {MARK:g}: {verdict})."
+            ]
+    return [*lines, ""]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--width", type=int, default=48, help="voxels across, about")
+    parser.add_argument("--scenes", nargs="+", default=["plume", "real_plume"])
+    parser.add_argument("--steps", nargs="+", default=["shape", "colour"], choices=BASELINE)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
+    parser.add_argument("--report", type=Path, default=Path("benchmarks/results/equal_loss.md"))
+    parser.add_argument("--quick", action="store_true", help="small smoke, few iterations")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    found: list[Comparison] = []
+    words = ["python -m benchmarks.equal_loss", *(sys.argv[1:] if arguments is None else arguments)]
+    try:
+        frames, style = find_scenes(
+            options.scenes, 16 if options.quick else options.width, options.data
+        )
+        for name, frame in frames.items():
+            for step in options.steps:
+                octaves = (1, 1) if options.quick else BASELINE[step]
+                ladder = OURS[step][:1] if options.quick else OURS[step]
+                found.append(compare(name, frame, style, step, octaves, ladder))
+    except (OSError, ValueError, UsdSmokeError) as error:
+        print(f"benchmarks.equal_loss: {error}", file=sys.stderr)
+        return 1
+    report = render_report(found, words)
+    options.report.parent.mkdir(parents=True, exist_ok=True)
+    options.report.write_text(report, encoding="utf-8")
+    values = {"circumstances": circumstances(words), "comparisons": [asdict(c) for c in found]}
+    text = json.dumps(values, indent=1) + "\n"
+    options.report.with_suffix(".json").write_text(text, encoding="utf-8")
+    print(report)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
