@@ -20,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from benchmarks.baselines import baseline_colour, baseline_shape, dense_box, wit
 from benchmarks.circumstances import circumstances
 from benchmarks.equal_judge import Judge, Verdict, find_scenes
 from usdsmoke.config import Config, resolve_config
+from usdsmoke.core.picture_loss import PictureLoss
 from usdsmoke.core.scene import measure_scene
 from usdsmoke.core.style import decode_srgb
 from usdsmoke.core.stylize import stylize_window
@@ -127,15 +129,17 @@ def _run_baseline(
 
     states: Iterator[Callable[[], tuple[DenseField, DenseField | None]]]
     if step == "shape":
-        states = (
-            lambda moved=moved: shaped(moved)  # type: ignore[misc]
-            for moved in baseline_shape(
-                box, lambda factor: targets.at(factor, grey=True), scene, config, octaves
-            )
-        )
+
+        def judge_at(factor: float) -> PictureLoss:
+            return targets.at(factor, grey=True)  # type: ignore[arg-type]  # any factor works
+
+        found = baseline_shape(box, judge_at, scene, config, octaves)
+        states = (partial(shaped, moved) for moved in found)
     else:
-        found = baseline_colour(box, targets.at(1), targets.background, scene, config, sum(octaves))
-        states = (lambda colours=colours: painted(colours) for colours in found)  # type: ignore[misc]
+        painted_boxes = baseline_colour(
+            box, targets.at(1), targets.background, scene, config, sum(octaves)
+        )
+        states = (partial(painted, colours.clone()) for colours in painted_boxes)
     for state in states:
         spent += time.process_time() - begin
         yield spent, state
@@ -150,12 +154,7 @@ def compare(
     octaves: Sequence[int],
     ladder: Sequence[int],
 ) -> Comparison:
-    """Both sides on one frame, in turn.
-
-    Args:
-        octaves: the baseline's iterations.
-        ladder: ours, ascending.
-    """
+    """Both sides on one frame, in turn; ``octaves`` the baseline's iterations, ``ladder`` ours."""
     config = _settings(step, frame)
     judge = Judge(frame, style, measure_scene([frame], config, "Y"), config, step)
     box = dense_box(frame.density)

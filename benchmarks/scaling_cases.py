@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -111,8 +111,7 @@ def _timed_network(clock: _Clock) -> Iterator[None]:
 
     def loss(self: StyleTarget, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
         clock.calls.append((self, picture.detach(), guide, draw))
-        judged = _Judged.apply(picture, lambda leaf: real(self, leaf, guide, draw), clock)
-        return judged  # type: ignore[no-any-return]
+        return cast(Tensor, _Judged.apply(picture, lambda at: real(self, at, guide, draw), clock))
 
     StyleTarget.loss = loss  # type: ignore[method-assign]
     try:
