@@ -10,6 +10,7 @@ from pxr import Sdf, Usd, UsdMedia
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot, run
 from tests.usd_fixtures import write_text
+from usdsmoke import assemble, verify
 from usdsmoke.core.definition import embedded_hash
 from usdsmoke.grids.content_hash import hash_vdb_file
 from usdsmoke.grids.header import read_header
@@ -136,14 +137,18 @@ def test_the_document_explains_every_key_and_every_kind_of_change(shot: Shot) ->
 
 @pytest.mark.usefixtures("core")
 def test_no_file_of_a_result_names_a_folder_that_the_shot_lies_in(tmp_path: Path) -> None:
-    """Though the plan tells of a Volume inside an instance, and of the layer it comes from."""
+    """Though the plan tells of a Volume inside an instance, and of the layer it comes from, and
+    though a setting names a file."""
     shot = make_shot(tmp_path / "somebody")
     text = shot.stage.read_text(encoding="utf-8").rstrip().removesuffix("}")
     steam = text.replace("World", "Steam")
     write_text(shot.stage.with_name("steam.usda"), f"{steam}}}\n")
     nested = 'def "set" (instanceable = true\nreferences = @./steam.usda@</Steam>) {}'
     write_text(shot.stage, f"{text}{nested}\n}}\n")
-    record = record_of(run(shot).look_layer)
+    weights = shot.folder / "weights.pth"
+    weights.write_bytes(b"parameters")
+    network = ("features.network=vgg19", f"features.vgg19_file={weights}")
+    record = record_of(run(shot, *network).look_layer)
     assert any("</Steam/smoke> in steam.usda" in text for text in record["omitted"])
     named = [
         path.name
@@ -151,3 +156,7 @@ def test_no_file_of_a_result_names_a_folder_that_the_shot_lies_in(tmp_path: Path
         if path.is_file() and b"somebody" in path.read_bytes()
     ]
     assert named == []
+    moved = tmp_path / "moved"
+    shot.folder.rename(moved)
+    assert verify(moved / "out/look.usda") == []
+    assert assemble(moved / "out", mode="reference").root_stage.is_file()  # from its own record

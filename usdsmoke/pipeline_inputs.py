@@ -23,6 +23,7 @@ from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.needs import Omission
 from usdsmoke.pipeline_originals import check_look_name, check_originals, check_output_folder
+from usdsmoke.pipeline_settings import portable_settings, settle_files
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
 from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
@@ -43,6 +44,7 @@ __all__ = [
 
 # Settings that change when or whether a result comes about, but not the result.
 _NEUTRAL = {
+    "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
     "optimize": ("memory_limit_gib", "threads", "error_budget"),
     "layer": ("mode",),
@@ -240,7 +242,7 @@ def describe_request(job: Job) -> dict[str, Any]:
     return {
         "stage": stage,
         "styles": styles,
-        "config": config_to_dict(job.config),
+        "config": portable_settings(job.config, job.output),
         "explicit": sorted(job.explicit),
     }
 
@@ -260,8 +262,8 @@ def requested_job(output: Path, request: Mapping[str, Any], mode: str | None = N
         os.path.normpath(output / name) for name in (request["stage"], *request["styles"])
     ]
     other = {"layer": {"mode": mode}} if mode else {}
-    config, explicit = resolve_config(request["config"], other), request.get("explicit", ())
-    return prepare_job(stage, styles, output, config, fits=False, explicit=explicit)
+    config = settle_files(resolve_config(request["config"], other), output)
+    return prepare_job(stage, styles, output, config, False, request.get("explicit", ()))
 
 
 def _named_run(look_layer: Path) -> str:

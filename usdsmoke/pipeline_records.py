@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import GridsConfig, config_to_dict, merge_settings
+from usdsmoke.config import GridsConfig, merge_settings
 from usdsmoke.error_budget import make_budget
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import read_binding_version
 from usdsmoke.images import StyleImage
 from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.pipeline_settings import portable_settings
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.provenance import Provenance, RunFacts, build_provenance
 from usdsmoke.provenance_stage import stage_values
@@ -64,7 +65,7 @@ def frame_metadata(
         "usdsmoke:run": run.run_id,
         "usdsmoke:created": run.created,
         "usdsmoke:seed": volume.config.optimize.seed,
-        "usdsmoke:config": _as_json(_settings(settings, run.output)),
+        "usdsmoke:config": _as_json(settings),
         "usdsmoke:params_sha256": run.settings_hash,
         "usdsmoke:features": volume.config.features.network,
         "usdsmoke:featuresHash": described["features_hash"],
@@ -102,7 +103,7 @@ def make_provenance(
     facts = RunFacts(
         version=__version__,
         seed=config.optimize.seed,
-        config=_settings(config_to_dict(config), run.output),
+        config=portable_settings(config, run.output),
         inputs=_inputs(run, plan),
         styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
         features=", ".join(
@@ -122,7 +123,7 @@ def make_provenance(
         error_budget=make_budget(reports).texts,
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         stage_values=stage_values(plan.source),
-        request={**run.request, "config": _settings(run.request["config"], run.output)},
+        request=run.request,
         input_state=state,
         style_files={
             relative_asset_path(style.file_path, run.output): style.sha256 for style in styles
@@ -176,16 +177,6 @@ def _sources(volume: VolumePlan, frame: FramePlan) -> Iterator[tuple[str, str, s
     if velocity is not None:
         label = ", ".join(grid.label for grid in velocity.grids)
         yield "velocity", velocity.field.file_path, label
-
-
-def _settings(sections: Mapping[str, Any], output: Path) -> dict[str, Any]:
-    """The settings with the parameter file, the one that names a place, relative to the output."""
-    file = sections["features"]["vgg19_file"]
-    if not file:
-        return dict(sections)
-    found = Path(file).is_file()
-    place = relative_asset_path(file, output) if found else Path(file).name
-    return {**sections, "features": {**sections["features"], "vgg19_file": place}}
 
 
 def _source_key(field: str) -> str:

@@ -1,6 +1,8 @@
 """What a run is called with: files in any spelling, settings from files, mappings and texts."""
 
+import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,18 @@ from usdsmoke.config import (
     read_config,
     resolve_config,
 )
+from usdsmoke.layer.anchoring import relative_asset_path
 
-__all__ = ["FilePath", "Settings", "Styles", "explicit_values", "resolve_settings", "style_paths"]
+__all__ = [
+    "FilePath",
+    "Settings",
+    "Styles",
+    "explicit_values",
+    "portable_settings",
+    "resolve_settings",
+    "settle_files",
+    "style_paths",
+]
 
 FilePath = str | PathLike[str]
 Styles = FilePath | Sequence[FilePath] | None
@@ -64,3 +76,32 @@ def explicit_values(config: Config, explicit: frozenset[str]) -> dict[str, dict[
         for section, values in config_to_dict(config).items()
         if (kept := {k: v for k, v in values.items() if f"{section}.{k}" in explicit})
     }
+
+
+def portable_settings(config: Config, folder: Path) -> dict[str, dict[str, Any]]:
+    """The settings as a record in a folder keeps them: the parameter file, the one that names a
+    place, is named relative to it.
+
+    Args:
+        config: a run's settings.
+        folder: of the record.
+    """
+    sections, file = config_to_dict(config), config.features.vgg19_file
+    if file:
+        place = relative_asset_path(file, folder) if Path(file).is_file() else Path(file).name
+        sections["features"]["vgg19_file"] = place
+    return sections
+
+
+def settle_files(config: Config, folder: Path) -> Config:
+    """The settings of a record with the place of the parameter file as it is now.
+
+    Args:
+        config: from ``portable_settings``.
+        folder: of the record.
+    """
+    file = config.features.vgg19_file
+    if not file.startswith(("./", "../")):
+        return config
+    place = os.path.normpath(folder / file)
+    return replace(config, features=replace(config.features, vgg19_file=place))

@@ -6,7 +6,7 @@ content: a file that was only written anew, compressed or copied over, is worth 
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ from usdsmoke.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeE
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job, requested_job
+from usdsmoke.pipeline_settings import settle_files
 from usdsmoke.provenance import hash_file
 from usdsmoke.provenance_records import LookRecord
 from usdsmoke.provenance_stage import stage_values
@@ -53,12 +54,7 @@ def recorded_config(record: LookRecord) -> Config:
     Raises:
         ConfigError: this version of usdsmoke knows other settings.
     """
-    config = resolve_config(record.parsed("config"))
-    file = config.features.vgg19_file
-    if not file.startswith(("./", "../")):
-        return config
-    features = replace(config.features, vgg19_file=str(_place(record, file)))
-    return replace(config, features=features)
+    return settle_files(resolve_config(record.parsed("config")), record.folder)
 
 
 def check_inputs(record: LookRecord) -> list[Change]:

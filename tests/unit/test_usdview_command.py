@@ -186,3 +186,12 @@ def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run
     change_record(result.look_layer, request=request)
     settings = parsed(do("copy_all", api).copied[0])["set"]
     assert settings == ["grids.half=false", "windows.size=3", "optimize.seed=5"]
+
+
+def test_a_parameter_file_is_named_where_it_is(result: LookFiles) -> None:
+    given = ["features.vgg19_file=../in/weights.pth"]
+    config = json.dumps(config_to_dict(resolve_config(assignments=given)))
+    change_record(result.look_layer, config=config, request=json.dumps(REQUEST))
+    api, _ = open_in_usdview(result.root_stage)
+    place = result.look_layer.parent.parent / "in/weights.pth"
+    assert parsed(do("copy_all", api).copied[0])["set"] == [f'features.vgg19_file="{place}"']

@@ -33,7 +33,7 @@ def read_look_request(look: Look) -> LookRequest:
     """
     folder = Path(look.layer.realPath).parent
     request = _json_mapping(look.record.get("request")) or _in_run_folder(folder, look.run)
-    config = _json_mapping(look.record.get("config"))
+    config = _config(look, folder)
     explicit = frozenset(request.get("explicit", ()))
     settings = {
         name: value
@@ -49,6 +49,16 @@ def read_look_request(look: Look) -> LookRequest:
         styles = tuple(str(text).rpartition("=")[0] for text in pairs)
     exists = stage_file is not None and stage_file.is_file()
     return LookRequest(stage_file if exists else None, styles, settings, explicit)
+
+
+def _config(look: Look, folder: Path) -> Mapping[str, Any]:
+    """The recorded sections, with the place of the parameter file as it is now."""
+    config = dict(_json_mapping(look.record.get("config")))
+    features = config.get("features")
+    file = features.get("vgg19_file") if isinstance(features, dict) else None
+    if isinstance(file, str) and file.startswith(("./", "../")):
+        config["features"] = {**config["features"], "vgg19_file": str((folder / file).resolve())}
+    return config
 
 
 def changed_settings(config: Mapping[str, Any], explicit: Collection[str] = ()) -> dict[str, Any]:
