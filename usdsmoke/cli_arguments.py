@@ -63,7 +63,7 @@ def _options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, A
         },
         "grids": {"half": given.get("half"), "repair_nan": given.get("repair")},
         "views": {"camera": given.get("camera")},
-        "optimize": {"seed": given.get("seed")},
+        "optimize": {"seed": given.get("seed"), "target_error": given.get("tolerance")},
         "layer": {
             "mode": given.get("mode"),
             "look": given.get("look"),
@@ -259,6 +259,12 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         help="the shot's Camera prim: only what it sees is stylized, seen from its direction",
     )
     parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="E",
+        help="choose the cheapest settings whose estimated errors stay below this, such as 0.05",
+    )
 
 
 def _add_client_options(parser: argparse.ArgumentParser) -> None:

@@ -218,6 +218,13 @@ class OptimizeConfig:
         "stop an octave when its loss fell by less than this share; 0 never stops early",
         low=0.0,
     )
+    target_error: float | None = setting(
+        None,
+        "tolerance that picture size, views, iterations, transport and storage are chosen for, "
+        "unless they are set; unset chooses nothing",
+        above=0.0,
+        high=1.0,
+    )
     carry_moments: bool = setting(
         False, "start an octave with Adam's moments of the one before instead of anew"
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.config import Config
 from usdsmoke.errors import Interrupted, LayerError
 from usdsmoke.locks import lock_output
 from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_result
@@ -29,6 +30,7 @@ from usdsmoke.pipeline_settings import (
     resolve_settings,
     style_paths,
 )
+from usdsmoke.pipeline_tolerance import settle_tolerance
 from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
@@ -267,10 +269,19 @@ def _prepare(
     # Threads that spin while they wait slow each other down many times where processors are shared.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, later
     resolved, explicit = resolve_settings(config, settings)
-    job = prepare_job(stage, style_paths(style), Path(output), resolved, explicit=explicit)
+    job = _settled(stage, style, Path(output), resolved, explicit)
     if planned is not None:
         planned(job.plan)
     return job
+
+
+def _settled(
+    stage: FilePath, style: Styles, output: Path, config: Config, explicit: frozenset[str]
+) -> Job:
+    def prepare(config: Config) -> Job:
+        return prepare_job(stage, style_paths(style), output, config, explicit=explicit)
+
+    return settle_tolerance(prepare(config), prepare)
 
 
 def _tell_nobody(report: RunProgress) -> None:

@@ -46,7 +46,7 @@ __all__ = [
 _NEUTRAL = {
     "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("memory_limit_gib", "threads", "error_budget"),
+    "optimize": ("memory_limit_gib", "threads", "error_budget", "target_error"),
     "layer": ("mode",),
 }
 

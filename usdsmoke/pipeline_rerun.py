@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -66,6 +66,8 @@ def rerun(
     if not force:
         _refuse_changes(record)
     config = recorded_config(record)
+    # what a tolerance came to stands in the record, and is not chosen again
+    config = replace(config, optimize=replace(config.optimize, target_error=None))
     result = stylize(
         _place(record, request["stage"]),
         [_place(record, name) for name in request["styles"]],

@@ -69,15 +69,17 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
         count: views an iteration.
 
     Returns:
-        ``fallen`` and ``remaining``, how far the loss fell and, as is predicted, would still fall;
-        ``view spread``, the standard error of its mean over the views, relative to it. Without
-        what too few iterations tell nothing of.
+        ``fallen``, ``fallen in the last octave`` and ``remaining``: how far the loss fell in all,
+        how far at the end, and how far it would still fall, as is predicted. ``view spread``: the
+        standard error of its mean over the views, relative to it. Without what too few iterations
+        tell nothing of.
     """
     if not ends:
         return {}
-    losses = ends[-1].losses
+    losses, end = ends[-1].losses, ends[-1].smoothed
     found = {
-        "fallen": max(losses[0] - ends[-1].smoothed, 0.0) if losses else math.nan,
+        "fallen": max(ends[0].losses[0] - end, 0.0),
+        "fallen in the last octave": max(losses[0] - end, 0.0),
         "remaining": remaining_decrease(losses, ends[-1].rates),
         "view spread": spread_of_mean(losses, pool, count),
     }

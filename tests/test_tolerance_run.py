@@ -1,0 +1,99 @@
+"""A run with a tolerance: its settings, its calibration in the output folder, what is told."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.pipeline_fixtures import Shot, make_shot
+from tests.unit.test_error_choice import MEASURED
+from usdsmoke import pipeline_tolerance
+from usdsmoke.cli import main
+from usdsmoke.pipeline import assemble, run_window, stylize
+from usdsmoke.pipeline_rerun import rerun
+from usdsmoke.plan import Plan
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Shot:
+    return make_shot(tmp_path)
+
+
+@pytest.fixture
+def measurements(core: Any, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How often a frame was measured."""
+    counted: list[int] = []
+
+    def measure(job: Any) -> dict[str, Any]:
+        counted.append(1)
+        return MEASURED
+
+    monkeypatch.setattr(pipeline_tolerance, "_measure", measure)
+    return counted
+
+
+def run(shot: Shot, target: float | None = 0.3, *more: str, output: str = "out") -> Plan:
+    settings = [] if target is None else [f"optimize.target_error={target}"]
+    return stylize(shot.stage, shot.style, shot.folder / output, settings=[*settings, *more]).plan
+
+
+def test_settings_are_chosen_and_the_plan_tells_why(shot: Shot, measurements: list[int]) -> None:
+    plan = run(shot)
+    assert (plan.config.views.image_size, plan.config.views.pool) == (80, 4)
+    assert plan.config.grids.half and plan.config.shape.interpolation == "linear"
+    assert "settings for a tolerance of 0.3" in plan.needed
+    assert any(text.startswith("views.image_size=80: resolution 0.02") for text in plan.needed)
+
+
+def test_what_is_set_wins_and_is_named(shot: Shot, measurements: list[int]) -> None:
+    plan = run(shot, 0.3, "views.image_size=192", "grids.half=false")
+    assert plan.config.views.image_size == 192 and not plan.config.grids.half
+    assert any(text.startswith("views.image_size=192 as set") for text in plan.needed)
+
+
+def test_a_frame_is_measured_once_for_all_tolerances(shot: Shot, measurements: list[int]) -> None:
+    for target in (0.3, 0.1, 0.3):
+        settings = {"optimize": {"target_error": target}}
+        stylize(shot.stage, shot.style, shot.output, settings=settings, force=True)
+    assert len(measurements) == 1
+    (kept,) = shot.output.glob("vdb/calibration/*.json")
+    assert json.loads(kept.read_text()) == MEASURED
+
+
+def test_other_inputs_are_measured_anew(shot: Shot, measurements: list[int]) -> None:
+    run(shot)
+    stylize(
+        shot.stage, shot.style, shot.output, force=True,
+        settings={"optimize": {"target_error": 0.3}, "shape": {"reach": 0.1}},
+    )  # fmt: skip
+    assert len(measurements) == 2
+
+
+def test_without_a_tolerance_nothing_is_measured(shot: Shot, measurements: list[int]) -> None:
+    assert run(shot, None).config.views.image_size == 192
+    assert not measurements and not (shot.output / "vdb/calibration").exists()
+
+
+def test_windows_run_one_by_one_choose_the_same(shot: Shot, measurements: list[int]) -> None:
+    settings = {"optimize": {"target_error": 0.3}, "windows": {"size": 2, "overlap": 0}}
+    for window in (0, 1):
+        run_window(shot.stage, shot.style, shot.output, window, settings=settings)
+    result = assemble(shot.output)
+    assert result.plan.config.views.image_size == 80 and len(measurements) == 1
+
+
+def test_a_rerun_has_the_settings_that_were_chosen(shot: Shot, measurements: list[int]) -> None:
+    result = stylize(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
+    again = rerun(result.look_layer, shot.folder / "again")
+    assert again.differences == () and len(measurements) == 1
+    assert again.result.plan.config.grids == result.plan.config.grids
+
+
+def test_the_option_of_the_command(
+    shot: Shot, measurements: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments("--tolerance", "0.3")) == 0
+    assert "settings for a tolerance of 0.3" in capsys.readouterr().err
+    assert main(shot.arguments("--tolerance", "0", "--force")) == 1
+    assert "optimize.target_error" in capsys.readouterr().err
