@@ -86,7 +86,7 @@ def read_config(file_path: str | Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(
             f"cannot read the configuration {file_path}: {error.strerror or error}; "
-            "check the path given as --config"
+            "check the path given as --config or --overrides"
         ) from None
     except (UnicodeDecodeError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(

@@ -207,7 +207,7 @@ def test_a_wrong_file_is_refused_saying_what_was_wanted(
 
 
 def test_a_missing_or_binary_file_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"nowhere\.yaml: No such file.*--config"):
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: No such file.*--config or --overrides"):
         read_config(tmp_path / "nowhere.yaml")
     (tmp_path / "config.yaml").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(ConfigError, match=r"cannot read the configuration .*config\.yaml"):
