@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.shape_cost import write_vgg19
 from tests.pipeline_fixtures import run_here
 from tests.report_fixtures import QUICK, case_of, make_scene
 from usdsmoke.cli import main
@@ -21,6 +22,7 @@ from usdsmoke.report.data import COLUMNS
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.page import number
 from usdsmoke.report.run import SWEEPS, ReportResult, make_report
+from usdsmoke.report.trial import Setting, Trial, untiring
 from usdsmoke.volume import DenseField
 
 _VOID = {"meta", "img", "br"}
@@ -166,6 +168,40 @@ def test_sweeps_without_use_say_why(
         assert reason in reasons[name]
     always = {"files", "projection"}
     assert all(reasons[name] == "" for name in always)
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_estimated_motion_serves_as_a_velocity(tmp_path: Path) -> None:
+    windows = next(sweep for sweep in SWEEPS if sweep.name == "windows")
+    case = case_of(make_scene(tmp_path, n_frames=2, moving=False), "stage.motion=estimate")
+    assert windows.applies(case) == ""
+    plan = windows.plan(case)
+    task = next(task for task in plan.tasks if task.configured)
+    assert 0 < task.error(task.work(0)) < 2
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_with_its_weights_vgg19_stands_beside_the_embedded_features(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_vgg19(tmp_path / "random.pth")
+    monkeypatch.setenv("USDSMOKE_VGG19", str(tmp_path / "random.pth"))
+    network = shortened(next(sweep for sweep in SWEEPS if sweep.name == "network"))
+    scene = make_scene(tmp_path, n_frames=1)
+    result = make_report(scene.stage, scene.style, scene.output, settings=QUICK, sweeps=[network])
+    (found,) = result.report.sweeps
+    assert set(found.curves) == {"embedded", "vgg19"}
+    assert all(point.error.median > 0 for point in found.points)
+    assert [point.configured for point in found.points] == [True, False]
+
+
+@pytest.mark.usefixtures("quick_grids")
+@pytest.mark.parametrize("step", ["shape", "colour"])
+def test_unused_views_see_what_more_iterations_gain(step: str, tmp_path: Path) -> None:
+    case = case_of(make_scene(tmp_path, n_frames=1), "losses.keep=0", "shape.learning_rate=0.1")
+    trial, config = Trial(case, step, case.config), untiring(case.config)
+    few, many = (trial.judge(trial.run(Setting((0, n), config), 0)) for n in (1, 40))
+    assert many < 0.97 * few
 
 
 @pytest.mark.usefixtures("quick_grids")

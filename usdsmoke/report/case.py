@@ -42,7 +42,8 @@ class Case:
     scene: "Scene"
     longest: int
     seconds: float  # that the whole report may take
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # on the page, made by sweeps
+    iterations: dict[str, tuple[int, ...]] = field(default_factory=dict)  # of trials, by step
 
     @property
     def config(self) -> Config:

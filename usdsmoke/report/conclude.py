@@ -1,6 +1,6 @@
 """What follows from a sweep's points, in sentences: one for every curve, one on what is configured.
 
-Errors that lie within the spread of the runs count as equal.
+Errors and costs that lie within the spread of the runs count as equal.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def _verdict(points: Sequence[Point], chosen: Point | None, noun: str) -> str:
         return f"{name} is the only one that was measured."
     best = min((p for p in points if _as_good(p, chosen)), key=lambda p: p.cost.median)
     ratio = chosen.cost.median / best.cost.median
-    if best is chosen or ratio <= _CLOSE:
+    if best is chosen or not _costs_more(chosen, best):
         return f"{name} is the cheapest of those measured at its error."
     other = f"{best.curve}, {best.label}"
     if ratio < 2:
@@ -64,8 +64,8 @@ def _of_curve(points: Sequence[Point], chosen: Point | None, noun: str, setting:
 
 def _around(points: Sequence[Point], chosen: Point, noun: str) -> str:
     """What the neighbours of the configured point gain and lose."""
-    dearer = [p for p in points if p.cost.median > chosen.cost.median * _CLOSE]
-    cheaper = [p for p in points if p.cost.median * _CLOSE < chosen.cost.median]
+    dearer = [p for p in points if _costs_more(p, chosen)]
+    cheaper = [p for p in points if _costs_more(chosen, p)]
     texts = []
     if dearer:
         other = min(dearer, key=lambda p: p.cost.median)
@@ -86,7 +86,12 @@ def _against(points: Sequence[Point], chosen: Point, noun: str) -> str:
     if good:
         best = min(good, key=lambda p: p.cost.median)
         ratio = _between(points, chosen) or best.cost.median / chosen.cost.median
-        return f"It has the configured error at {times(ratio)} the {noun} ({best.label})."
+        text = f"It has the configured error at {times(ratio)} the {noun} ({best.label})"
+        finest = min(points, key=lambda p: p.error.median)
+        if finest is best or not finest.error.median < chosen.error.median:
+            return f"{text}."
+        more = f"{finest.label} takes {_ratio(finest, chosen)} and {_change(finest, chosen)}"
+        return f"{text}; {more}."
     best = min(points, key=lambda p: p.error.median)
     return (
         f"It does not come down to the configured error: {best.label} has "
@@ -102,6 +107,12 @@ def _between(points: Sequence[Point], chosen: Point) -> float | None:
     errors, costs = [p.error.median for p in points], [p.cost.median for p in points]
     found = cost_at(chosen.error.median, errors, costs) if chosen.error.median > 0 else None
     return None if found is None else found / chosen.cost.median
+
+
+def _costs_more(point: Point, other: Point) -> bool:
+    if point.cost.median <= other.cost.median * _CLOSE:
+        return False
+    return point.cost.low > other.cost.high or point.n_runs == 1
 
 
 def _as_good(point: Point, chosen: Point) -> bool:

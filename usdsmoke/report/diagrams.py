@@ -11,7 +11,7 @@ __all__ = ["check_matplotlib", "draw_sweep"]
 
 _COLOURS = ("#0b6e99", "#c8501e", "#3a7d2c", "#8a4fa3", "#a07900", "#5b5b5b")
 _MARKERS = "osD^vP"
-_INCHES, _DPI = (8.6, 4.9), 110
+_INCHES, _DPI = (9.2, 4.4), 105
 
 
 def check_matplotlib() -> None:

@@ -1,13 +1,13 @@
 """Takes the points of a sweep one by one until its share of the time is used."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.report.budget import Budget
 from usdsmoke.report.conclude import conclude
 from usdsmoke.report.measure import Clock, measure
-from usdsmoke.report.records import Omission, Plan, Point, SweepResult, Task
+from usdsmoke.report.records import CPU_TIME, WALL_TIME, Omission, Plan, Point, SweepResult, Task
 
 if TYPE_CHECKING:
     from usdsmoke.report.case import Case
@@ -58,13 +58,13 @@ def run_sweeps(
             continue
         end = budget.until([later.weight for later in wanted[number:]])
         tell(sweep.title, "reference", _share(budget))
-        plan = sweep.plan(case)
+        plan = _timed_by(sweep.plan(case), case.on_gpu)
         points, missing = _take(sweep, plan, end, budget, clock, case.on_gpu, tell)
         if not points:
             omitted.append(Omission(sweep.title, _no_time(budget)))
             continue
         if missing:
-            reason = f"{_no_time(budget)}: {', '.join(missing)}"
+            reason = f"{_no_time(budget)}: {'; '.join(missing)}"
             omitted.append(Omission(f"Points of “{sweep.title}”", reason))
         found = SweepResult(sweep.name, sweep.title, plan, tuple(points), tuple(missing))
         results.append(conclude(found))
@@ -80,22 +80,22 @@ def _take(
     on_gpu: bool,
     tell: Tell,
 ) -> tuple[list[Point], list[str]]:
-    """The points that fit, and the names of those that do not."""
+    """The points that fit, and those that do not: a curve and the names of its points each."""
     points: list[Point] = []
-    missing: list[str] = []
+    missing: dict[str, list[str]] = {}
     rates: dict[str, float] = {}  # seconds per unit of effort, by curve
     for task in plan.tasks:
         name = f"{task.curve}, {task.label}"
         rate = rates.get(task.curve, max(rates.values(), default=0.0))
         expected = rate * task.effort * (plan.n_runs + plan.warm_up)
         if budget.left <= 0 or (points and budget.spent + expected > end):
-            missing.append(name)
+            missing.setdefault(task.curve, []).append(task.label)
             continue
         tell(sweep.title, name, _share(budget))
         started = budget.spent
         points.append(_measured(task, plan, clock, on_gpu))
         rates[task.curve] = (budget.spent - started) / task.effort / (plan.n_runs + plan.warm_up)
-    return points, missing
+    return points, [f"{curve} ({', '.join(labels)})" for curve, labels in missing.items()]
 
 
 def _measured(task: Task, plan: Plan, clock: Clock, on_gpu: bool) -> Point:
@@ -106,6 +106,11 @@ def _measured(task: Task, plan: Plan, clock: Clock, on_gpu: bool) -> Point:
         task.curve, task.label, task.configured, task.setting, found.error, cost, found.cpu,
         found.wall, plan.n_runs,
     )  # fmt: skip
+
+
+def _timed_by(plan: Plan, on_gpu: bool) -> Plan:
+    """On a GPU the clock on the wall counts, and the diagram says so."""
+    return replace(plan, y_label=WALL_TIME) if on_gpu and plan.y_label == CPU_TIME else plan
 
 
 def _share(budget: Budget) -> float:

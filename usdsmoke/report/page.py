@@ -87,7 +87,7 @@ def _sweep(result: SweepResult, picture: bytes) -> list[str]:
         f"<li><b>{escape(curve)}</b>: {escape(text)}</li>"
         for curve, text in result.sentences.items()
     ]
-    missing = f"Points that did not fit the time: {escape(', '.join(result.missing))}."
+    missing = f"Points that did not fit the time: {escape('; '.join(result.missing))}."
     return [
         f'<section id="{escape(result.name)}">',
         f"<h2>{escape(result.title)}</h2>",

@@ -4,7 +4,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["Figures", "Omission", "Plan", "Point", "Report", "Spread", "SweepResult", "Task"]
+__all__ = [
+    "CPU_TIME",
+    "WALL_TIME",
+    "Figures",
+    "Omission",
+    "Plan",
+    "Point",
+    "Report",
+    "Spread",
+    "SweepResult",
+    "Task",
+]
+
+CPU_TIME, WALL_TIME = "CPU time [s]", "wall-clock time [s]"
 
 
 @dataclass(frozen=True)
@@ -43,7 +56,7 @@ class Plan:
     x_label: str
     about: str  # what is done, in a sentence or two
     reference: str  # against what errors are measured, and what says that it is right
-    y_label: str = "CPU time [s]"
+    y_label: str = CPU_TIME
     setting: str = ""  # what the numbers along a curve are, where an order can be fitted to them
     floor: float | None = None  # a value on x that nothing is expected to go below, drawn as a line
     n_runs: int = 3

@@ -53,6 +53,18 @@ SWEEPS: tuple[Sweep, ...] = (
 )
 _LONGEST, _LONGEST_PATIENT = 64, 128  # voxels of the small copy
 _PATIENT = 1800.0  # seconds from which on the larger copy is taken
+_NEVER = (
+    Omission(
+        "Settings of the look",
+        "layers, statistic, weights of losses, learning rates, extinction and the style's size are "
+        "not swept: they change what is wanted, and no error tells which is right",
+    ),
+    Omission("Memory", "it is not measured; the plan of a run (--dry-run) estimates it"),
+    Omission(
+        "What the eye sees",
+        "errors and losses are measured; whether a difference shows, only pictures can tell",
+    ),
+)
 PAGE, TABLE, DATA = "report.html", "report.csv", "report.json"
 
 
@@ -166,11 +178,12 @@ def _simplified(case: Case) -> list[Omission]:
             Omission("The camera's frustum", "trials stylize all of the smoke, seen from the "
                                              "camera's direction")
         )  # fmt: skip
-    found.append(
-        Omission("Trained eyes", "errors and losses are measured; whether a difference shows, only "
-                 "a look at the pictures can tell")
-    )  # fmt: skip
-    return found
+    losses = case.config.losses
+    if losses.content or losses.laplacian or losses.photorealism:
+        found.append(
+            Omission("Losses of the content", "trials minimise them; results are judged without")
+        )
+    return [*found, *_NEVER]
 
 
 def _write(report: Report, target: Path) -> ReportResult:

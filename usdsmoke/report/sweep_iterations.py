@@ -46,7 +46,7 @@ def _plan(step: str, case: Case) -> Plan:
     by_number = [
         task(
             "iterations, never stopped early",
-            f"{sum(scaled(base, share))} iterations",
+            f"{sum(scaled(base, share))} iterations ({share:g}x)",
             share,
             untiring(config),
             share == 1.0 and rule == 0,

@@ -71,7 +71,7 @@ def _plan(case: Case) -> Plan:
     tasks = [
         Task(
             RULES[rule],
-            f"{step:g} voxels a segment",
+            f"{step:g} voxel a segment" if step == 1 else f"{step:g} voxels a segment",
             partial(lambda rule, step, run: rays.light(rule, step), rule, step),
             error,
             step,
@@ -149,7 +149,7 @@ def _rays(case: Case, view: "View") -> tuple[_Rays, np.ndarray]:
     )
     bright = made.light("segments", 1.0)
     seen = np.flatnonzero((bright > 1e-3 * bright.max()).numpy())
-    pixels = seen[:: max(1, len(seen) // _MOST_RAYS)]
+    pixels = seen[:: -(-len(seen) // _MOST_RAYS)]
     return replace(made, start=made.start[torch.from_numpy(pixels)]), pixels
 
 

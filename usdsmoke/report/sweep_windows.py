@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,13 +30,15 @@ def _applies(case: Case) -> str:
         return ONE_FRAME
     if case.config.losses.style == 0:
         return "losses.style is 0: nothing is optimised"
+    if case.config.stage.motion == "estimate":
+        return ""
     if case.frame.velocity is None or case.frame.velocity.is_empty:
         return NO_VELOCITY
     return ""
 
 
 def _plan(case: Case) -> Plan:
-    frames = [case.shrunk(case.reader.read(case.volume, plan)) for plan in case.neighbours]
+    frames = _frames(case)
     config, n = _config(case), len(frames)
     chosen = min(case.config.windows.size, n)
     tasks = [
@@ -63,9 +66,26 @@ def _plan(case: Case) -> Plan:
     )
 
 
+def _frames(case: Case) -> list[VolumeFrame]:
+    """The neighbouring frames, small, with the velocity that carries each to the next."""
+    from usdsmoke.core.motion import estimate_velocity
+
+    frames = [case.shrunk(case.reader.read(case.volume, plan)) for plan in case.neighbours]
+    if case.config.stage.motion != "estimate":
+        return frames
+    rate = case.job.plan.source.time_codes_per_second
+    moving = []
+    for frame, later in pairwise(frames):
+        seconds = (later.time_code - frame.time_code) / rate
+        velocity = estimate_velocity(frame, later, seconds, device=case.device)
+        moving.append(replace(frame, velocity=velocity, velocity_to_stage=later.density_to_stage))
+    return [*moving, replace(frames[-1], velocity=None, velocity_to_stage=None)]
+
+
 def _config(case: Case) -> Config:
-    """The settings with the iterations of a trial."""
+    """The settings with the iterations of a trial; motion is that of the frames."""
     config = replace(case.config, grids=replace(case.config.grids, refine=1))
+    config = replace(config, stage=replace(config.stage, motion="velocity"))
     config = replace(config, optimize=replace(config.optimize, iterations=None))
     for step in case.steps:
         own = replace(getattr(config, step), iterations=list(base_iterations(case, step)))

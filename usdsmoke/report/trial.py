@@ -15,6 +15,7 @@ from usdsmoke.report.records import Task
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from usdsmoke.core.colour import ColourView
     from usdsmoke.core.picture_loss import PictureLoss
     from usdsmoke.core.scene import Scene
     from usdsmoke.core.smoke import ActiveSmoke
@@ -50,11 +51,9 @@ def base_iterations(case: Case, step: str) -> tuple[int, ...]:
 
     Measured by a short trial, which also warms the machine up. A note on the page says by how much.
     """
-    key = f"_base_{step}"
-    if key not in case.__dict__:
-        case.__dict__[key] = _fitting(case, step)
-    found: tuple[int, ...] = case.__dict__[key]
-    return found
+    if step not in case.iterations:
+        case.iterations[step] = _fitting(case, step)
+    return case.iterations[step]
 
 
 def _fitting(case: Case, step: str) -> tuple[int, ...]:
@@ -109,6 +108,7 @@ class Trial:
         self._judge_config = config
         self._targets: dict[Any, StyleTargets] = {}
         self._smokes: dict[int, ActiveSmoke] = {1: case.small_smoke}
+        self._judged: dict[int, list[ColourView]] = {}  # views of a smoke, by its id
 
     def task(
         self,
@@ -144,14 +144,18 @@ class Trial:
     def _run(self, setting: Setting, config: Config) -> Any:
         from usdsmoke.core.colour import run_colour_step
         from usdsmoke.core.move import move_density
-        from usdsmoke.core.shape import run_shape_step
+        from usdsmoke.core.potential import Displacement, hold
+        from usdsmoke.core.shape import longest_move, run_shape_step
 
         scene = self._scene_of(setting)
         smoke, targets = self._smoke_of(setting, scene), self._targets_of(setting)
         if self._step == "colour":
             colours, _ = run_colour_step(smoke, None, targets, scene, config, setting.per_octave)
             return smoke, colours
-        displacement, _ = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
+        free, _ = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
+        lattice, cap = free.lattice, longest_move(smoke, config)
+        held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, None))
+        displacement = Displacement(held, lattice)
         moved, _ = move_density(self._field_of(setting), smoke, displacement, config)
         return smoke, moved
 
@@ -189,8 +193,11 @@ class Trial:
         from usdsmoke.core.style import decode_srgb
 
         targets = self._targets_of(Setting((1,), self._judge_config))
-        for view in self._views():
-            (seen,) = prepare_views(smoke, [view], self._scene.gamma_w, self._scene.exposure)
+        if id(smoke) not in self._judged:  # those of ``_smokes``, which live as long as this does
+            scene = self._scene
+            views = prepare_views(smoke, self._views(), scene.gamma_w, scene.exposure)
+            self._judged[id(smoke)] = views
+        for seen in self._judged[id(smoke)]:
             yield seen.straight_picture(decode_srgb(colours), targets.background), seen.guide
 
     def _shape_losses(self, smoke: "ActiveSmoke", density: Any) -> Any:

@@ -1,5 +1,7 @@
 """What the sentences say follows from the points."""
 
+from dataclasses import replace
+
 from tests.report_fixtures import point, result_of
 from usdsmoke.report.conclude import conclude
 from usdsmoke.report.records import Spread
@@ -53,6 +55,25 @@ def test_differences_within_the_spread_of_the_runs_count_as_none() -> None:
     sentence = conclude(result_of(noisy)).sentences["ours"]
     assert sentence.endswith("16 takes 2x the time and changes the error by no more than the runs "
                              "differ.")  # fmt: skip
+
+
+def test_costs_within_the_spread_of_the_runs_count_as_equal() -> None:
+    points = [point("ours", "8", 0.1, 1.1, configured=True), point("other", "7", 0.1, 1.0)]
+    noisy = [replace(p, cost=Spread(p.cost.median, 0.9, 1.2)) for p in points]
+    assert "is the cheapest of those measured" in conclude(result_of(noisy)).verdict
+    assert "is within 1.1x of the cheapest" in conclude(result_of(points)).verdict
+
+
+def test_what_the_best_point_of_another_curve_gains_is_told() -> None:
+    points = [
+        point("rule", "2e-3", 0.1, 1.0, configured=True),
+        point("number", "60 (1x)", 0.1, 1.0),
+        point("number", "120 (2x)", 0.099, 2.1),
+    ]
+    assert conclude(result_of(points)).sentences["number"] == (
+        "It has the configured error at 1x the time (60 (1x)); 120 (2x) takes 2.1x and lowers the "
+        "error by 1.0%."
+    )
 
 
 def test_the_order_is_fitted_where_the_curve_has_numbers() -> None:

@@ -68,9 +68,9 @@ def test_a_point_that_would_not_fit_is_not_begun_and_named() -> None:
     time = FakeTime()
     results, omitted, told = run([sweep_of(time, "a", [1, 100, 2], 1.0)], time, 20.0)
     assert [point.label for point in results[0].points] == ["a0", "a2"]
-    assert results[0].missing == ("curve, a1",) and "curve, a1" not in told
+    assert results[0].missing == ("curve (a1)",) and "curve, a1" not in told
     assert time.now == 100.0 + 3 * (1 + 2)
-    assert "curve, a1" in omitted[0].reason
+    assert "curve (a1)" in omitted[0].reason
 
 
 def test_what_an_earlier_sweep_does_not_use_is_left_to_the_later_ones() -> None:
