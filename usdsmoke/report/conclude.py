@@ -42,7 +42,9 @@ def _verdict(points: Sequence[Point], chosen: Point | None, noun: str) -> str:
     name = f"The configured point ({chosen.curve}, {chosen.label})"
     if len(points) == 1:
         return f"{name} is the only one that was measured."
-    best = min((p for p in points if _as_good(p, chosen)), key=lambda p: p.cost.median)
+    best = min(
+        (p for p in points if p is chosen or _as_good(p, chosen)), key=lambda p: p.cost.median
+    )
     ratio = chosen.cost.median / best.cost.median
     if best is chosen or not _costs_more(chosen, best):
         return f"{name} is the cheapest of those measured at its error."

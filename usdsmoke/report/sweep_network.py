@@ -80,12 +80,16 @@ def _style_patches(case: Case) -> "Tensor":
 
 
 def _patches(seen: "Tensor") -> "Tensor":
-    """Patches of a picture that lie in its smoke, [N 147], of [H W 4]."""
+    """Patches of a picture whose middle lies in its smoke, [N 147], of [H W 4].
+
+    All of them where there is so little smoke that no middle does.
+    """
     import torch.nn.functional as F
 
     columns = F.unfold(seen.permute(2, 0, 1)[None].cpu(), _PATCH)[0].T
-    guide = columns[:, -(_PATCH**2) :]
-    return columns[guide.min(dim=1).values > 0.5][:, : -(_PATCH**2)]
+    colours, guide = columns[:, : -(_PATCH**2)], columns[:, -(_PATCH**2) :]
+    inside = guide[:, _PATCH**2 // 2] > 0.5
+    return colours[inside] if bool(inside.any()) else colours
 
 
 def patch_distance(seen: "Tensor", style: "Tensor") -> float:
@@ -98,8 +102,6 @@ def patch_distance(seen: "Tensor", style: "Tensor") -> float:
     import torch
 
     patches = _patches(seen)
-    if len(patches) == 0:
-        return float("nan")
     generator = torch.Generator().manual_seed(0)
     ways = torch.randn(style.shape[1], _N_DIRECTIONS, generator=generator)
     ways = ways / ways.norm(dim=0)
