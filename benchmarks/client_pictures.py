@@ -13,7 +13,6 @@ there Storm draws the stage scaled by gamma_w, for it takes the density itself a
 """
 
 import argparse
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from pxr import Gf, Usd, UsdGeom
 
+from benchmarks.client_runs import GREY, ClientRuns, over_black
 from benchmarks.client_stages import author_dark_stage, author_scaled_stage
 from benchmarks.display import composite, decode_display, encode_display
 from benchmarks.held_out import Result, draw_march, read_result
@@ -32,7 +32,6 @@ from usdsmoke.errors import UsdSmokeError
 
 __all__ = ["main"]
 
-GREY = 0.18  # display-encoded background that the Storm script puts its picture on
 INSIDE = 0.5  # opacity above which pixels are compared
 
 
@@ -116,75 +115,34 @@ def _camera_view(stage: Usd.Stage, camera_path: str, frame: int, size: int) -> V
     return View(axes[0], axes[1], -axes[2], centre, size, size, pixel_size, focal)
 
 
-class _Clients:
-    """Runs the scripts and reads what they drew."""
-
-    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
-        self.options, self.folder = options, folder
-
-    def storm(self, stage_file: Path, name: str, alpha: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Storm's picture, and its light over black: the script puts it on grey, encoded."""
-        script, frame = self.options.clients / "storm_render.py", str(self.options.frame)
-        picture = self._draw(script, stage_file, name, "--frames", frame)
-        own = np.clip(picture - (1.0 - alpha[..., None]) * GREY, 0.0, 1.0)
-        return picture, decode_display(own)
-
-    def cycles(self, name: str, gamma_w: float, *words: str) -> tuple[np.ndarray, ...]:
-        """The picture of the script with its sun, encoded and linear."""
-        script, frame = self.options.clients / "blender_render.py", str(self.options.frame)
-        words = ("--frames", frame, "--gain", str(gamma_w), *words)
-        picture = self._draw(script, self.options.stage, name, *words, *self._samples())
-        return picture, decode_display(picture)
-
-    def bare_cycles(self, gamma_w: float) -> tuple[np.ndarray, ...]:
-        """The picture of our own shader without lamps, encoded and linear."""
-        script, frame = Path(__file__).with_name("cycles_emission.py"), str(self.options.frame)
-        words = ["--frame", frame, "--extinction", str(gamma_w), *self._samples()]
-        picture = self._draw(script, self.options.stage, "bare", *words)
-        return picture, decode_display(picture)
-
-    def _samples(self) -> list[str]:
-        return ["--samples", str(self.options.samples)]
-
-    def _draw(self, script: Path, stage_file: Path, name: str, *words: str) -> np.ndarray:
-        out = self.folder / f"{name}.png"
-        command = [str(self.options.python), str(script), str(stage_file), str(out), *words]
-        _run([*command, "--camera", self.options.camera, "--size", str(self.options.size)])
-        with Image.open(out) as image:
-            return np.asarray(image.convert("RGB"), np.float32) / 255.0
-
-
 def _draw_clients(
     options: argparse.Namespace, result: Result, view: View, folder: Path
 ) -> list[Drawn]:
-    clients, gamma_w, frame = _Clients(options, folder), result.gamma_w, options.frame
+    gamma_w, frame, stage_file = result.gamma_w, options.frame, options.stage
+    clients = ClientRuns(
+        options.clients, options.python, folder, options.camera, options.size, options.samples
+    )
     as_is = replace(result, gamma_w=1.0)  # Storm's extinction, whatever the look says
     alpha_as_is, alpha = draw_march(as_is, view)[1], draw_march(result, view)[1]
-    dark = author_dark_stage(options.stage, folder / "dark.usda")
-    storm, storm_light = clients.storm(options.stage, "storm", alpha_as_is)
-    storm_dark = clients.storm(dark, "storm_dark", alpha_as_is)[1]
+    dark = author_dark_stage(stage_file, folder / "dark.usda")
+    storm, storm_dark = (clients.storm(file, "storm", frame) for file in (stage_file, dark))
     scaled = [
         author_scaled_stage(
             file, folder / f"{file.stem}_scaled.usda", options.camera, gamma_w, frame
         )
-        for file in (options.stage, dark)
+        for file in (stage_file, dark)
     ]
-    lit, unlit = (clients.storm(file, file.stem, alpha)[1] for file in scaled)
-    cycles, cycles_light = clients.cycles("cycles", gamma_w)
-    cycles_dark = clients.cycles("cycles_dark", gamma_w, "--colour", "")[1]
+    lit, unlit = (over_black(clients.storm(file, "scaled", frame), alpha) for file in scaled)
+    cycles = clients.lit_cycles(stage_file, "cycles", frame, gamma_w)
+    cycles_dark = clients.lit_cycles(stage_file, "dark", frame, gamma_w, "--colour", "")
+    bare, _ = clients.bare_cycles(stage_file, "bare", frame, gamma_w)
+    storm_light = over_black(storm, alpha_as_is) - over_black(storm_dark, alpha_as_is)
     return [
-        Drawn("Storm", storm, storm_light - storm_dark),
+        Drawn("Storm", storm, storm_light),
         Drawn("Storm; below, scaled", storm, (lit - unlit) / gamma_w),
-        Drawn("Cycles, sun", cycles, cycles_light - cycles_dark),
-        Drawn("Cycles, emission only", *clients.bare_cycles(gamma_w)),
+        Drawn("Cycles, sun", cycles, decode_display(cycles) - decode_display(cycles_dark)),
+        Drawn("Cycles, emission only", bare, decode_display(bare)),
     ]
-
-
-def _run(command: Sequence[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    print(*(line for line in done.stdout.splitlines() if "chroma" in line), sep="\n")
-    if done.returncode:
-        raise RuntimeError(f"{command[1]} ended with {done.returncode}:\n{done.stderr[-2000:]}")
 
 
 def _sheet(drawn: Sequence[Drawn]) -> Image.Image:

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-__all__ = ["author_dark_stage", "author_scaled_stage"]
+__all__ = ["author_dark_stage", "author_overlay", "author_scaled_stage"]
 
 _METADATA = ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "defaultPrim")
 
 
 def author_dark_stage(stage_file: Path, out_file: Path) -> Path:
     """The stage with no emission on any Volume: what is left is the client's own light."""
-    stage = _overlay(stage_file, out_file)
+    stage = author_overlay(stage_file, out_file)
     for prim in stage.Traverse():
         if prim.IsA(UsdVol.Volume):
             UsdVol.Volume(prim).BlockFieldRelationship("emission")
@@ -29,7 +29,7 @@ def author_scaled_stage(
     gamma_w * density per old unit, the new and longer units are what makes it just that. The
     emission stays as it is, so every pixel comes out gamma_w times as bright as it should.
     """
-    stage = _overlay(stage_file, out_file)
+    stage = author_overlay(stage_file, out_file)
     time = Usd.TimeCode(time_code)
     camera = UsdGeom.Camera.Get(stage, camera_path)
     place = camera.ComputeLocalToWorldTransform(time)
@@ -53,8 +53,8 @@ def _scale_in_world(volume: UsdGeom.Xformable, factor: float, time: Usd.TimeCode
     volume.SetResetXformStack(True)
 
 
-def _overlay(stage_file: Path, out_file: Path) -> Usd.Stage:
-    """A new stage over another one; stage metadata does not come through a sublayer, so copied."""
+def author_overlay(stage_file: Path, out_file: Path) -> Usd.Stage:
+    """A new stage over another one, in a new file; with its metadata, which no sublayer brings."""
     source = Usd.Stage.Open(str(stage_file))
     layer = Sdf.Layer.CreateNew(str(out_file))
     layer.subLayerPaths.append(source.GetRootLayer().realPath)

@@ -122,6 +122,7 @@ def main() -> int:
     for volume in volumes:
         volume.data.materials.clear()
         volume.data.materials.append(_chosen_material(options))
+        print(f"volume {volume.name} shows {_shown_file(volume)}")
     scene.camera = cameras[0]
     _set_render(scene, options.size, options.samples)
     if options.light in ("Cd", "color"):
@@ -129,6 +130,13 @@ def main() -> int:
     scene.render.filepath = os.path.abspath(options.out)
     bpy.ops.render.render(write_still=True)
     return 0
+
+
+def _shown_file(volume: "bpy.types.Object") -> str:
+    """The file that Blender reads for this frame; empty when there is none."""
+    grids = volume.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.grids
+    grids.load()
+    return str(grids.frame_filepath) if grids.is_loaded else ""
 
 
 def _chosen_material(options: argparse.Namespace) -> "bpy.types.Material":

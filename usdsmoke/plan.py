@@ -174,10 +174,11 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
         )
     if output is None:
         return
-    wanted, free = plan.estimate.bytes_written + _DISK_RESERVE, free_disk_bytes(output)
-    if wanted > free:
+    wanted, free = plan.estimate.bytes_written, free_disk_bytes(output)
+    if wanted + _DISK_RESERVE > free:
         raise PlanError(
-            f"the result takes about {wanted / 1e6:,.0f} MB; the disk of {output} has "
+            f"the result takes about {wanted / 1e6:,.0f} MB, and {_DISK_RESERVE / 1e6:,.0f} MB are "
+            f"wanted beside it; the disk of {output} has "
             f"{free / 1e6:,.0f} MB free: free some space, choose another output folder, select "
             "fewer frames or set grids.half (--half)"
         )

@@ -128,7 +128,7 @@ def _choose_volumes(
         return volumes, inside
     if inside:
         path, reason = next(iter(inside.items()))
-        raise StageError(f"cannot stylize Volume <{path}>: {reason}")
+        raise StageError(f"cannot use Volume <{path}>: {reason}")
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}; wanted a prim of type Volume "
         f"with a density field{_composition_hint(stage)}"
@@ -159,7 +159,7 @@ def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd
         kind = prim.GetTypeName() or "none"
         raise VolumeNotFound(f"the prim <{path}> is of type {kind}; {advice}")
     if prim.IsInstanceProxy():
-        raise StageError(f"cannot stylize Volume <{path}>: {describe_instance(prim)}")
+        raise StageError(f"cannot use Volume <{path}>: {describe_instance(prim)}")
     return prim
 
 
