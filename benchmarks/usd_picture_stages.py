@@ -50,8 +50,11 @@ def make_cases(result: Path, shot: str, mode: str, first: int, last: int) -> lis
 
     Raises:
         UsdSmokeError: the result cannot be put together in this mode.
+        ValueError: the mode makes no stage.
     """
-    root = Path(usdsmoke.assemble(result, mode=mode).root_stage)
+    root = usdsmoke.assemble(result, mode=mode).root_stage
+    if root is None:
+        raise ValueError(f"mode {mode!r} makes no stage to draw; wanted reference or sublayer")
     middle, off = (first + last) // 2, result.parent / f"{shot}_{mode}_off.usda"
     if mode == "reference":
         original = Case(f"variant {ORIGINAL}", author_original_stage(root, off), middle)
