@@ -69,7 +69,8 @@ def inspect_stage(
     given = GivenSettings.of(style, config, settings)
     own = given.config.stage
     own = replace(own, prims=prims or own.prims, frames=frames or own.frames)
-    source = find_volumes(stage, own, given.explicit)
+    images = {"style"} if given.styles else set()
+    source = find_volumes(stage, own, given.explicit | images)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
     return {

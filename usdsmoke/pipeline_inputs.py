@@ -100,7 +100,7 @@ def prepare_job(
     if style_files:  # then no Volume's own images or weights count
         style_shares(config.style, len(style_files))
     stage, earlier = open_source(stage_path, config.stage.restylize)
-    found = find_volumes(stage, config.stage, explicit)
+    found = find_volumes(stage, config.stage, {*explicit, *(["style"] if style_files else [])})
     if not config.stage.restylize:
         check_originals(stage, found)
     resolved = resolve_volumes(found, config, style_files, explicit)

@@ -21,6 +21,7 @@ from usdsmoke.provenance_records import LookRecord
 from usdsmoke.provenance_stage import stage_values
 from usdsmoke.stage import find_volumes, open_source, seen_through
 from usdsmoke.volume import StageSource
+from usdsmoke.volume_settings import resolve_volumes
 
 __all__ = ["Change", "check_inputs", "recorded_config", "shown"]
 
@@ -121,7 +122,7 @@ def _check_stage(
 ) -> Iterator[Change]:
     wanted = "the Volumes of the record"
     try:
-        source = job.plan.source if job is not None else _source(stage, config)
+        source = job.plan.source if job is not None else _source(record, stage, config)
     except UsdSmokeError as error:
         if some_are_gone:
             yield Change.note("unchecked", str(stage), wanted, "a stage without all of its files")
@@ -138,11 +139,15 @@ def _check_stage(
             yield Change("stage-edited", str(stage), f"{name} {texts[0]}", f"{name} {texts[1]}")
 
 
-def _source(stage: Path, config: Config) -> StageSource:
+def _source(record: LookRecord, stage: Path, config: Config) -> StageSource:
     """What the stage says, without the images that a job needs too."""
+    request = record.request()
+    explicit = {*request.get("explicit", ()), *(["style.weights"] if request["styles"] else [])}
     opened, _ = open_source(stage, config.stage.restylize)
-    found = find_volumes(opened, config.stage)
-    return seen_through(opened, found, [config.views.camera] * len(found.volumes))
+    found = find_volumes(opened, config.stage, {*explicit, "style"})
+    resolved = resolve_volumes(found, config, (), explicit, bare=True)
+    cameras = [own.config.views.camera for own in resolved.volumes]
+    return seen_through(opened, resolved.source, cameras)
 
 
 def _check_files(record: LookRecord, stage: Path, job: Job | None) -> list[Change]:

@@ -59,7 +59,7 @@ def ignored_attributes(volume: Usd.Prim) -> tuple[str, ...]:
 
 
 def read_request(
-    volume: Usd.Prim, time_codes: Sequence[float]
+    volume: Usd.Prim, time_codes: Sequence[float], with_styles: bool = True
 ) -> tuple[StyleRequest, tuple[FrameControls, ...]]:
     """What a Volume asks for, and what of it has a value of its own at each timeCode.
 
@@ -69,6 +69,7 @@ def read_request(
     Args:
         volume: a composed Volume prim.
         time_codes: those that will be stylized, at least one.
+        with_styles: whether to look for its images; not where others stand in for them.
 
     Raises:
         ConfigError: an attribute is unknown, of a wrong type, out of range, or changes over time
@@ -100,7 +101,8 @@ def read_request(
         settings.setdefault("stage", {})["mask"] = mask
     if camera := _target(volume, CAMERA):
         settings.setdefault("views", {})["camera"] = str(camera)
-    return StyleRequest(_read_styles(volume, time_codes), settings), tuple(controls)
+    styles = _read_styles(volume, time_codes) if with_styles else ()
+    return StyleRequest(styles, settings), tuple(controls)
 
 
 def _changed(control: FrameControls, name: str, value: Any) -> FrameControls:

@@ -57,7 +57,8 @@ def find_volumes(
     Args:
         stage: from ``open_stage``.
         config: the section ``stage`` of the settings.
-        explicit: dotted names of the settings that are stronger than what a Volume asks for itself.
+        explicit: dotted names of the settings that are stronger than what a Volume asks for itself;
+            ``style`` among them where images were given, which stand in for the Volumes' own.
         with_requests: whether to read what Volumes ask for; not for who only looks at the smoke.
 
     Raises:
@@ -76,7 +77,7 @@ def find_volumes(
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         if selected:
-            volumes.append(_read_volume(outline, selected, with_requests))
+            volumes.append(_read_volume(outline, selected, with_requests, "style" not in explicit))
             continue
         reason = (
             f"none of its timeCodes {format_time_codes(outline.existing)} is in {config.frames!r}"
@@ -213,11 +214,13 @@ def _select_time_codes(
     raise StageError(f"no density is authored at {wanted}; {there}; choose frames among these")
 
 
-def _read_volume(outline: _Outline, selected: Sequence[float], with_requests: bool) -> VolumeSource:
+def _read_volume(
+    outline: _Outline, selected: Sequence[float], with_requests: bool, with_styles: bool
+) -> VolumeSource:
     frames = []
     request, controls = StyleRequest(), (FrameControls(),) * len(selected)
     if with_requests:
-        request, controls = read_request(outline.prim, selected)
+        request, controls = read_request(outline.prim, selected, with_styles)
     for time_code, control in zip(selected, controls, strict=True):
         xforms = UsdGeom.XformCache(time_code)
         found = {
