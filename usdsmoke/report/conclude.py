@@ -77,6 +77,8 @@ def _around(points: Sequence[Point], chosen: Point, noun: str) -> str:
         other = max(cheaper, key=lambda p: p.cost.median)
         texts.append(f"{other.label} takes {_ratio(other, chosen)} the {noun} and "
                      f"{_change(other, chosen)}")  # fmt: skip
+    if len(points) == 1:
+        return "Nothing but what is configured was measured on this curve."
     if not texts:
         return "Nothing else on this curve costs more or less than what is configured."
     return f"Beside what is configured, {'; '.join(texts)}."

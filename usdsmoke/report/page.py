@@ -115,7 +115,8 @@ def _table(result: SweepResult) -> list[str]:
     head = "".join(f'<th class="{kind}">{escape(name)}</th>' for name, kind in names)
     rows = [_row(point) for points in result.curves.values() for point in points]
     return [
-        f"<details><summary>{len(rows)} points in figures</summary>",
+        f"<details><summary>{len(rows)} {'point' if len(rows) == 1 else 'points'} in figures"
+        "</summary>",
         f"<table><thead><tr>{head}</tr></thead><tbody>",
         *rows,
         "</tbody></table></details>",

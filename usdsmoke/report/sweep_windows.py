@@ -13,6 +13,7 @@ from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan, Task
 from usdsmoke.report.sweep_backtrace import NO_VELOCITY, ONE_FRAME
+from usdsmoke.report.sweep_iterations import scaled
 from usdsmoke.report.trial import base_iterations
 from usdsmoke.volume import VolumeFrame
 
@@ -58,7 +59,8 @@ def _plan(case: Case) -> Plan:
         tasks,
         "temporal error (mean over neighbouring frames)",
         f"{n} frames of the small copy, from timeCode {frames[0].time_code:g} on, in windows of "
-        "different size, without overlap and without the coarse step that windows share. Time is "
+        "different size, with half the iterations of other trials, without overlap and without the "
+        "coarse step that windows share. Time is "
         f"that of all {n} frames. The temporal error is the difference of a frame from the one "
         "before it, carried along by the velocity, over the smoke, borders of windows included.",
         "0, a pattern that moves with the smoke exactly.",
@@ -83,12 +85,14 @@ def _frames(case: Case) -> list[VolumeFrame]:
 
 
 def _config(case: Case) -> Config:
-    """The settings with the iterations of a trial; motion is that of the frames."""
+    """The settings with half the iterations of a trial; motion is that of the frames."""
     config = replace(case.config, grids=replace(case.config.grids, refine=1))
     config = replace(config, stage=replace(config.stage, motion="velocity"))
     config = replace(config, optimize=replace(config.optimize, iterations=None))
     for step in case.steps:
-        own = replace(getattr(config, step), iterations=list(base_iterations(case, step)))
+        own = replace(
+            getattr(config, step), iterations=list(scaled(base_iterations(case, step), 0.5))
+        )
         config = replace(config, **{step: own})
     return config
 

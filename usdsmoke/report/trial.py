@@ -27,7 +27,7 @@ __all__ = ["JUDGED", "Setting", "Trial", "base_iterations", "main_step", "untiri
 JUDGED = "style loss over views that no run has used"
 _N_JUDGES = 6  # views
 _JUDGE_SEED = 20_011  # far from any run's
-_SHARE = 1 / 250  # of the report's time that one trial may take
+_SHARE = 1 / 400  # of the report's time that one trial may take
 _FEWEST = 12  # iterations of a trial
 
 
@@ -68,7 +68,11 @@ def _fitting(case: Case, step: str) -> tuple[int, ...]:
     first, second = (_seconds(trial, pilot, case.config) for pilot in (few, more))
     each = max((second - first) / max(sum(more) - sum(few), 1), 1e-5)
     set_up = max(first - each * sum(few), 0.0)
-    wanted = max(_FEWEST, int((case.seconds * _SHARE - set_up) / each))
+    target = case.seconds * _SHARE
+    wanted = min(sum(whole), max(_FEWEST, int((target - set_up) / each)))
+    taken = _seconds(trial, octave_iterations(whole, wanted), case.config)
+    if taken > target:  # a pilot of few iterations tells little
+        wanted = max(min(_FEWEST, sum(whole)), int(wanted * target / taken))
     if wanted >= sum(whole):
         return tuple(whole)
     case.notes.append(
