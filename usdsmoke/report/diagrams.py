@@ -11,6 +11,7 @@ __all__ = ["check_matplotlib", "draw_sweep"]
 
 _COLOURS = ("#0b6e99", "#c8501e", "#3a7d2c", "#8a4fa3", "#a07900", "#5b5b5b")
 _MARKERS = "osD^vP"
+_LEAST_SPAN = 1.3  # of an axis, end by beginning
 _INCHES, _DPI = (9.2, 4.4), 105
 
 
@@ -65,6 +66,7 @@ def draw_sweep(result: SweepResult) -> bytes:
                       xytext=(3, -10), textcoords="offset points", color="#666666")  # fmt: skip
     axes.grid(True, which="both", color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
+    _widen(axes)
     _plain_ticks(axes)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     buffer = io.BytesIO()
@@ -95,6 +97,15 @@ def _place_of_zero(points: Sequence[Point]) -> float:
     """Where errors of 0 are drawn."""
     least = min((p.error.low for p in points if p.error.low > 0), default=1.0)
     return least / 5
+
+
+def _widen(axes: Any) -> None:
+    """Room around points that (nearly) agree: no axis is shown that spans round-off."""
+    for limits, change in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
+        low, high = limits
+        if high / low < _LEAST_SPAN:
+            middle = (low * high) ** 0.5
+            change(middle / _LEAST_SPAN**0.5, middle * _LEAST_SPAN**0.5)
 
 
 def _plain_ticks(axes: Any) -> None:

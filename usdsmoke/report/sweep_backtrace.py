@@ -19,8 +19,8 @@ ONE_FRAME = "one frame: nothing is carried from frame to frame"
 NO_VELOCITY = "the Volume has no velocity that is read: nothing is carried from frame to frame"
 _ORDERS = {1: "Euler, order 1", 2: "mid-point, order 2 (ours)", 4: "Runge-Kutta, order 4"}
 _SUBSTEPS = (1, 2, 4, 8, 16)
-_REFERENCE_SUBSTEPS = 96
-_MOST_POINTS = 40_000
+_REFERENCE_SUBSTEPS = 48
+_MOST_POINTS = 10_000
 
 
 def time_step(case: Case) -> float:
@@ -63,7 +63,7 @@ def _plan(case: Case) -> Plan:
             float(order * n),
         )
         for n in sorted({*_SUBSTEPS, chosen}, key=lambda n: (n != chosen, n))
-        for order, name in _ORDERS.items()
+        for order, name in sorted(_ORDERS.items(), key=lambda item: item[0] != 2)
     ]
     cfl = float(rates.abs().max()) * seconds
     return Plan(
@@ -90,7 +90,7 @@ def _flow(case: Case) -> tuple["Tensor", "Tensor"]:
     to_stage = velocity.index_to_world @ np.asarray(place, float)
     to_index = np.linalg.inv(to_stage)
     positions = case.smoke.positions.cpu().numpy()
-    positions = positions[:: max(1, len(positions) // _MOST_POINTS)]
+    positions = positions[:: -(-len(positions) // _MOST_POINTS)]
     places = positions @ to_index[:3, :3] + to_index[3, :3] - np.asarray(velocity.ijk_min)
     rates = velocity.values.astype(float) @ np.linalg.inv(velocity.index_to_world[:3, :3])
     return torch.from_numpy(rates), torch.from_numpy(places)

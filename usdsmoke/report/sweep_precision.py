@@ -38,7 +38,7 @@ def _plan(case: Case) -> Plan:
     tasks = [
         Task(
             name,
-            f"{name}, {layout}",
+            layout,
             partial(
                 lambda dtype, order, run: gradient(judge, picture, guide, dtype, order),
                 dtype,
