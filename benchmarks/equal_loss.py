@@ -282,17 +282,20 @@ def main(arguments: list[str] | None = None) -> int:
                 octaves = (1, 1) if options.quick else BASELINE[step]
                 ladder = OURS[step][:1] if options.quick else OURS[step]
                 found.append(compare(name, frame, style, step, octaves, ladder))
+                _write(options.report, found, words)  # after every one, for they take minutes
     except (OSError, ValueError, UsdSmokeError) as error:
         print(f"benchmarks.equal_loss: {error}", file=sys.stderr)
         return 1
-    report = render_report(found, words)
-    options.report.parent.mkdir(parents=True, exist_ok=True)
-    options.report.write_text(report, encoding="utf-8")
+    print(options.report.read_text(encoding="utf-8"))
+    return 0
+
+
+def _write(file_path: Path, found: Sequence[Comparison], words: Sequence[str]) -> None:
+    file_path.parent.mkdir(parents=True, exist_ok=True)
+    file_path.write_text(render_report(found, words), encoding="utf-8")
     values = {"circumstances": circumstances(words), "comparisons": [asdict(c) for c in found]}
     text = json.dumps(values, indent=1) + "\n"
-    options.report.with_suffix(".json").write_text(text, encoding="utf-8")
-    print(report)
-    return 0
+    file_path.with_suffix(".json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
