@@ -89,11 +89,9 @@ class Comparison:
 
 
 def _settings(step: str, frame: VolumeFrame, iterations: int | None = None) -> Config:
-    longest = max(frame.density.values.shape)
     optimize = {"steps": [step], "threads": 1, "device": "cpu", "tolerance": 0.0}
-    if iterations is not None:
-        optimize["iterations"] = iterations
-    views = {"image_size": max(16, longest)}
+    optimize |= {"iterations": iterations}
+    views = {"image_size": max(16, *frame.density.values.shape)}
     # the reference's kind of unknown for both sides, and its mass as transport leaves it
     shape = {"displacement": "potential", "mass_correction": False}
     return resolve_config({"views": views, "shape": shape, "optimize": optimize})

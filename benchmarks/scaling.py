@@ -15,13 +15,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.circumstances import circumstances
 from benchmarks.scaling_cases import Case, Cost, measure_case, measure_peak
+from usdsmoke.config import resolve_config
 
 __all__ = ["fit_exponent", "list_cases", "main", "render_report"]
 
@@ -32,6 +33,14 @@ NETWORK_MARK = 0.6
 EXPONENT_MARKS = {"active": (0.85, 1.15), "box": (-0.1, 0.1)}
 
 Costs = dict[str, list[tuple[Case, Cost]]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """How a series was made: runs of single series may be put together in one report."""
+
+    circumstances: list[str]
+    peak_gflops: float  # of a large convolution, in the same run
 
 
 def list_cases(quick: bool = False, device: str = "cpu") -> dict[str, list[Case]]:
@@ -82,9 +91,8 @@ def measure_in_child(case: Case) -> Cost:
     return Cost(**json.loads(done.stdout))
 
 
-def render_report(costs: Costs, peaks: Sequence[float], command: Sequence[str]) -> str:
-    """All tables in Markdown."""
-    peak = float(np.median(peaks))
+def render_report(costs: Costs, made: Mapping[str, Made]) -> str:
+    """All tables in Markdown; a series that is not ``made`` is left out."""
     lines = ["# Cost against size", "", *(__doc__ or "").split("\n\n", 2)[2].splitlines(), ""]
     lines += [
         "Seconds are CPU seconds of an iteration (median of all but the first; wall seconds on a",
@@ -101,7 +109,9 @@ def render_report(costs: Costs, peaks: Sequence[float], command: Sequence[str]) 
         "network": "## The network's share, a voxel a pixel",
     }
     for series, title in titles.items():
-        lines += [title, "", *_verdicts(series, costs[series]), *_table(costs[series], peak), ""]
+        if series in made:
+            table = _table(costs[series], made[series].peak_gflops)
+            lines += [title, "", *_verdicts(series, costs[series]), *table, ""]
     lines += [
         "## Left out",
         "",
@@ -110,11 +120,15 @@ def render_report(costs: Costs, peaks: Sequence[float], command: Sequence[str]) 
         "- The shape step on smoke spread over 256^3: its potential lies on the smoke's own box,",
         "  so it does depend on the size of a box that the smoke fills thinly (see the series).",
         "",
-        f"Convolution peak of this run: {peak:.0f} GFLOP/s on one thread ("
-        + ", ".join(f"{value:.0f}" for value in peaks) + " between the series).",
+        "Convolution peak on one thread, GFLOP/s: "
+        + ", ".join(f"{made[name].peak_gflops:.0f} ({name})" for name in titles if name in made)
+        + ".",
         "",
     ]  # fmt: skip
-    return "\n".join([*lines, *circumstances(command)]) + "\n"
+    for text in dict.fromkeys("\n".join(made[name].circumstances) for name in made):
+        names = [name for name in made if "\n".join(made[name].circumstances) == text]
+        lines += [f"Made ({', '.join(names)}):", "", text, ""]
+    return "\n".join(lines)
 
 
 def _table(found: Sequence[tuple[Case, Cost]], peak: float) -> list[str]:
@@ -169,16 +183,27 @@ def _network_verdicts(found: Sequence[tuple[Case, Cost]]) -> list[str]:
     layouts = dict.fromkeys(case.layout for case, _ in found)
     for layout in layouts:
         for views in (1, 9):
-            chosen = [c for case, c in found if (case.layout, case.views) == (layout, views)]
+            chosen = [pair for pair in found if (pair[0].layout, pair[0].views) == (layout, views)]
             if not chosen:
                 continue
-            share = sum(c.network_s for c in chosen) / sum(c.seconds for c in chosen)
-            met = "met" if share >= NETWORK_MARK else "missed"
+            rounds = [_finest_iterations(case.step) for case, _ in chosen]
+            pairs = list(zip(rounds, (cost for _, cost in chosen), strict=True))
+            share = sum(n * c.network_s for n, c in pairs) / sum(n * c.seconds for n, c in pairs)
+            met, ends = (
+                "met" if share >= NETWORK_MARK else "missed",
+                zip(rounds, chosen, strict=True),
+            )
             lines.append(
-                f"- {layout}, {views} view{'' if views == 1 else 's'} an iteration, an iteration "
-                f"of each step: {share:.0%} (mark {NETWORK_MARK:.0%}: {met})."
+                f"- {layout}, {views} view{'' if views == 1 else 's'} an iteration: {share:.0%} of "
+                f"{' and '.join(f'{n} iterations of {c.step}' for n, (c, _) in ends)} (mark "
+                f"{NETWORK_MARK:.0%}: {met})."
             )
     return lines
+
+
+def _finest_iterations(step: str) -> int:
+    """The default number of iterations of a step at full resolution."""
+    return int(getattr(resolve_config(), step).iterations[-1])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -187,7 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="small boxes, few cases")
-    parser.add_argument("--series", nargs="+", help="only these; the report has the others empty")
+    parser.add_argument("--series", nargs="+", help="only these; others stay as they are")
     parser.add_argument("--report", type=Path, default=Path("benchmarks/results/scaling.md"))
     parser.add_argument("--case", help=argparse.SUPPRESS)  # of a child process, JSON
     options = parser.parse_args(arguments)
@@ -196,39 +221,49 @@ def main(arguments: list[str] | None = None) -> int:
         print(json.dumps(dataclasses.asdict(cost)))
         return 0
     words = ["python -m benchmarks.scaling", *(sys.argv[1:] if arguments is None else arguments)]
-    for costs, peaks in _measure_all(options.quick, options.series, measure_in_child):
-        _write(options.report, costs, peaks, words)  # after every series, for they take minutes
+    costs, made = _read(options.report.with_suffix(".json")) if options.series else ({}, {})
+    for series in options.series or list_cases():
+        costs[series], peak = _measure_series(series, options.quick)
+        made[series] = Made(circumstances(words), peak)
+        _write(options.report, costs, made)  # after every series, for they take minutes
     print(options.report.read_text(encoding="utf-8"))
     return 0
 
 
-def _write(file_path: Path, costs: Costs, peaks: Sequence[float], words: Sequence[str]) -> None:
+def _measure_series(series: str, quick: bool) -> tuple[list[tuple[Case, Cost]], float]:
+    """On the CPU and, if there is one, a GPU; and the speed of a convolution before and after."""
+    import torch
+
+    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    before = measure_peak()
+    cases = [case for device in devices for case in list_cases(quick, device)[series]]
+    found = [(case, measure_in_child(case)) for case in cases]
+    return found, (before + measure_peak()) / 2
+
+
+def _write(file_path: Path, costs: Costs, made: Mapping[str, Made]) -> None:
     """The report, and everything that it is made from as JSON."""
     file_path.parent.mkdir(parents=True, exist_ok=True)
-    file_path.write_text(render_report(costs, peaks, words), encoding="utf-8")
-    rows = {
-        series: [{**dataclasses.asdict(case), **dataclasses.asdict(cost)} for case, cost in found]
+    file_path.write_text(render_report(costs, made), encoding="utf-8")
+    values = {
+        series: {
+            **dataclasses.asdict(made[series]),
+            "rows": [[dataclasses.asdict(case), dataclasses.asdict(cost)] for case, cost in found],
+        }
         for series, found in costs.items()
     }
-    values = {"circumstances": circumstances(words), "peak_gflops": list(peaks), **rows}
     text = json.dumps(values, indent=1) + "\n"
     file_path.with_suffix(".json").write_text(text, encoding="utf-8")
 
 
-def _measure_all(
-    quick: bool, chosen: Sequence[str] | None, measure: Callable[[Case], Cost]
-) -> Iterator[tuple[Costs, list[float]]]:
-    """Series after series, on the CPU and, if there is one, a GPU; a convolution in between."""
-    import torch
-
-    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    costs: Costs = {series: [] for series in list_cases(quick)}
-    peaks = [measure_peak()]
-    for series in chosen or costs:
-        for device in devices:
-            costs[series] += [(case, measure(case)) for case in list_cases(quick, device)[series]]
-        peaks.append(measure_peak())
-        yield costs, peaks
+def _read(json_file: Path) -> tuple[Costs, dict[str, Made]]:
+    """What an earlier run has written; nothing where there is none."""
+    values = json.loads(json_file.read_text(encoding="utf-8")) if json_file.is_file() else {}
+    made = {name: Made(v["circumstances"], v["peak_gflops"]) for name, v in values.items()}
+    return {
+        name: [(Case(**case), Cost(**cost)) for case, cost in v["rows"]]
+        for name, v in values.items()
+    }, made
 
 
 if __name__ == "__main__":

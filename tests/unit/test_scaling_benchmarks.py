@@ -129,13 +129,16 @@ def test_the_command_writes_tables_exponents_and_marks(
     report = file_path.read_text(encoding="utf-8")
     assert "- colour: volume part ~ voxels^1.00; over the last three sizes ^1.00" in report
     assert "- colour: volume part ~ box^0.00 (mark -0.1 to 0.1: met)" in report
-    assert "- plume, 9 views an iteration, an iteration of each step: 66% (mark 60%: met)" in report
-    assert (
-        "- plume, 1 view an iteration, an iteration of each step: 0% (mark 60%: missed)" in report
-    )
+    assert "- plume, 9 views an iteration: 66% of 40 iterations of shape and 120" in report
+    assert "- plume, 1 view an iteration: 0% of 40 iterations of shape and 120" in report
     values: dict[str, Any] = json.loads(file_path.with_suffix(".json").read_text(encoding="utf-8"))
-    assert len(values["active"]) == 10 and values["active"][0]["step"] == "shape"
-    assert values["circumstances"] and values["peak_gflops"] == [50.0] * 6
+    rows = values["active"]["rows"]
+    assert len(rows) == 10 and rows[0][0]["step"] == "shape" and rows[0][1]["peak_gib"] == 0.2
+    assert values["active"]["circumstances"] and values["active"]["peak_gflops"] == 50.0
+    monkeypatch.setattr(scaling, "measure_peak", lambda: 70.0)
+    assert scaling.main(["--series", "padded", "--report", str(file_path)]) == 0
+    report = file_path.read_text(encoding="utf-8")  # one series anew, the others as they were
+    assert "50 (active), 70 (padded)" in report and report.count("Made (") == 2
 
 
 def test_a_case_runs_in_a_process_of_its_own_and_a_failing_one_is_told() -> None:
@@ -146,6 +149,6 @@ def test_a_case_runs_in_a_process_of_its_own_and_a_failing_one_is_told() -> None
 
 
 def test_a_report_with_some_series_only_is_whole() -> None:
-    costs: scaling.Costs = {series: [] for series in list_cases()}
-    costs["padded"] = [(Case("shape", n, layout="padded"), COST) for n in (32, 64)]
-    assert "## The same smoke in larger boxes" in render_report(costs, [10.0], ["x"])
+    costs = {"padded": [(Case("shape", n, layout="padded"), COST) for n in (32, 64)]}
+    report = render_report(costs, {"padded": scaling.Made(["- x"], 10.0)})
+    assert "## The same smoke in larger boxes" in report and "## More smoke" not in report
