@@ -55,7 +55,7 @@ def test_the_rules_stand_in_usds_own_registry():
     assert register_validators() == names
     registry = UsdValidation.ValidationRegistry()
     assert all(registry.HasValidator(name) for name in names)
-    assert len(names) == 16
+    assert len(names) == 17
     metadata = registry.GetValidatorMetadata(PREFIX + "GridMissing")
     assert "usdsmoke" in metadata.GetKeywords()
     assert metadata.GetSchemaTypes() == ["UsdVolVolume"]
