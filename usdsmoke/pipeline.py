@@ -266,8 +266,11 @@ def _prepare(
     settings: Mapping[str, Any] | Sequence[str],
     planned: Callable[[Plan], None] | None,
 ) -> Job:
+    # Read when torch is imported, later.
     # Threads that spin while they wait slow each other down many times where processors are shared.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported, later
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Every size of picture leaves its convolutions in a cache, which grows with the shot.
+    os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")
     resolved, explicit = resolve_settings(config, settings)
     job = _settled(stage, style, Path(output), resolved, explicit)
     if planned is not None:
