@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from usdsmoke.errors import StageError
+from usdsmoke.stage.named import named_prim
 from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import CameraSource, StageSource
 
@@ -94,15 +95,7 @@ def seen_through(
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
     listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage)) or "none"
     advice = f"wanted one of the stage's cameras: {listed}"
-    if not (
-        path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
-    ):
-        raise StageError(f"{path!r} is no path of a camera, as /World/camera is; {advice}")
-    prim = stage.GetPrimAtPath(path)
-    if not prim:
-        raise StageError(f"no prim <{path}> on the stage; {advice}")
-    if not prim.IsActive():
-        raise StageError(f"the prim <{path}> is inactive; activate it, or {advice}")
+    prim = named_prim(stage, path, "a camera, as /World/camera is", advice, StageError)
     if not prim.IsA(UsdGeom.Camera):
         kind = prim.GetTypeName() or "none"
         raise StageError(f"the prim <{path}> is of type {kind}, no Camera; {advice}")

@@ -3,12 +3,13 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pxr import Sdf, Usd, UsdGeom, UsdVol
+from pxr import Usd, UsdGeom, UsdVol
 
 from usdsmoke.config import StageConfig
 from usdsmoke.errors import AssetNotResolved, StageError, VolumeNotFound
 from usdsmoke.stage.assets import check_assets, field_source, field_time_codes, is_blocked
 from usdsmoke.stage.fields import VolumeFields, describe_instance, find_fields
+from usdsmoke.stage.named import named_prim
 from usdsmoke.time_codes import (
     FrameRange,
     format_time_code,
@@ -147,15 +148,7 @@ def _composition_hint(stage: Usd.Stage) -> str:
 def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
     listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
     advice = f"wanted one of the stage's Volumes: {listed}"
-    if not (
-        path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
-    ):
-        raise VolumeNotFound(f"{path!r} is no path of a prim, as /World/smoke is; {advice}")
-    prim = stage.GetPrimAtPath(path)
-    if not prim:
-        raise VolumeNotFound(f"no prim <{path}> on the stage; {advice}")
-    if not prim.IsActive():
-        raise VolumeNotFound(f"the prim <{path}> is inactive; activate it, or {advice}")
+    prim = named_prim(stage, path, "a prim, as /World/smoke is", advice, VolumeNotFound)
     if not prim.IsA(UsdVol.Volume):
         kind = prim.GetTypeName() or "none"
         raise VolumeNotFound(f"the prim <{path}> is of type {kind}; {advice}")
