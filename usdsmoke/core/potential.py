@@ -96,13 +96,24 @@ def displacement_from(
     lattice: Lattice,
     base: Tensor | None = None,
     share: Tensor | None = None,
+    at: Tensor | None = None,
 ) -> Tensor:
-    """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
+    """u on a box's voxels in *index units* along its axes; |u| < cap in stage units.
 
-    Arguments as of ``free_displacement`` and ``hold``.
+    Arguments as of ``free_displacement`` and ``hold``, and
+
+    Args:
+        base, share: with ``at``, their values at those voxels alone, [N 3] and [N].
+        at: numbers [N] of the voxels, in C order, at which u is wanted; None means all. The
+            derivatives need the box, what follows does not.
+
+    Returns:
+        [I J K 3], or [N 3].
     """
-    free = free_displacement(potential, mask, kind, lattice, base)
-    held = hold(free, cap, share)
+    free = free_displacement(potential, mask, kind, lattice)
+    if at is not None:
+        free = free.view(-1, 3).index_select(0, at)
+    held = hold(free if base is None else free + base, cap, share)
     return held / held.new_tensor(lattice.spacing)
 
 
@@ -133,7 +144,7 @@ def free_displacement(
 
 
 def hold(free: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
-    """A free displacement [I J K 3] held below the cap, voxel by voxel; stage units.
+    """A free displacement [... 3] held below the cap, voxel by voxel; stage units.
 
     What is carried along is faded at no other border than where it was made: smoke near the border
     keeps its displacement while it moves, and none is added.
@@ -141,6 +152,6 @@ def hold(free: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
     Args:
         free: stage units.
         cap: > 0.
-        share: [I J K], of the cap that holds at each voxel: the user's mask.
+        share: [...], of the cap that holds at each voxel: the user's mask.
     """
     return cap_displacement(free, cap, share)

@@ -38,6 +38,7 @@ from usdsmoke.core.potential import (
 )
 from usdsmoke.core.project import column_map
 from usdsmoke.core.resample import Pyramid
+from usdsmoke.core.sample import sample_linear
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
 from usdsmoke.core.summed import sum_terms
@@ -75,14 +76,18 @@ class _Octave:
         self.base = None if start is None else start(self.lattice)
         self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
         self.active = torch.nonzero(self._reached())
+        where = tuple(self.active.T)
+        self._arrivals = self.active.to(self.density)
+        self._numbers = _numbers_of(self.active, self.lattice)
+        self._base_there = None if self.base is None else self.base[where]
+        self._shown = None if self._share is None else self._share[where]
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
-        shown = None if self._share is None else self._share[tuple(self.active.T)]
-        still = self.density[tuple(self.active.T)]
+        still = self.density[where]
         self._views: list[GreyView] = []
         for view in frame_views(smoke, config, scene, seed, factor):
             image = column_map(positions, smoke.voxel_volume, view)
-            look = look_at(image, still, shown, scene.gamma_w_shape, scene.exposure_shape)
+            look = look_at(image, still, self._shown, scene.gamma_w_shape, scene.exposure_shape)
             if judge.wants_content:
                 content = judge.remember(look.filled(look.grey, self._behind))
                 look = replace(look, content=content)
@@ -98,23 +103,28 @@ class _Octave:
         reached = (self.density > 0) | grow(self.effect > 0)
         if self.base is not None:
             still = self.base.new_zeros(*self.lattice.shape, N_CHANNELS[self._kind])
-            reached |= grow(warp(self.density, self._displacement(still), scheme="linear") > 0)
+            u = displacement_from(
+                still, self.effect, self._kind, self._cap, self.lattice, self.base, self._share
+            )
+            reached |= grow(warp(self.density, u, scheme="linear") > 0)
         return reached
 
     @property
     def _kind(self) -> str:
         return self._config.shape.displacement
 
-    def _displacement(self, potential: Tensor) -> Tensor:
-        return displacement_from(
-            potential, self.effect, self._kind, self._cap, self.lattice, self.base, self._share
-        )
-
     def moved(self, potential: Tensor) -> Tensor:
-        """Moved density at the active voxels, [N]; the cheap scheme."""
-        u = self._displacement(potential)
-        chosen = u[tuple(self.active.T)]
-        return warp(self.density, chosen, active_ijk=self.active, scheme="linear")
+        """Moved density at the active voxels, [N]; the cheap scheme.
+
+        Raises:
+            NonFiniteError: the displacement is not finite.
+        """
+        u = displacement_from(
+            potential, self.effect, self._kind, self._cap, self.lattice,
+            self._base_there, self._shown, self._numbers,
+        )  # fmt: skip
+        # what never changes, ``warp`` would look through for NaN in every iteration
+        return sample_linear(self.density, self._arrivals - u)
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
@@ -188,6 +198,12 @@ def longest_move(source: ActiveSmoke, config: Config) -> float:
     low, high = source.box
     sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)
     return config.shape.reach * float(max((high - low + 1) * sides))
+
+
+def _numbers_of(ijk: Tensor, lattice: Lattice) -> Tensor:
+    """Voxels [N 3] by their number in C order, [N]."""
+    _, n_j, n_k = lattice.shape
+    return (ijk[:, 0] * n_j + ijk[:, 1]) * n_k + ijk[:, 2]
 
 
 def _n_channels(kind: str, source: ActiveSmoke) -> int:
