@@ -89,7 +89,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("contact_sheet*", GROUND | {"images", "publish"}, {"numpy", "PIL"}),
     (
         "core*",
-        {"errors", "sections", "config", "volume", "storage_error", "core*"},
+        {"errors", "sections", "config", "volume", "memory", "storage_error", "core*"},
         {"numpy", "torch"},
     ),
     ("run_progress", GROUND | WITHOUT_TORCH, set()),

@@ -14,6 +14,7 @@ from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.grids.write import write_frame
 from usdsmoke.layer import author_look
 from usdsmoke.layer.records import EMISSION
+from usdsmoke.memory import give_back_memory
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request
 from usdsmoke.pipeline_outputs import (
@@ -28,12 +29,7 @@ from usdsmoke.pipeline_windows import list_tasks
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
-from usdsmoke.run_windows import (
-    WindowRecord,
-    finished_window,
-    part_file_name,
-    remove_locks,
-)
+from usdsmoke.run_windows import WindowRecord, finished_window, part_file_name, remove_locks
 from usdsmoke.schema import late_note
 from usdsmoke.time_codes import format_time_codes
 from usdsmoke.volume import DenseField
@@ -171,6 +167,7 @@ def _collect_frames(
             continue
         tell(RunProgress("blend", pair.frame.source.time_code, number, len(versions), 1.0))
         run.finish_frame(name, _blend(run, pair))
+        give_back_memory()
 
 
 def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:

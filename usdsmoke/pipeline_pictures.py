@@ -1,7 +1,7 @@
 """Pictures of source and result for the contact sheets, made from the files that were written."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,9 @@ def write_contact_sheet(
 ) -> None:
     """Three frames of a Volume: source, stylized grey, stylized colour, beside the style images.
 
+    Fields are read for one picture after the other, and given up before the next ones: a run's
+    memory should be the work's and not this sheet's.
+
     Args:
         target: the PNG.
         plan: gives the stage.
@@ -57,12 +60,9 @@ def write_contact_sheet(
     frames = sample_frames(volume)
     rows: dict[str, list[np.ndarray]] = {}
     for frame in frames:
-        source = reader.read(volume, frame)
-        result = _read_result(volume.config, volume, folder / frame.file_name)
-        seen = _frame_scene(scene, source, volume.config)
-        for name, picture in _frame_pictures(volume.config, source, result, seen).items():
+        for name, picture in _frame_pictures(volume, frame, reader, folder, scene):
             rows.setdefault(name, []).append(picture)
-        give_back_memory()
+            give_back_memory()
     columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
     write_png(target, compose_sheet(title, columns, list(rows.items()), styles))
@@ -91,16 +91,23 @@ def _frame_scene(
 
 
 def _frame_pictures(
-    config: Config, source: VolumeFrame, result: Sequence[DenseField], scene: Mapping[str, Any]
-) -> dict[str, np.ndarray]:
-    to_stage = source.density_to_stage
-    pictures = {
-        "source": _picture(source.density, None, to_stage, scene, config),
-        "stylized density": _picture(result[0], None, to_stage, scene, config),
-    }
+    volume: VolumePlan,
+    frame: FramePlan,
+    reader: FrameReader,
+    folder: Path,
+    scene: Mapping[str, Any],
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and picture of what is shown of a frame; only what one picture needs is held."""
+    config = volume.config
+    source = reader.read(volume, frame)
+    to_stage, seen = source.density_to_stage, _frame_scene(scene, source, config)
+    picture = _picture(source.density, None, to_stage, seen, config)
+    del source  # the velocity with it, unless the reader remembers it
+    yield "source", picture
+    result = _read_result(config, volume, folder / frame.file_name)
+    yield "stylized density", _picture(result[0], None, to_stage, seen, config)
     if len(result) > 1:
-        pictures["stylized colour"] = _picture(result[0], result[1], to_stage, scene, config)
-    return pictures
+        yield "stylized colour", _picture(result[0], result[1], to_stage, seen, config)
 
 
 def _picture(

@@ -1,11 +1,19 @@
-"""Memory that is free goes back to the system, where the C library can give it back."""
+"""Memory: free pieces go back to the system, and no step holds more than it needs at once."""
 
 import subprocess
 import sys
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from usdsmoke import memory
+from usdsmoke import memory, pipeline_pictures
+from usdsmoke.config import Config
+from usdsmoke.volume import DenseField, VolumeFrame
 
 PIECES = """
 import os
@@ -37,3 +45,108 @@ def test_gaps_between_what_stays_are_given_back() -> None:
 def test_without_the_c_librarys_function_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "_find_trim", lambda: None)
     memory.give_back_memory()
+
+
+# Bytes a voxel while the map of a picture is made, and what a refined field takes of its own size.
+PICTURES = """
+import os
+import numpy as np
+import torch
+from usdsmoke.core.project import colour_map
+from usdsmoke.core.refine import refine_field
+from usdsmoke.core.views import orbit_view
+from usdsmoke.memory import give_back_memory
+from usdsmoke.volume import DenseField
+
+def status(name: str) -> int:
+    with open("/proc/self/status") as stream:
+        return next(int(line.split()[1]) * 1024 for line in stream if line.startswith(name))
+
+def growth(make) -> int:
+    give_back_memory()
+    with open("/proc/self/clear_refs", "w") as stream:
+        stream.write("5")  # the highest mark falls to what is resident now
+    before = status("VmRSS")
+    make()
+    return status("VmHWM") - before
+
+def picture(n: int) -> int:
+    ijk = torch.cartesian_prod(*(torch.arange(n) for _ in range(3))).double()
+    view = orbit_view(0.0, 0.0, "Y", np.full(3, n / 2), n + 2, n + 2, 1.0)
+    density = torch.ones(len(ijk))
+    return growth(lambda: colour_map(ijk, density, 1.0, 0.1, view, 1.0)) / len(ijk)
+
+def refined(n: int) -> float:
+    field = DenseField("e", np.ones((n, n, n, 3), np.float32), (0, 0, 0), np.eye(4), (0.0,) * 3,
+                       "unknown", False)
+    return growth(lambda: refine_field(field, 2)) / (field.values.nbytes * (2 + 4 / n) ** 3)
+
+torch.set_num_threads(1)
+picture(8), refined(4)  # what is loaded at first use
+print(picture(80), refined(40))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the kernel keeps no marks")
+def test_a_picture_takes_a_few_times_its_map_and_a_refined_field_little_beside_itself() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PICTURES], capture_output=True, text=True, check=True, timeout=60
+    )
+    per_voxel, share = map(float, done.stdout.split())
+    assert 64 < per_voxel < 300  # the map itself is 64
+    assert 0.9 < share < 2.5
+
+
+def test_the_contact_sheet_holds_one_frames_fields_at_a_time(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen = _Held()
+    frames = tuple(
+        SimpleNamespace(
+            is_empty=False, source=SimpleNamespace(time_code=float(n)), file_name=f"{n}.vdb"
+        )
+        for n in range(3)
+    )
+    volume = SimpleNamespace(
+        config=Config(), frames=frames, source=SimpleNamespace(prim_path="/p", density="density")
+    )
+    reader = SimpleNamespace(read=lambda volume, frame: seen.made("source", _frame(frame)))
+    monkeypatch.setattr(
+        pipeline_pictures,
+        "_read_result",
+        lambda *_: [
+            seen.made("result", _field("density")),
+            seen.made("result", _field("emission")),
+        ],
+    )
+    monkeypatch.setattr(pipeline_pictures, "_picture", seen.drawn)
+    plan = SimpleNamespace(source=SimpleNamespace(file_path="shot.usda"))
+    write: Callable[..., None] = pipeline_pictures.write_contact_sheet
+    write(tmp_path / "sheet.png", plan, volume, reader, tmp_path, {}, [])
+    assert (tmp_path / "sheet.png").is_file()
+    assert seen.at_pictures == [("source",), ("result", "result"), ("result", "result")] * 3
+
+
+class _Held:
+    """Which of the objects that were given out are still held when a picture is drawn."""
+
+    def __init__(self) -> None:
+        self._given: list[tuple[str, weakref.ref[Any]]] = []
+        self.at_pictures: list[tuple[str, ...]] = []
+
+    def made(self, name: str, item: Any) -> Any:
+        self._given.append((name, weakref.ref(item)))
+        return item
+
+    def drawn(self, *_: object) -> np.ndarray:
+        self.at_pictures.append(tuple(name for name, item in self._given if item() is not None))
+        return np.zeros((4, 4, 3), np.float32)
+
+
+def _field(name: str) -> DenseField:
+    values = np.ones((2, 2, 2), np.float32)
+    return DenseField(name, values, (0, 0, 0), np.eye(4), 0.0, "fog volume", False)
+
+
+def _frame(plan: Any) -> VolumeFrame:
+    return VolumeFrame(cast(float, plan.source.time_code), _field("density"), np.eye(4))

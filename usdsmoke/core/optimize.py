@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.errors import NonFiniteError
+from usdsmoke.memory import give_back_memory
 
 __all__ = ["Adam", "Minimum", "minimize"]
 
@@ -138,6 +139,7 @@ def minimize(
     Raises:
         NonFiniteError: still not finite after many halvings, or in every iteration there was.
     """
+    give_back_memory()  # what making the objective has left in pieces
     state = _State(parameters, adam or Adam(), rate)
     history: list[float] = []
     losses: list[float] = []

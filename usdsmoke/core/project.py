@@ -9,6 +9,7 @@ touched, and the adjoint is a plain gather. Two linear maps come out of it:
   each voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -27,6 +28,8 @@ __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
 MOST_CELLS = 2**27  # slabs times pixels: the emptiness between far places must not fill memory
+CHUNK_VOXELS = 2**14  # worked off at once: what is between input and result stays small
+CHUNK_CELLS = 2**19  # slabs times pixels, likewise
 
 
 class _Apply(torch.autograd.Function):
@@ -112,33 +115,46 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
         per_area = scale**2 * torch.sqrt(1 + (right**2 + up**2) / depth**2)
     x = (view.width - 1) / 2 + view.shift[0] + right * scale
     y = (view.height - 1) / 2 + view.shift[1] - up * scale
+    pixel = torch.empty(len(x), 4, dtype=torch.int32, device=x.device)
+    weight = x.new_empty(len(x), 4)
+    for part in _chunks(len(x), CHUNK_VOXELS):
+        _spread(x[part], y[part], visible[part], view, pixel[part], weight[part])
+    return _Footprint(pixel, weight, depth, per_area)
+
+
+def _spread(
+    x: Tensor, y: Tensor, visible: Tensor, view: View, pixel: Tensor, weight: Tensor
+) -> None:
+    """Fill in the four pixels around each place [N] and their weights, [N 4] each."""
     x0, y0 = torch.floor(x), torch.floor(y)
     fx, fy = x - x0, y - y0
-    pixels, weights = [], []
     for dy in (0, 1):
         for dx in (0, 1):
             px, py = x0 + dx, y0 + dy
             inside = (px >= 0) & (px < view.width) & (py >= 0) & (py < view.height)
             w = (fx if dx else 1 - fx) * (fy if dy else 1 - fy) * visible
-            weights.append(torch.where(inside, w, torch.zeros_like(w)))
+            weight[:, 2 * dy + dx] = torch.where(inside, w, torch.zeros_like(w))
             index = py.clamp(0, view.height - 1) * view.width + px.clamp(0, view.width - 1)
-            pixels.append(index.to(torch.int32))
-    return _Footprint(torch.stack(pixels, 1), torch.stack(weights, 1), depth, per_area)
+            pixel[:, 2 * dy + dx] = index.to(torch.int32)
+
+
+def _chunks(n: int, size: int) -> Iterator[slice]:
+    for start in range(0, n, size):
+        yield slice(start, min(start + size, n))
 
 
 def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
     """Sorts the entries by pixel; what no pixel could show is left out of both directions alike."""
-    flat = pixel.reshape(-1)
-    keep = torch.nonzero(weight.reshape(-1)).squeeze(1)
-    order = keep[torch.argsort(flat[keep], stable=True)]
+    keep = torch.nonzero(weight.view(-1)).squeeze(1)
+    ordered, place = torch.sort(pixel.view(-1)[keep], stable=True)
+    order = keep[place]
+    del keep, place  # each as large as all that is returned
     n_pixels = view.height * view.width
-    start = torch.zeros(n_pixels, dtype=torch.int32, device=flat.device)
-    counts = torch.bincount(flat[order], minlength=n_pixels)
+    start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
+    counts = torch.bincount(ordered, minlength=n_pixels)
     start[1:] = torch.cumsum(counts, 0)[:-1]
     voxel = torch.div(order, 4, rounding_mode="floor").to(torch.int32)
-    return SparseImage(
-        view.height, view.width, pixel, weight, voxel, weight.reshape(-1)[order], start
-    )
+    return SparseImage(view.height, view.width, pixel, weight, voxel, weight.view(-1)[order], start)
 
 
 def column_map(
@@ -152,7 +168,7 @@ def column_map(
         view: with pixels at least as large as the voxels, or gaps appear between them.
     """
     foot = project_voxels(positions, view)
-    weight = foot.weight * (voxel_volume * foot.per_area)[:, None]
+    weight = foot.weight.mul_((voxel_volume * foot.per_area)[:, None])
     return _sorted_image(view, foot.pixel, weight.to(dtype))
 
 
@@ -190,28 +206,47 @@ def colour_map(
     n_pixels = view.height * view.width
     depth = foot.depth - foot.depth.min()
     slab = depth / max(step, float(depth.max()) * n_pixels / MOST_CELLS)
-    slab0 = torch.floor(slab)
-    far = (slab - slab0).to(density.dtype)
-    n_slabs = int(slab0.max()) + 2
     mass = (density * (gamma_w * voxel_volume) * foot.per_area).clamp_max(THICKEST)
-    share = (foot.weight * mass[:, None]).to(density.dtype)
-    cell0 = slab0.to(torch.int64)[:, None] * n_pixels + foot.pixel.long()
-    depths = torch.zeros(n_slabs * n_pixels, dtype=density.dtype, device=density.device)
-    for cell, part in ((cell0, 1 - far), (cell0 + n_pixels, far)):
-        depths += torch.bincount(
-            cell.reshape(-1), (share * part[:, None]).reshape(-1), minlength=n_slabs * n_pixels
-        )
-    depths = depths.view(n_slabs, n_pixels)
-    per_depth = (transmittance_before(depths) * attenuation_ratio(depths)).view(-1)
-    weight = share * (
-        per_depth[cell0] * (1 - far)[:, None] + per_depth[cell0 + n_pixels] * far[:, None]
-    )
+    pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
+    del foot, depth, mass  # as large as what is worked with
+    depths = _slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
+    _light_up(depths)
+    for part in _chunks(len(slab), CHUNK_VOXELS):
+        cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)
+        per_depth = depths.view(-1)
+        weight[part] *= per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
+    del depths, per_depth
     least = NEGLIGIBLE * float(alpha.max())
-    weight = torch.where(weight > least, weight, torch.zeros_like(weight))
+    weight.masked_fill_(~(weight > least), 0)
     if shown is None:
-        return _sorted_image(view, foot.pixel, weight), alpha
+        return _sorted_image(view, pixel, weight), alpha
     some = shown > 0
     weight = weight[some] * shown[some, None].to(weight)
-    image = _sorted_image(view, foot.pixel[some], weight)
+    image = _sorted_image(view, pixel[some], weight)
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
+
+
+def _cells(slab: Tensor, pixel: Tensor, n_pixels: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The near cells [N 4] of voxels at slab [N] and pixel [N 4], and the far ones' share [N 1]."""
+    near = torch.floor(slab)
+    cell = near.to(torch.int64)[:, None] * n_pixels + pixel.long()
+    return cell, (slab - near).to(dtype)[:, None]
+
+
+def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
+    """The optical depth that voxels with the shares [N 4] have in slabs and pixels, [S P]."""
+    n_cells = (int(slab.max()) + 2) * n_pixels
+    near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
+    for part in _chunks(len(slab), CHUNK_VOXELS):
+        cell, far = _cells(slab[part], pixel[part], n_pixels, share.dtype)
+        near.index_add_(0, cell.view(-1), (share[part] * (1 - far)).view(-1))
+        behind.index_add_(0, (cell + n_pixels).view(-1), (share[part] * far).view(-1))
+    return near.add_(behind).view(-1, n_pixels)
+
+
+def _light_up(depths: Tensor) -> None:
+    """Replace optical depths [S P] by what a unit of each adds to the picture."""
+    for part in _chunks(depths.shape[1], max(CHUNK_CELLS // len(depths), 1)):
+        here = depths[:, part].contiguous()
+        depths[:, part] = transmittance_before(here) * attenuation_ratio(here)

@@ -30,23 +30,18 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
     ]
     values = torch.from_numpy(np.ascontiguousarray(field.values, np.float32))
     outside = np.asarray(field.background, np.float32).reshape(-1)
-    planes = []
-    for position in axes[0]:  # slab by slab, so that the positions never fill memory
+    shifted = values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
+    refined = torch.empty(*(len(axis) for axis in axes), *values.shape[3:], dtype=torch.float32)
+    for plane, position in zip(refined, axes[0], strict=True):
+        # slab by slab, so that the positions never fill memory
         grid = torch.stack(torch.meshgrid(position[None], axes[1], axes[2], indexing="ij"), -1)
-        shifted = (
-            values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
-        )
-        planes.append(
-            sample_linear(shifted, grid.reshape(-1, 3)).view(
-                len(axes[1]), len(axes[2]), *values.shape[3:]
-            )
-        )
-    refined = torch.stack(planes).numpy() + (outside if values.ndim == 4 else outside[0])
+        plane[:] = sample_linear(shifted, grid.reshape(-1, 3)).view(plane.shape)
+    refined += torch.from_numpy(outside) if values.ndim == 4 else float(outside[0])
     old_from_new = np.diag([*(1.0 / scale), 1.0])
     old_from_new[3, :3] = 0.5 / scale - 0.5
     return DenseField(
         field.name,
-        np.ascontiguousarray(refined, np.float32),
+        refined.numpy(),
         tuple(int(n) for n in (np.asarray(field.ijk_min) - pad) * scale),  # type: ignore[arg-type]
         old_from_new @ field.index_to_world,
         field.background,

@@ -89,16 +89,22 @@ def render_fields(
     factor = min(MOST_REFINEMENT, math.ceil(_pixels_per_voxel(smoke, view) - 1e-3))
     if factor > 1:
         smoke = activate(refine_field(density, factor), to_stage, torch.device("cpu"))
-        emission = refine_field(emission, factor) if emission is not None else None
-    colours = torch.ones(len(smoke.ijk), 3)
-    if emission is not None:
-        sigma = (gamma_w * smoke.density).clamp_min(1e-30)
-        # interpolated C x sigma over sigma: weighted by density, so nothing bleeds in from outside
-        colours = _values_at(emission, smoke.ijk) / sigma[:, None]
+    colours = _colours(smoke, emission, factor, gamma_w)
     image, alpha = colour_map(
         smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
     )
     return torch.cat([image.apply(colours), alpha[..., None]], dim=-1).numpy()
+
+
+def _colours(
+    smoke: ActiveSmoke, emission: DenseField | None, factor: int, gamma_w: float
+) -> Tensor:
+    """Linear colours [N 3] of smoke that was refined by ``factor``, which emission was not yet."""
+    if emission is None:
+        return torch.ones(len(smoke.ijk), 3)
+    light = _values_at(refine_field(emission, factor), smoke.ijk)
+    # interpolated C x sigma over sigma: weighted by density, so nothing bleeds in from outside
+    return light.div_((gamma_w * smoke.density).clamp_min(1e-30)[:, None])
 
 
 def _values_at(field: DenseField, ijk: Tensor) -> Tensor:

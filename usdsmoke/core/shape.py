@@ -180,9 +180,10 @@ def run_shape_step(
         )
         potential, carried = Potential(values, octave.lattice), (adam, octave.lattice)
         ends += [end] if end is not None else []
-        done = octave if smoke is source else None
+        done = (octave.lattice, octave.effect, octave.base) if smoke is source else None
+        del octave  # with its views, which are most of a step's memory
     if done is not None:  # the box at full resolution is there
-        lattice, effect, base = done.lattice, done.effect, done.base
+        lattice, effect, base = done
     else:
         lattice = surround(source, ROOM)
         density = lattice.fill(source)

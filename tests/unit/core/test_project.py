@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import affine, puff, smoke_of
+from usdsmoke.core import project
 from usdsmoke.core.project import MOST_CELLS, SparseImage, colour_map, column_map
 from usdsmoke.core.smoke import ActiveSmoke
 from usdsmoke.core.views import View, camera_view, orbit_view
@@ -211,14 +212,14 @@ def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(mon
     view = orbit_view(0.0, 0.0, "Y", np.array([5e5, 0.0, 5e5]), 4, 64, 2e4)
     cells = []
 
-    def counted(*args, minlength, bincount=torch.bincount):
-        cells.append(minlength)
-        return bincount(*args, minlength=minlength)
+    def counted(depths, light_up=project._light_up):
+        cells.append(depths.numel())
+        light_up(depths)
 
-    monkeypatch.setattr(torch, "bincount", counted)
+    monkeypatch.setattr(project, "_light_up", counted)
     monkeypatch.setattr("usdsmoke.core.project.MOST_CELLS", MOST_CELLS // 1000)
     image, alpha = colour_map(positions, torch.full((2,), 1e10), 1.0, 1.0, view, 1.0)
-    assert max(cells) <= MOST_CELLS // 1000 + 2 * 4 * 64
+    assert 64 * 4 < max(cells) <= MOST_CELLS // 1000 + 2 * 4 * 64
     assert 0.9 < float(alpha.max()) <= 1.0
     assert torch.count_nonzero(image.adjoint(torch.ones(4, 64, 1))) == 2
 
@@ -235,3 +236,23 @@ def test_extreme_densities_and_extinctions_give_finite_pictures_and_gradients(de
     assert float(picture.max()) <= 1.0 + 1e-5
     if density * gamma_w > 1e6:
         assert float(alpha.max()) == 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_working_in_pieces_changes_no_bit(kind, monkeypatch):
+    smoke = smoke_of(puff(12), affine(2, True))
+    view, density = look_at(smoke, kind), smoke.density
+    share = (random(len(smoke.ijk)) + 0.2).clamp_min(0).float()
+
+    def made() -> list[Tensor]:
+        columns = column_map(smoke.positions, smoke.voxel_volume, view)
+        image, alpha = colour_map(
+            smoke.positions, density, smoke.voxel_volume, 0.3, view, smoke.voxel_size, share
+        )
+        return [columns.pixel, columns.weight, image.pixel, image.weight, image.by_pixel, alpha]
+
+    whole = made()
+    assert len(density) > 5 * 37
+    monkeypatch.setattr(project, "CHUNK_VOXELS", 37)
+    monkeypatch.setattr(project, "CHUNK_CELLS", 100)
+    assert all(torch.equal(one, other) for one, other in zip(whole, made(), strict=True))
