@@ -46,16 +46,22 @@ def count_calls(monkeypatch: pytest.MonkeyPatch, *targets: str) -> Counter[str]:
 
 
 class Elements(TorchDispatchMode):
-    """How many elements all tensors have that torch's operations make, gradients included."""
+    """How many elements all tensors have that torch's operations make, gradients included.
 
-    def __init__(self) -> None:
+    Without ``views``, which cost nothing however large a tensor they show, not those.
+    """
+
+    def __init__(self, views: bool = True) -> None:
         super().__init__()
         self.made = 0
+        self._views = views
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None
     ) -> Any:
         found = func(*args, **(kwargs or {}))
+        if func.is_view and not self._views:
+            return found
         parts = found if isinstance(found, (tuple, list)) else [found]
         self.made += sum(part.numel() for part in parts if isinstance(part, torch.Tensor))
         return found

@@ -5,11 +5,13 @@ would be found out. What files and records have to do with it: test_leaving_out_
 (``inspect`` and ``validate`` without torch: test_cli.py.)
 """
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from tests.counters import Elements, count_calls, watch_calls
 from tests.smoke_fixtures import frame_of, puff
@@ -120,8 +122,8 @@ def test_empty_space_is_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
         lambda positions, view: projected.append(len(positions)),
     )  # fmt: skip
     watch_calls(
-        monkeypatch, f"{CORE}.shape:displacement_from",
-        lambda potential, *_, **__: boxes.append(potential.shape[:3].numel()),
+        monkeypatch, f"{CORE}.shape:SparsePyramid",
+        lambda nodes, *_, **__: boxes.append(int(np.prod(nodes.shape))),
     )  # fmt: skip
     made, work = [], []
     for room in (0, 24):
@@ -132,6 +134,35 @@ def test_empty_space_is_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
         work.append((list(projected), list(boxes)))
     assert work[0] == work[1] and max(work[0][0]) <= (10 + 2 * ROOM) ** 3
     assert made[0] == made[1]
+
+
+def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two lumps far from each other: what is optimised lies in them, and nothing in between.
+
+    Judged by a sum over the moved smoke: pictures grow with what they show.
+    """
+    told: list[int] = []
+
+    def loss(octave: Any, potential: torch.Tensor, _: int) -> torch.Tensor:
+        told.append(elements.made)
+        return octave.moved(potential).square().sum()
+
+    monkeypatch.setattr(f"{CORE}.shape._Octave.loss", loss)
+    config = quick_config(shape={"iterations": [4]}, optimize={"steps": ["shape"]})
+    made = []
+    for length in (160, 320):
+        density = np.zeros((length, 12, 12), np.float32)
+        density[:12] = density[-12:] = puff(12)
+        told.clear()
+        with Elements(views=False) as elements:
+            run_core([frame_of(density)], config)
+        made.append([after - before for before, after in itertools.pairwise(told[1:])])
+        made[-1].append(elements.made)
+    assert made[0][0] == made[0][1] > 0
+    assert made[1][:-1] == made[0][:-1]
+    assert made[1][-1] > 1.5 * made[0][-1]  # the box is there, once
 
 
 def test_one_view_is_projected_once_and_looked_at_once_an_iteration(
@@ -161,8 +192,8 @@ def test_a_slab_is_seen_once_and_moved_and_sampled_along_two_axes(
         lambda _, __, ___, axes, *____, **_____: n_axes.add(len(axes)),
     )  # fmt: skip
     watch_calls(
-        monkeypatch, f"{CORE}.shape:displacement_from",
-        lambda potential, *_, **__: channels.add(potential.shape[3]),
+        monkeypatch, f"{CORE}.shape:SparseDisplacement",
+        lambda *arguments: channels.add(arguments[-1]),
     )  # fmt: skip
     calls = count_calls(monkeypatch, f"{CORE}.shape:column_map", f"{CORE}.colour:colour_map")
     slab = np.moveaxis(puff(12)[:, :, 5:6], 2, axis)

@@ -30,6 +30,7 @@ __all__ = [
     "from_mixed",
     "from_potential",
     "from_stream",
+    "slope_matrix",
     "smooth_mask",
 ]
 
@@ -184,6 +185,11 @@ def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 
     relative = positive / largest
     level = share * relative.square().sum() / relative.sum()
     return smooth((relative / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)
+
+
+def slope_matrix(n: int, spacing: float) -> Tensor:
+    """[n n] float64: the derivative that all operators here take along an axis of n voxels."""
+    return _slope(torch.eye(n, dtype=torch.float64)[:, :, None], 0, (spacing, 1.0, 1.0))[..., 0]
 
 
 def _slope(values: Tensor, axis: int, spacing: Sequence[float]) -> Tensor:

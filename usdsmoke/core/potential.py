@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from usdsmoke.core.displacement import (
@@ -16,6 +15,7 @@ from usdsmoke.core.displacement import (
 from usdsmoke.core.lattice import Lattice
 
 __all__ = [
+    "MIXED_SHARE",
     "Displacement",
     "Potential",
     "border_mask",
@@ -25,6 +25,7 @@ __all__ = [
     "hold",
 ]
 
+MIXED_SHARE = 0.5  # of the compressible part in a mixed displacement
 BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 
@@ -54,27 +55,28 @@ class Displacement:
 
 
 def carry_levels(
-    like: Sequence[Tensor], lattice: Lattice, before: Lattice, levels: Sequence[Tensor]
+    shapes: Sequence[Sequence[int]], lattice: Lattice, before: Lattice, levels: Sequence[Tensor]
 ) -> list[Tensor]:
     """A pyramid's values on the pyramid of the next octave, whose lattice is twice as fine.
 
     Each level gets what the level of its own resolution had; the finest had none, and gets 0.
 
     Args:
-        like: the new levels, coarse to fine, [i j k C] each.
+        shapes: i, j, k of the new levels, coarse to fine; further entries are ignored.
         lattice, before: of the new pyramid's finest level, and of the old one's.
-        levels: the old levels, coarse to fine.
+        levels: the old levels, coarse to fine, [i j k C] each.
     """
     carried = []
-    for number, level in enumerate(like):
-        above = number - len(like) + 1 + len(levels)  # the same resolution, counted from the finest
+    for number, shape in enumerate(shapes):
+        wanted = (*tuple(shape)[:3], levels[0].shape[-1])
+        above = number - len(shapes) + 1 + len(levels)  # the same resolution, from the finest
         if not 0 <= above < len(levels):
-            carried.append(torch.zeros_like(level))
+            carried.append(levels[0].new_zeros(wanted))
             continue
         old = levels[above]
-        places = lattice.coarsened(level.shape).positions()
+        places = lattice.coarsened(wanted).positions()
         found = before.coarsened(old.shape).sample(old, places.to(old.device))
-        carried.append(found.view(level.shape))
+        carried.append(found.view(wanted))
     return carried
 
 
@@ -96,24 +98,13 @@ def displacement_from(
     lattice: Lattice,
     base: Tensor | None = None,
     share: Tensor | None = None,
-    at: Tensor | None = None,
 ) -> Tensor:
-    """u on a box's voxels in *index units* along its axes; |u| < cap in stage units.
+    """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
 
-    Arguments as of ``free_displacement`` and ``hold``, and
-
-    Args:
-        base, share: with ``at``, their values at those voxels alone, [N 3] and [N].
-        at: numbers [N] of the voxels, in C order, at which u is wanted; None means all. The
-            derivatives need the box, what follows does not.
-
-    Returns:
-        [I J K 3], or [N 3].
+    Arguments as of ``free_displacement`` and ``hold``.
     """
-    free = free_displacement(potential, mask, kind, lattice)
-    if at is not None:
-        free = free.view(-1, 3).index_select(0, at)
-    held = hold(free if base is None else free + base, cap, share)
+    free = free_displacement(potential, mask, kind, lattice, base)
+    held = hold(free, cap, share)
     return held / held.new_tensor(lattice.spacing)
 
 
@@ -139,7 +130,7 @@ def free_displacement(
     elif kind == "potential":
         moved = from_potential(faded[..., 0], lattice.spacing)
     else:
-        moved = from_mixed(faded[..., :3], faded[..., 3], lattice.spacing, 0.5)
+        moved = from_mixed(faded[..., :3], faded[..., 3], lattice.spacing, MIXED_SHARE)
     return moved if base is None else moved + base
 
 

@@ -39,7 +39,11 @@ class _Apply(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
         ctx.image = image
         return F.embedding_bag(
-            image.voxel, values, image.pixel_start, mode="sum", per_sample_weights=image.by_pixel
+            image.voxel,
+            values.detach(),  # nothing is kept for a gradient that is not taken here
+            image.pixel_start,
+            mode="sum",
+            per_sample_weights=image.by_pixel,
         )
 
     @staticmethod

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from usdsmoke.errors import ShapeError
 
-__all__ = ["Method", "Pyramid", "pyramid_shapes", "smooth", "upsample"]
+__all__ = ["Method", "Pyramid", "interpolation_matrix", "pyramid_shapes", "smooth", "upsample"]
 
 Method = Literal["linear", "cubic"]
 _SIGMAS = 4.0  # where the Gaussian is cut off; 6e-5 of it lies beyond
@@ -125,7 +125,7 @@ def upsample(coarse: Tensor, shape: Sequence[int], method: Method = "cubic") -> 
             f"cannot upsample a field of shape {list(coarse.shape)} to {list(fine)} voxels; "
             "wanted [i j k] or [i j k C] and at least as many voxels along each axis"
         )
-    return _along_axes(coarse, lambda axis, n: _interpolation_matrix(fine[axis], n, method))
+    return _along_axes(coarse, lambda axis, n: interpolation_matrix(fine[axis], n, method))
 
 
 def smooth(values: Tensor, sigma: float | Sequence[float]) -> Tensor:
@@ -157,8 +157,11 @@ def _along_axes(values: Tensor, matrix_for: Callable[[int, int], Tensor | None])
 
 
 @lru_cache(maxsize=64)
-def _interpolation_matrix(n_fine: int, n_coarse: int, method: Method) -> Tensor | None:
-    """[n_fine n_coarse] float64; None where nothing is to be done."""
+def interpolation_matrix(n_fine: int, n_coarse: int, method: Method) -> Tensor | None:
+    """What ``upsample`` does along an axis, [n_fine n_coarse] float64; None where that is nothing.
+
+    The tensor is shared: not to be changed.
+    """
     if n_fine == n_coarse:
         return None
     place = (torch.arange(n_fine, dtype=torch.float64) + 0.5) * n_coarse / n_fine - 0.5

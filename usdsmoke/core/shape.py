@@ -11,6 +11,7 @@ Deviations from the reference, each against a fault seen there:
 - the guide T is the *source's* silhouette: one that follows the moved smoke lets the optimiser
   cheat;
 - Adam on a pyramid of coefficients scaled to displacement in place of Laplacian-normalised ascent;
+  of each level only the nodes that the smoke's displacement depends on;
 - lengths are in stage units, so octaves and crops agree.
 """
 
@@ -35,12 +36,16 @@ from usdsmoke.core.potential import (
     carry_levels,
     displacement_from,
     free_displacement,
+    hold,
 )
 from usdsmoke.core.project import column_map
 from usdsmoke.core.resample import Pyramid
 from usdsmoke.core.sample import sample_linear
 from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
+from usdsmoke.core.sparse_displacement import SparseDisplacement
+from usdsmoke.core.sparse_map import Nodes
+from usdsmoke.core.sparse_pyramid import SparsePyramid
 from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.transport import warp
@@ -49,6 +54,8 @@ from usdsmoke.core.views import draw_views
 __all__ = ["Start", "longest_move", "run_shape_step"]
 
 Start = Callable[[Lattice], Tensor]
+
+_Moments = tuple[Adam, Lattice, SparsePyramid]  # and what they live on
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 N_LEVELS = 5  # of the coefficient pyramid
@@ -68,6 +75,7 @@ class _Octave:
         seed: int,
         factor: int,
         start: Start | None,
+        n_channels: int,
     ) -> None:
         self.lattice = surround(smoke, ROOM)
         self.density = self.lattice.fill(smoke)
@@ -75,11 +83,18 @@ class _Octave:
         self.effect = effect_on(self.density, self._share)
         self.base = None if start is None else start(self.lattice)
         self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
-        self.active = torch.nonzero(self._reached())
+        reached, moving = self._reached(), Nodes.where(self.effect > 0)
+        self.active = torch.nonzero(reached)
         where = tuple(self.active.T)
-        self._arrivals = self.active.to(self.density)
-        self._numbers = _numbers_of(self.active, self.lattice)
+        # component by component, because that is how the look-up takes them
+        self._arrivals = self.active.T.to(self.density, memory_format=torch.contiguous_format).T
+        self.pyramid = SparsePyramid(moving, N_LEVELS, self.density)
+        self._moves = SparseDisplacement(
+            Nodes.where(reached), moving, self.effect, self._kind,
+            self.lattice.spacing, n_channels,
+        )  # fmt: skip
         self._base_there = None if self.base is None else self.base[where]
+        self._sides = self.density.new_tensor(self.lattice.spacing)
         self._shown = None if self._share is None else self._share[where]
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
@@ -116,15 +131,18 @@ class _Octave:
     def moved(self, potential: Tensor) -> Tensor:
         """Moved density at the active voxels, [N]; the cheap scheme.
 
+        Args:
+            potential: [n C] at the pyramid's nodes of the finest level.
+
         Raises:
             NonFiniteError: the displacement is not finite.
         """
-        u = displacement_from(
-            potential, self.effect, self._kind, self._cap, self.lattice,
-            self._base_there, self._shown, self._numbers,
-        )  # fmt: skip
+        free = self._moves.free(potential)
+        if self._base_there is not None:
+            free = free + self._base_there
+        held = hold(free, self._cap, self._shown)
         # what never changes, ``warp`` would look through for NaN in every iteration
-        return sample_linear(self.density, self._arrivals - u)
+        return sample_linear(self.density, self._arrivals - held / self._sides)
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
@@ -172,13 +190,14 @@ def run_shape_step(
     n_channels = _n_channels(config.shape.displacement, source)
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
-        octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start)
+        octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start, n_channels)
         first = _potential_on(octave.lattice, potential, n_channels, octave.density)
         told = partial(watch, number) if watch is not None else None
         values, adam, end = _optimize_octave(
             octave, first, cap, config, n_iterations, rate, carried, told
         )
-        potential, carried = Potential(values, octave.lattice), (adam, octave.lattice)
+        potential = Potential(values, octave.lattice)
+        carried = (adam, octave.lattice, octave.pyramid)
         ends += [end] if end is not None else []
         done = (octave.lattice, octave.effect, octave.base) if smoke is source else None
         del octave  # with its views, which are most of a step's memory
@@ -201,12 +220,6 @@ def longest_move(source: ActiveSmoke, config: Config) -> float:
     return config.shape.reach * float(max((high - low + 1) * sides))
 
 
-def _numbers_of(ijk: Tensor, lattice: Lattice) -> Tensor:
-    """Voxels [N 3] by their number in C order, [N]."""
-    _, n_j, n_k = lattice.shape
-    return (ijk[:, 0] * n_j + ijk[:, 1]) * n_k + ijk[:, 2]
-
-
 def _n_channels(kind: str, source: ActiveSmoke) -> int:
     """Of the potential: in a slab only a stream function's component across it moves anything."""
     return 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
@@ -220,6 +233,20 @@ def _potential_on(
     return like.new_zeros(*lattice.shape, n_channels)
 
 
+def _moments_for(octave: _Octave, before: _Moments | None) -> Adam:
+    """Those of the octave before, on this one's pyramid; fresh ones without."""
+    if before is None:
+        return Adam()
+    adam, lattice, pyramid = before
+
+    def carry(moments: list[Tensor]) -> list[Tensor]:
+        levels = pyramid.fill(moments)
+        new = carry_levels(octave.pyramid.shapes, octave.lattice, lattice, levels)
+        return octave.pyramid.take(new)
+
+    return adam.carried(carry)
+
+
 def _optimize_octave(
     octave: _Octave,
     base: Tensor,
@@ -227,32 +254,29 @@ def _optimize_octave(
     config: Config,
     n_iterations: int,
     rate: float,
-    before: tuple[Adam, Lattice] | None,
+    before: _Moments | None,
     watch: Callable[[Minimum], None] | None,
 ) -> tuple[Tensor, Adam, Minimum | None]:
-    """One octave, from a potential [I J K C] and the moments (and lattice) of the octave before.
+    """One octave, from a potential [I J K C] and the moments of the octave before.
 
     Returns:
         The potential, Adam's moments, and how the optimisation ended.
     """
-    pyramid = Pyramid.zeros(octave.lattice.shape, base.shape[-1], N_LEVELS, base)
-    spacing = max(octave.lattice.spacing)
+    pyramid, spacing = octave.pyramid, max(octave.lattice.spacing)
     # a coefficient of 1 moves smoke by about the cap on any level: one rate serves all
     scales = [
-        cap * spacing * max(n / m for n, m in zip(octave.lattice.shape, level.shape, strict=False))
-        for level in pyramid.levels
+        cap * spacing * max(n / m for n, m in zip(octave.lattice.shape, shape, strict=True))
+        for shape in pyramid.shapes
     ]
-    unknowns = [level.requires_grad_(True) for level in pyramid.levels]
-    adam = Adam()
-    if before is not None and config.optimize.carry_moments:
-        adam = before[0].carried(partial(carry_levels, unknowns, octave.lattice, before[1]))
+    unknowns = [level.requires_grad_(True) for level in pyramid.zeros(base.shape[-1])]
+    base_there = pyramid.chosen(base)
+    adam = _moments_for(octave, before if config.optimize.carry_moments else None)
 
-    def potential() -> Tensor:
-        levels = tuple(u * s for u, s in zip(unknowns, scales, strict=True))
-        return base + Pyramid(levels, pyramid.method).expand()
+    def scaled() -> list[Tensor]:
+        return [u * s for u, s in zip(unknowns, scales, strict=True)]
 
     steps = minimize(
-        lambda iteration: octave.loss(potential(), iteration),
+        lambda iteration: octave.loss(base_there + pyramid.expand(scaled()), iteration),
         unknowns, rate, n_iterations, tolerance=config.optimize.tolerance, adam=adam,
     )  # fmt: skip
     state = None
@@ -260,4 +284,4 @@ def _optimize_octave(
         if watch is not None:
             watch(state)
     with torch.no_grad():
-        return potential(), adam, state
+        return base + Pyramid(tuple(pyramid.fill(scaled()))).expand(), adam, state

@@ -1,0 +1,202 @@
+"""Sparse linear maps between some nodes of lattices, and their exact adjoints.
+
+A separable operator, an interpolation or a derivative, is a small matrix along each axis; on a
+whole box ``core.resample`` multiplies with it. Where few nodes of a box count, the same matrix is
+applied to those alone: the entries of a row that read a node are kept, what reads none is 0. Both
+directions are stored as runs of entries, summed run by run: results repeat bit by bit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+__all__ = [
+    "Nodes",
+    "SparseMap",
+    "SparseSums",
+    "Table",
+    "Taps",
+    "map_along",
+    "nodes_read",
+    "read_along",
+]
+
+Table = tuple[Tensor, Tensor]
+
+_CHUNK = 2**14  # sums that are put together at once: what is made for them stays small
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Some nodes of a lattice; ``numbers`` is a box and not for keeping."""
+
+    shape: tuple[int, int, int]
+    flat: Tensor  # [n] int64, ascending: their numbers in C order among all of the lattice
+    numbers: Tensor  # [I*J*K] int32: a node's place in ``flat``, -1 for all others
+
+    @classmethod
+    def where(cls, mask: Tensor) -> "Nodes":
+        """Where a mask [I J K] bool is set."""
+        flat = torch.nonzero(mask.reshape(-1)).squeeze(1)
+        numbers = torch.full((mask.numel(),), -1, dtype=torch.int32, device=mask.device)
+        numbers[flat] = torch.arange(len(flat), dtype=torch.int32, device=mask.device)
+        i, j, k = mask.shape
+        return cls((i, j, k), flat, numbers)
+
+    def __len__(self) -> int:
+        return len(self.flat)
+
+
+@dataclass(frozen=True)
+class SparseSums:
+    """Weighted sums of rows of a table: m of them, each over a run of the entries."""
+
+    index: Tensor  # [E] int32 (int64 where there are too many), the row that an entry reads
+    weight: Tensor  # [E]
+    start: Tensor  # [m], the first entry of each sum
+
+    @classmethod
+    def of(
+        cls, width: int, *blocks: tuple[int, Callable[[slice], Table]], like: Tensor
+    ) -> "SparseSums":
+        """From functions that tell tables [m K] of what some of a block's sums read.
+
+        Args:
+            width: the largest K.
+            blocks: how many sums each has, and its function; an index below 0 reads nothing.
+            like: dtype and device of the weights.
+        """
+        n_sums = sum(n for n, _ in blocks)
+        kind = torch.int32 if n_sums * width < 2**31 else torch.int64
+        index, weight = like.new_empty(n_sums * width, dtype=kind), like.new_empty(n_sums * width)
+        start = like.new_empty(n_sums, dtype=kind)
+        done = end = 0
+        for n, tables in blocks:
+            for first in range(0, n, _CHUNK):
+                part = slice(first, min(first + _CHUNK, n))
+                indices, weights = tables(part)
+                there = indices >= 0
+                counts = there.sum(1)
+                after = torch.cumsum(counts, 0) + end
+                start[done : done + len(counts)] = after - counts
+                chosen, done = indices[there], done + len(counts)
+                index[end : end + len(chosen)] = chosen
+                weight[end : end + len(chosen)] = weights[there]
+                end += len(chosen)
+        return cls(index[:end].clone(), weight[:end].clone(), start)
+
+    def __call__(self, table: Tensor) -> Tensor:
+        """[m C] from [n C]; without gradients."""
+        if len(self.index) == 0:
+            return table.new_zeros(len(self.start), table.shape[1])
+        return F.embedding_bag(
+            self.index,
+            table.detach().contiguous(),
+            self.start,
+            mode="sum",
+            per_sample_weights=self.weight,
+        )
+
+
+class _Apply(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, linear: "SparseMap") -> Tensor:
+        ctx.linear = linear
+        return linear.forth(values)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        return ctx.linear.back(upstream), None
+
+
+@dataclass(frozen=True)
+class SparseMap:
+    """A linear map from n to m rows; ``back`` is the transpose of ``forth``."""
+
+    forth: SparseSums
+    back: SparseSums
+
+    def apply(self, values: Tensor) -> Tensor:
+        """[m C] of values [n C]. Gradients: through ``values``, exact adjoint."""
+        return cast(Tensor, _Apply.apply(values, self))
+
+
+@dataclass(frozen=True)
+class Taps:
+    """What the rows of a matrix along an axis read, padded to the longest of them."""
+
+    n_columns: int
+    column: Tensor  # [n_rows K] int64
+    weight: Tensor  # [n_rows K], 0 where a row reads less than others
+
+    @classmethod
+    def of(cls, matrix: Tensor, like: Tensor) -> "Taps":
+        """Of a matrix [n_rows n_columns], with the dtype and device of ``like``."""
+        row, column = torch.nonzero(matrix).T
+        counts = torch.bincount(row, minlength=len(matrix))
+        slot = torch.arange(len(row)) - (torch.cumsum(counts, 0) - counts)[row]
+        width = max(1, int(counts.max()))
+        columns = torch.zeros(len(matrix), width, dtype=torch.int64)
+        weights = matrix.new_zeros(len(matrix), width)
+        columns[row, slot] = column
+        weights[row, slot] = matrix[row, column]
+        return cls(matrix.shape[1], columns.to(like.device), weights.to(like))
+
+    @property
+    def width(self) -> int:
+        """Of the longest row."""
+        return self.column.shape[1]
+
+    def numbers(self, rows: Nodes, axis: int, part: slice) -> tuple[Tensor, Tensor]:
+        """For some of the nodes: the numbers of those they read among all of a lattice, and the
+        weights, [m K] each."""
+        inner, n_rows = torch.Size(rows.shape[axis + 1 :]).numel(), len(self.column)
+        row = torch.div(rows.flat[part], inner, rounding_mode="floor")
+        outer = torch.div(row, n_rows, rounding_mode="floor")
+        along = row - outer * n_rows
+        first = rows.flat[part] + inner * (outer * self.n_columns - row)
+        return first[:, None] + inner * self.column[along], self.weight[along]
+
+
+def nodes_read(rows: Nodes, axis: int, taps: Taps) -> Nodes:
+    """The nodes that are read for ``rows`` along an axis."""
+    shape = _with_length(rows.shape, axis, taps.n_columns)
+    needed = torch.zeros(shape, dtype=torch.bool, device=rows.flat.device)
+    for first in range(0, len(rows), _CHUNK):
+        numbers, weight = taps.numbers(rows, axis, slice(first, first + _CHUNK))
+        needed.view(-1)[numbers[weight != 0]] = True
+    return Nodes.where(needed)
+
+
+def read_along(rows: Nodes, columns: Nodes, axis: int, taps: Taps, part: slice) -> Table:
+    """What some of the ``rows`` read from ``columns`` along an axis.
+
+    Returns:
+        Places in ``columns.flat`` [m K] int32, -1 where there is nothing to read, and the weights.
+    """
+    numbers, weight = taps.numbers(rows, axis, part)
+    return torch.where(weight != 0, columns.numbers[numbers], -1), weight
+
+
+def map_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tensor) -> SparseMap:
+    """A matrix [n_rows n_columns] along an axis, between nodes; others count as 0."""
+    return SparseMap(
+        _sums_along(rows, columns, axis, matrix, like),
+        _sums_along(columns, rows, axis, matrix.T, like),
+    )
+
+
+def _sums_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tensor) -> SparseSums:
+    taps = Taps.of(matrix, like)
+    block = (len(rows), partial(read_along, rows, columns, axis, taps))
+    return SparseSums.of(taps.width, block, like=like)
+
+
+def _with_length(shape: tuple[int, int, int], axis: int, length: int) -> tuple[int, int, int]:
+    i, j, k = (length if a == axis else n for a, n in enumerate(shape))
+    return i, j, k

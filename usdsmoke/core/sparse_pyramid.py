@@ -1,0 +1,75 @@
+r"""A coefficient pyramid where few voxels of a box count: cost by those, and not by the box.
+
+What a displacement takes from a potential is its values where the effect is above 0. The nodes of
+each level are those that the interpolation to the next finer one reads, found once, axis by axis;
+all others would have a gradient of 0 for ever. Values and gradients are ``Pyramid.expand``'s there.
+"""
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from usdsmoke.core.resample import Method, interpolation_matrix, pyramid_shapes
+from usdsmoke.core.sparse_map import Nodes, SparseMap, Taps, map_along, nodes_read
+
+__all__ = ["SparsePyramid"]
+
+
+class SparsePyramid:
+    """The nodes of a pyramid that the chosen voxels of its finest level depend on.
+
+    Args:
+        nodes: the chosen voxels of the finest level.
+        n_levels: as of ``pyramid_shapes``.
+        like: dtype and device of the coefficients.
+        method: of the upsampling, see ``resample.upsample``.
+    """
+
+    def __init__(self, nodes: Nodes, n_levels: int, like: Tensor, method: Method = "cubic") -> None:
+        #: lattice shapes, coarse to fine
+        self.shapes = pyramid_shapes(nodes.shape, n_levels)
+        self._like, self._flats = like, [nodes.flat]
+        self._steps: list[list[SparseMap]] = []  # from each level to the next finer one
+        for coarse in self.shapes[-2::-1]:
+            step: list[SparseMap] = []
+            for axis in (2, 1, 0):  # neighbours along k lie next to each other
+                matrix = interpolation_matrix(nodes.shape[axis], coarse[axis], method)
+                if matrix is not None:
+                    read = nodes_read(nodes, axis, Taps.of(matrix, like))
+                    step.insert(0, map_along(nodes, read, axis, matrix, like))
+                    nodes = read
+            self._steps.insert(0, step)
+            self._flats.insert(0, nodes.flat)
+
+    def zeros(self, n_channels: int) -> list[Tensor]:
+        """Coefficients of all levels' nodes, coarse to fine, [n C] each."""
+        return [self._like.new_zeros(len(flat), n_channels) for flat in self._flats]
+
+    def expand(self, levels: Sequence[Tensor]) -> Tensor:
+        """The field at the chosen voxels, [n C]. Gradients: through ``levels``, exact adjoint."""
+        total = levels[0]
+        for step, level in zip(self._steps, levels[1:], strict=True):
+            for linear in step:
+                total = linear.apply(total)
+            total = total + level
+        return total
+
+    def chosen(self, box: Tensor) -> Tensor:
+        """A box's values [I J K C] at the chosen voxels, [n C]."""
+        return box.reshape(-1, box.shape[-1])[self._flats[-1]]
+
+    def take(self, boxes: Sequence[Tensor]) -> list[Tensor]:
+        """The nodes' values [n C] of dense levels [i j k C]."""
+        return [
+            box.reshape(-1, box.shape[-1])[flat]
+            for box, flat in zip(boxes, self._flats, strict=True)
+        ]
+
+    def fill(self, levels: Sequence[Tensor]) -> list[Tensor]:
+        """Dense levels [i j k C] of the nodes' values [n C], 0 elsewhere."""
+        boxes = []
+        for shape, flat, level in zip(self.shapes, self._flats, levels, strict=True):
+            box = level.new_zeros(*shape, level.shape[-1])
+            box.view(-1, level.shape[-1])[flat] = level.detach()
+            boxes.append(box)
+        return boxes
