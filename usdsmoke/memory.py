@@ -11,8 +11,8 @@ def give_back_memory() -> None:
     """Let the system have what the C library holds in pieces; does nothing where it cannot.
 
     Fields of many sizes leave gaps between them. Without this a shot of 72 frames peaked a tenth
-    above one of 24 (benchmarks/window_cost.py). It takes a few milliseconds: call it between
-    frames.
+    above one of 24 (benchmarks/window_cost.py). It takes about two milliseconds: call it between
+    frames, and before what takes seconds.
     """
     trim = _find_trim()
     if trim is not None:

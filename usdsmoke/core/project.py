@@ -30,6 +30,7 @@ THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones
 MOST_CELLS = 2**27  # slabs times pixels: the emptiness between far places must not fill memory
 CHUNK_VOXELS = 2**14  # worked off at once: what is between input and result stays small
 CHUNK_CELLS = 2**19  # slabs times pixels, likewise
+GPU_CHUNKS = 256  # times as much at once on a GPU, where every piece costs time
 
 
 class _Apply(torch.autograd.Function):
@@ -121,7 +122,7 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
     y = (view.height - 1) / 2 + view.shift[1] - up * scale
     pixel = torch.empty(len(x), 4, dtype=torch.int32, device=x.device)
     weight = x.new_empty(len(x), 4)
-    for part in _chunks(len(x), CHUNK_VOXELS):
+    for part in _chunks(len(x), CHUNK_VOXELS, x.device):
         _spread(x[part], y[part], visible[part], view, pixel[part], weight[part])
     return _Footprint(pixel, weight, depth, per_area)
 
@@ -142,7 +143,8 @@ def _spread(
             pixel[:, 2 * dy + dx] = index.to(torch.int32)
 
 
-def _chunks(n: int, size: int) -> Iterator[slice]:
+def _chunks(n: int, size: int, device: torch.device) -> Iterator[slice]:
+    size *= 1 if device.type == "cpu" else GPU_CHUNKS
     for start in range(0, n, size):
         yield slice(start, min(start + size, n))
 
@@ -216,9 +218,9 @@ def colour_map(
     depths = _slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     _light_up(depths)
-    for part in _chunks(len(slab), CHUNK_VOXELS):
+    per_depth = depths.view(-1)
+    for part in _chunks(len(slab), CHUNK_VOXELS, slab.device):
         cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)
-        per_depth = depths.view(-1)
         weight[part] *= per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
     del depths, per_depth
     least = NEGLIGIBLE * float(alpha.max())
@@ -242,7 +244,7 @@ def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> T
     """The optical depth that voxels with the shares [N 4] have in slabs and pixels, [S P]."""
     n_cells = (int(slab.max()) + 2) * n_pixels
     near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
-    for part in _chunks(len(slab), CHUNK_VOXELS):
+    for part in _chunks(len(slab), CHUNK_VOXELS, slab.device):
         cell, far = _cells(slab[part], pixel[part], n_pixels, share.dtype)
         near.index_add_(0, cell.view(-1), (share[part] * (1 - far)).view(-1))
         behind.index_add_(0, (cell + n_pixels).view(-1), (share[part] * far).view(-1))
@@ -251,6 +253,7 @@ def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> T
 
 def _light_up(depths: Tensor) -> None:
     """Replace optical depths [S P] by what a unit of each adds to the picture."""
-    for part in _chunks(depths.shape[1], max(CHUNK_CELLS // len(depths), 1)):
+    n_slabs, n_pixels = depths.shape
+    for part in _chunks(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
         here = depths[:, part].contiguous()
         depths[:, part] = transmittance_before(here) * attenuation_ratio(here)
