@@ -17,6 +17,7 @@ from torch import Tensor
 from usdsmoke.config import Config
 from usdsmoke.core.mask import EffectMask
 from usdsmoke.core.noise import white_noise
+from usdsmoke.core.on_demand import OnDemand
 from usdsmoke.core.optics import opacity
 from usdsmoke.core.optimize import Adam, Minimum, minimize
 from usdsmoke.core.picture_loss import Content, PictureLoss
@@ -69,8 +70,8 @@ def prepare_views(
     gamma_w: float,
     exposure: float = 1.0,
     shown: Tensor | None = None,
-) -> list[ColourView]:
-    """The linear maps of all views of one octave.
+) -> Sequence[ColourView]:
+    """The linear maps of all views of one octave, each made when it is first looked at.
 
     Args:
         smoke: all of it, painted or not.
@@ -79,13 +80,14 @@ def prepare_views(
         shown: see ``project.colour_map``.
     """
     positions, step = smoke.positions, smoke.voxel_size
-    made = []
-    for view in views:
+
+    def make(number: int) -> ColourView:
         image, alpha = colour_map(
-            positions, smoke.density, smoke.voxel_volume, gamma_w, view, step, shown
+            positions, smoke.density, smoke.voxel_volume, gamma_w, views[number], step, shown
         )
-        made.append(ColourView(image, alpha, THIN / exposure))
-    return made
+        return ColourView(image, alpha, THIN / exposure)
+
+    return OnDemand(len(views), make)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
@@ -223,18 +225,20 @@ def _octave_views(
     config: Config,
     seed: int,
     factor: int,
-) -> list[ColourView]:
+) -> Sequence[ColourView]:
     """The pool of views of one octave, with their content pictures if a loss wants them."""
     views = frame_views(octave, config, scene, seed, factor)
     made = prepare_views(octave, views, scene.gamma_w, scene.exposure, shown)
     judge = targets.at(factor)
     if not judge.wants_content:
         return made
-    found = []
-    for ours, view in zip(made, views, strict=True):
-        content = judge.remember(_content_picture(octave, view, ours.guide, targets, scene))
-        found.append(replace(ours, content=content))
-    return found
+
+    def with_content(number: int) -> ColourView:
+        ours, view = made[number], views[number]
+        picture = _content_picture(octave, view, ours.guide, targets, scene)
+        return replace(ours, content=judge.remember(picture))
+
+    return OnDemand(len(views), with_content)
 
 
 def _content_picture(

@@ -11,6 +11,7 @@ touched, and the adjoint is a plain gather. Two linear maps come out of it:
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -34,17 +35,16 @@ GPU_CHUNKS = 256  # times as much at once on a GPU, where every piece costs time
 
 
 class _Apply(torch.autograd.Function):
-    """Values [N C] -> picture [P C]; both ways sum over sorted runs, which repeat bit by bit."""
+    """Values [N C] -> picture [P C]; both ways sum in a fixed order, which repeats bit by bit."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
         ctx.image = image
+        if values.device.type == "cpu":
+            return _scattered(values, image)
+        voxel, by_pixel, start = image.runs
         return F.embedding_bag(
-            image.voxel,
-            values.detach(),  # nothing is kept for a gradient that is not taken here
-            image.pixel_start,
-            mode="sum",
-            per_sample_weights=image.by_pixel,
+            voxel, values.detach(), start, mode="sum", per_sample_weights=by_pixel
         )
 
     @staticmethod
@@ -52,21 +52,49 @@ class _Apply(torch.autograd.Function):
         return ctx.image.adjoint(upstream.contiguous()), None
 
 
+def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
+    """[P C], entry after entry: as quick as sums over sorted runs, and nothing is sorted first.
+
+    A map is applied a few times only, and sorting takes as long as twenty times.
+    """
+    n_pixels, pixel = image.height * image.width, image.pixel.reshape(-1)
+    found = [
+        torch.bincount(
+            pixel, (image.weight * column.detach()[:, None]).reshape(-1), minlength=n_pixels
+        )
+        for column in values.unbind(1)
+    ]
+    return torch.stack(found, 1).to(values.dtype)
+
+
 @dataclass(frozen=True)
 class SparseImage:
     """A linear map from N voxels to H x W pixels with at most four pixels a voxel.
 
-    ``pixel`` and ``weight`` are [N 4]; ``voxel``, ``by_pixel`` and ``pixel_start`` are the same
-    entries sorted by pixel. Weights of pixels outside the image are 0.
+    ``pixel`` and ``weight`` are [N 4]. Weights of pixels outside the image are 0.
     """
 
     height: int
     width: int
     pixel: Tensor
     weight: Tensor
-    voxel: Tensor
-    by_pixel: Tensor
-    pixel_start: Tensor
+
+    @cached_property
+    def runs(self) -> tuple[Tensor, Tensor, Tensor]:
+        """The entries that a pixel can show, sorted by pixel: voxel, weight, each pixel's first.
+
+        For devices on which scattered sums come in any order.
+        """
+        pixel, weight = self.pixel.reshape(-1), self.weight.reshape(-1)
+        keep = torch.nonzero(weight).squeeze(1)
+        ordered, place = torch.sort(pixel[keep], stable=True)
+        order = keep[place]
+        del keep, place  # each as large as all that is returned
+        n_pixels = self.height * self.width
+        start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
+        start[1:] = torch.cumsum(torch.bincount(ordered, minlength=n_pixels), 0)[:-1]
+        voxel = torch.div(order, 4, rounding_mode="floor").to(torch.int32)
+        return voxel, weight[order], start
 
     def apply(self, values: Tensor) -> Tensor:
         """Picture [H W C] of voxel values [N C]. Gradients: through ``values``, exact adjoint."""
@@ -149,20 +177,6 @@ def _chunks(n: int, size: int, device: torch.device) -> Iterator[slice]:
         yield slice(start, min(start + size, n))
 
 
-def _sorted_image(view: View, pixel: Tensor, weight: Tensor) -> SparseImage:
-    """Sorts the entries by pixel; what no pixel could show is left out of both directions alike."""
-    keep = torch.nonzero(weight.view(-1)).squeeze(1)
-    ordered, place = torch.sort(pixel.view(-1)[keep], stable=True)
-    order = keep[place]
-    del keep, place  # each as large as all that is returned
-    n_pixels = view.height * view.width
-    start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
-    counts = torch.bincount(ordered, minlength=n_pixels)
-    start[1:] = torch.cumsum(counts, 0)[:-1]
-    voxel = torch.div(order, 4, rounding_mode="floor").to(torch.int32)
-    return SparseImage(view.height, view.width, pixel, weight, voxel, weight.view(-1)[order], start)
-
-
 def column_map(
     positions: Tensor, voxel_volume: float, view: View, dtype: torch.dtype = torch.float32
 ) -> SparseImage:
@@ -175,7 +189,7 @@ def column_map(
     """
     foot = project_voxels(positions, view)
     weight = foot.weight.mul_((voxel_volume * foot.per_area)[:, None])
-    return _sorted_image(view, foot.pixel, weight.to(dtype))
+    return SparseImage(view.height, view.width, foot.pixel, weight.to(dtype))
 
 
 def colour_map(
@@ -207,7 +221,7 @@ def colour_map(
     """
     foot = project_voxels(positions, view)
     if len(positions) == 0:
-        empty = _sorted_image(view, foot.pixel, foot.weight.to(density.dtype))
+        empty = SparseImage(view.height, view.width, foot.pixel, foot.weight.to(density.dtype))
         return empty, density.new_zeros(view.height, view.width)
     n_pixels = view.height * view.width
     depth = foot.depth - foot.depth.min()
@@ -226,10 +240,10 @@ def colour_map(
     least = NEGLIGIBLE * float(alpha.max())
     weight.masked_fill_(~(weight > least), 0)
     if shown is None:
-        return _sorted_image(view, pixel, weight), alpha
+        return SparseImage(view.height, view.width, pixel, weight), alpha
     some = shown > 0
     weight = weight[some] * shown[some, None].to(weight)
-    image = _sorted_image(view, pixel[some], weight)
+    image = SparseImage(view.height, view.width, pixel[some], weight)
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
 
 

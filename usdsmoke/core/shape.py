@@ -28,6 +28,7 @@ from usdsmoke.core.grey import GreyView, look_at
 from usdsmoke.core.lattice import Lattice, grow, surround
 from usdsmoke.core.mask import EffectMask
 from usdsmoke.core.move import ROOM, effect_on, shares_on
+from usdsmoke.core.on_demand import OnDemand
 from usdsmoke.core.optimize import Adam, Minimum, minimize
 from usdsmoke.core.picture_loss import PictureLoss
 from usdsmoke.core.potential import (
@@ -58,7 +59,7 @@ Start = Callable[[Lattice], Tensor]
 _Moments = tuple[Adam, Lattice, SparsePyramid]  # and what they live on
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
-N_LEVELS = 5  # of the coefficient pyramid
+N_LEVELS = 4  # of the coefficient pyramid
 
 
 class _Octave:
@@ -99,14 +100,16 @@ class _Octave:
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
         still = self.density[where]
-        self._views: list[GreyView] = []
-        for view in frame_views(smoke, config, scene, seed, factor):
-            image = column_map(positions, smoke.voxel_volume, view)
-            look = look_at(image, still, self._shown, scene.gamma_w_shape, scene.exposure_shape)
-            if judge.wants_content:
-                content = judge.remember(look.filled(look.grey, self._behind))
-                look = replace(look, content=content)
-            self._views.append(look)
+        views = frame_views(smoke, config, scene, seed, factor)
+
+        def look(number: int) -> GreyView:
+            image = column_map(positions, smoke.voxel_volume, views[number])
+            found = look_at(image, still, self._shown, scene.gamma_w_shape, scene.exposure_shape)
+            if not judge.wants_content:
+                return found
+            return replace(found, content=judge.remember(found.filled(found.grey, self._behind)))
+
+        self._views = OnDemand(len(views), look)
         self._n_drawn = min(config.views.count, len(self._views))  # twice the same tells nothing
 
     def _reached(self) -> Tensor:
