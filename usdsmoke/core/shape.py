@@ -102,12 +102,14 @@ class _Octave:
         still = self.density[where]
         views = frame_views(smoke, config, scene, seed, factor)
 
+        shown, behind = self._shown, self._behind  # not ``self``: a cycle would outlive the octave
+
         def look(number: int) -> GreyView:
             image = column_map(positions, smoke.voxel_volume, views[number])
-            found = look_at(image, still, self._shown, scene.gamma_w_shape, scene.exposure_shape)
+            found = look_at(image, still, shown, scene.gamma_w_shape, scene.exposure_shape)
             if not judge.wants_content:
                 return found
-            return replace(found, content=judge.remember(found.filled(found.grey, self._behind)))
+            return replace(found, content=judge.remember(found.filled(found.grey, behind)))
 
         self._views = OnDemand(len(views), look)
         self._n_drawn = min(config.views.count, len(self._views))  # twice the same tells nothing

@@ -1,5 +1,7 @@
 """The projection of voxels as a linear map: adjoints, opacity, places, and what is not there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -249,10 +251,25 @@ def test_working_in_pieces_changes_no_bit(kind, monkeypatch):
         image, alpha = colour_map(
             smoke.positions, density, smoke.voxel_volume, 0.3, view, smoke.voxel_size, share
         )
-        return [columns.pixel, columns.weight, image.pixel, image.weight, image.by_pixel, alpha]
+        return [columns.pixel, columns.weight, image.pixel, image.weight, alpha]
 
     whole = made()
     assert len(density) > 5 * 37
     monkeypatch.setattr(project, "CHUNK_VOXELS", 37)
     monkeypatch.setattr(project, "CHUNK_CELLS", 100)
     assert all(torch.equal(one, other) for one, other in zip(whole, made(), strict=True))
+
+
+def test_sums_over_sorted_runs_are_those_entry_by_entry():
+    """A GPU takes the runs; here both are at hand."""
+    smoke = smoke_of(puff(9), affine(2, True))
+    view = look_at(smoke, "perspective")
+    for image in maps_of(smoke, view):
+        values = random(len(smoke.ijk), 2).double()
+        voxel, by_pixel, start = image.runs
+        summed = torch.nn.functional.embedding_bag(
+            voxel, values, start, mode="sum", per_sample_weights=by_pixel.double()
+        )
+        exact = replace(image, weight=image.weight.double())
+        assert torch.allclose(exact.apply(values).view(-1, 2), summed, rtol=1e-12, atol=1e-14)
+        assert len(voxel) == int((image.weight != 0).sum())
