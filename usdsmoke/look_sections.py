@@ -154,12 +154,12 @@ class ShapeConfig:
         "cubic", "scheme of the final transport", choices=("linear", "maccormack", "cubic")
     )
     mass_correction: bool = setting(True, "scale the moved density back to the source's mass")
-    learning_rate: float = setting(0.04, "Adam's step for the displacement potential", above=0.0)
+    learning_rate: float = setting(0.06, "Adam's step for the displacement potential", above=0.0)
     iterations: list[int] = setting(
         [60, 50, 40], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
     warm_rate: float = setting(
-        0.125,
+        0.13,
         "share of the learning rate for a frame that starts from its neighbour's result",
         above=0.0,
         high=1.0,

@@ -112,7 +112,7 @@ class Trial:
         self._judge_config = config
         self._targets: dict[Any, StyleTargets] = {}
         self._smokes: dict[int, ActiveSmoke] = {1: case.small_smoke}
-        self._judged: dict[int, list[ColourView]] = {}  # views of a smoke, by its id
+        self._judged: dict[int, Sequence[ColourView]] = {}  # views of a smoke, by its id
 
     def task(
         self,
