@@ -6,18 +6,19 @@ picture, V pictures an iteration, L views in the pool, S style images, s an octa
 resolution as a share of the full one; in the work, of N, B and P only what the camera sees counts:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
-    work    = sum over steps and octaves of L VIEW_TIME N s^3 +
-                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + BOX_TIME B s^3)
+    work    = sum over steps and octaves of (L VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
+                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3))
     seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Frames in an overlap of windows cost their time twice, and two more files of 32-bit floats. The
 coarse step, where there is one, costs the work of the octaves up to its share of the resolution.
 
-BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, whose potentials live
-on the whole box. Memory is the largest frame's; frames are held one at a time. The constants of
-time fit two threads of a server's processor, for plumes of 75 thousand and a million voxels: a
-factor of two either way is normal. The memory is meant to be an upper bound.
+MAP_TIME, BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, which makes
+its displacement on the whole box, once an octave. Memory is the largest frame's; frames are held
+one at a time. The constants of time fit two threads of a server's processor, for plumes of 75
+thousand and a million voxels: a factor of two either way is normal. The memory is meant to be an
+upper bound.
 """
 
 import math
@@ -50,7 +51,7 @@ GIB = 2**30
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
 BOX_BYTES = 48  # density before and after, RGB, and one array in the making
 BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back
-BOX_BYTES_SHAPE = 250  # potentials on all levels, their gradients, Adam's moments, displacement
+BOX_BYTES_SHAPE = 250  # effect, potential and displacement, and what the transport makes of it
 BOX_BYTES_WARM = 150  # velocity, and where every voxel's smoke was before
 MASK_BYTES = 16  # as it was read, checked, within [0, 1] and on the device
 VOXEL_BYTES = 500  # positions, colours, their gradients and moments, a view in the making
@@ -63,7 +64,8 @@ FILE_TIME = 2.0e-6
 ITERATION = 0.006
 PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
-BOX_TIME = 3.0e-7
+BOX_TIME = 1.0e-7
+MAP_TIME = 1.0e-6
 VIEW_TIME = 7.0e-7
 COARSE_BYTES = 24  # of a coarse voxel: potential and colours
 GAIN = 0.8  # n threads are n ** GAIN times as quick
@@ -251,9 +253,10 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
         scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
         if n_iterations == 0 or scale > finest:
             continue
-        iteration = ITERATION + (BOX_TIME * box * scale**3 if step == "shape" else 0.0)
-        iteration += config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
-        work += n_iterations * iteration + n_views * VIEW_TIME * active * scale**3
+        iteration = config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
+        work += n_iterations * (ITERATION + iteration) + n_views * VIEW_TIME * active * scale**3
+        if step == "shape":
+            work += (MAP_TIME * active + BOX_TIME * box) * scale**3
     return work
 
 
