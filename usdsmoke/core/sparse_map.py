@@ -84,9 +84,9 @@ class SparseSums:
                 counts = there.sum(1)
                 after = torch.cumsum(counts, 0) + end
                 start[done : done + len(counts)] = after - counts
-                chosen, done = indices[there], done + len(counts)
+                chosen, done = indices.masked_select(there), done + len(counts)
                 index[end : end + len(chosen)] = chosen
-                weight[end : end + len(chosen)] = weights[there]
+                weight[end : end + len(chosen)] = weights.masked_select(there)
                 end += len(chosen)
         return cls(index[:end].clone(), weight[:end].clone(), start)
 
@@ -160,7 +160,8 @@ class Taps:
         outer = torch.div(row, n_rows, rounding_mode="floor")
         along = row - outer * n_rows
         first = rows.flat[part] + inner * (outer * self.n_columns - row)
-        return first[:, None] + inner * self.column[along], self.weight[along]
+        columns = (inner * self.column).index_select(0, along)
+        return columns.add_(first[:, None]), self.weight.index_select(0, along)
 
 
 def nodes_read(rows: Nodes, axis: int, taps: Taps) -> Nodes:
@@ -169,7 +170,7 @@ def nodes_read(rows: Nodes, axis: int, taps: Taps) -> Nodes:
     needed = torch.zeros(shape, dtype=torch.bool, device=rows.flat.device)
     for part in _chunks(len(rows), rows.flat.device):
         numbers, weight = taps.numbers(rows, axis, part)
-        needed.view(-1)[numbers[weight != 0]] = True
+        needed.view(-1).index_fill_(0, numbers.masked_select(weight != 0), True)
     return Nodes.where(needed)
 
 
@@ -180,7 +181,8 @@ def read_along(rows: Nodes, columns: Nodes, axis: int, taps: Taps, part: slice) 
         Places in ``columns.flat`` [m K] int32, -1 where there is nothing to read, and the weights.
     """
     numbers, weight = taps.numbers(rows, axis, part)
-    return torch.where(weight != 0, columns.numbers[numbers], -1), weight
+    places = columns.numbers.index_select(0, numbers.view(-1)).view(numbers.shape)
+    return places.masked_fill_(weight == 0, -1), weight
 
 
 def map_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tensor) -> SparseMap:
