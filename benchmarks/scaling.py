@@ -46,7 +46,7 @@ class Made:
 def list_cases(quick: bool = False, device: str = "cpu") -> dict[str, list[Case]]:
     """The cases by series; ``quick`` has small boxes alone."""
     side, sides = (24, (32, 40)) if quick else (128, (32, 64, 128, 256))
-    shares, n = (SHARES[2:4], 3) if quick else (SHARES, 5)
+    shares, n = (SHARES[2:4], 3) if quick else (SHARES, 10)
 
     def case(
         step: str, side: int, share: float = 0.0, layout: str = "scattered", **more: int
@@ -94,9 +94,10 @@ def render_report(costs: Costs, made: Mapping[str, Made]) -> str:
     """All tables in Markdown; a series that is not ``made`` is left out."""
     lines = ["# Cost against size", "", *(__doc__ or "").split("\n\n", 2)[2].splitlines(), ""]
     lines += [
-        "Seconds are CPU seconds of an iteration (median of all but the first; wall seconds on a",
-        "GPU). Volume: all but the network, which is timed on its own, gradient included. GiB: the",
-        "process's peak above what is resident after a tiny run. The process's peak holds the",
+        "Seconds are CPU seconds of an iteration (wall seconds on a GPU), the median of the second",
+        "half of ten: in the first, the views' maps are made. Volume: all but the network, which",
+        "is timed on its own, gradient included. Set-up: up to the first iteration, one view's map",
+        "included. GiB: the process's peak above what is resident after a tiny run; it holds the",
         "dense arrays that smoke is read into, and all views' maps.",
         "",
     ]
