@@ -3,6 +3,9 @@ r"""A coefficient pyramid where few voxels of a box count: cost by those, and no
 What a displacement takes from a potential is its values where the effect is above 0. The nodes of
 each level are those that the interpolation to the next finer one reads, found once, axis by axis;
 all others would have a gradient of 0 for ever. Values and gradients are ``Pyramid.expand``'s there.
+
+Smoke that fills its box has no dense way of its own: summed over all of 128^3 voxels, an iteration
+took two thirds of the time that small matrices on the whole box took, on one thread.
 """
 
 from collections.abc import Sequence

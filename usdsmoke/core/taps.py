@@ -156,6 +156,9 @@ def _hat_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
     """Hat functions of the two voxels that surround a position, or lie nearest to it."""
     floor = position.floor().clamp_(0, length - 2)
     right = position - floor  # in [0, 1] inside the box, beyond it outside
+    if position.device.type == "cpu" and _is_within(right):  # the same bits in half the time
+        one = torch.ones_like(right)
+        return _Taps(floor.long(), (1 - right, right), (-one, one) if want_slopes else ())
     weights = (
         torch.minimum(1 - right, 1 + right).clamp_(min=0),
         torch.minimum(right, 2 - right).clamp_(min=0),
@@ -166,6 +169,11 @@ def _hat_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
     entering = ((right > -1) & (right < 0)).to(position.dtype)
     leaving = ((right > 1) & (right < 2)).to(position.dtype)
     return _Taps(floor.long(), weights, (entering - inside, inside - leaving))
+
+
+def _is_within(right: Tensor) -> bool:
+    low, high = torch.aminmax(right)
+    return bool(low >= 0) and bool(high <= 1)
 
 
 def _spline_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:

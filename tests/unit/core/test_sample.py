@@ -245,3 +245,18 @@ def test_non_finite_positions_are_counted_and_refused(bad):
     positions[[2, 7], 1] = bad
     with pytest.raises(NonFiniteError, match="2 of 10 sample positions are NaN or infinite"):
         sample_linear(torch.ones(3, 3, 3), positions)
+
+
+def test_positions_in_the_box_sample_the_same_bits_beside_some_outside():
+    """A point beyond the box sends its whole chunk the longer way."""
+    generator = torch.Generator().manual_seed(3)
+    box = torch.rand(5, 6, 7, generator=generator)
+    inside = torch.rand(200, 3, generator=generator) * torch.tensor([4.0, 5.0, 6.0])
+    inside[:3] = torch.tensor([[0.0, 0.0, 0.0], [4.0, 5.0, 6.0], [2.0, 3.0, 1.0]])
+    found = []
+    for beyond in (torch.empty(0, 3), torch.tensor([[-0.5, 2.0, 6.5]])):
+        positions = torch.cat([inside, beyond]).requires_grad_()
+        sampled = sample_linear(box, positions)[: len(inside)]
+        (slopes,) = torch.autograd.grad(sampled.sum(), positions)
+        found.append((sampled, slopes[: len(inside)]))
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
