@@ -186,6 +186,23 @@ def test_one_view_is_projected_once_and_looked_at_once_an_iteration(
         assert calls["StyleTarget.loss"] == 2 * n_looks  # two steps of two octaves, two iterations
 
 
+@pytest.mark.parametrize("step", ["shape", "colour"])
+def test_a_short_optimisation_makes_no_map_of_a_view_that_it_never_draws(
+    step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = {"shape": "column_map", "colour": "colour_map"}[step]
+    calls = count_calls(monkeypatch, f"{CORE}.{step}:{name}")
+    for iterations, n_maps in ((3, 3), (20, 8)):
+        calls.clear()
+        config = quick_config(
+            **{step: {"iterations": [iterations]}},
+            views={"pool": 8, "count": 1, "image_size": 16},
+            optimize={"steps": [step], "error_budget": False},
+        )
+        run_core([frame_of(puff(10))], config)
+        assert calls[name] == n_maps
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_slab_is_seen_once_and_moved_and_sampled_along_two_axes(
     axis: int, monkeypatch: pytest.MonkeyPatch
