@@ -2,7 +2,7 @@
 
     python -m benchmarks.scaling [--quick] [--report FILE]
 
-Three series of both steps, at full resolution, one view an iteration, pictures of 64 pixels: more
+Series of both steps, at full resolution, one view an iteration, pictures of 64 pixels: more
 and more smoke in one box; the same number of voxels with smoke in larger and larger boxes; boxes
 of 10 % smoke of all sizes. Then the network's share of an iteration at 128^3 with 10 %, a voxel a
 pixel. Every case runs in a process of its own, on one thread; with a GPU once more there. Prints

@@ -48,7 +48,7 @@ def count_calls(monkeypatch: pytest.MonkeyPatch, *targets: str) -> Counter[str]:
 class Elements(TorchDispatchMode):
     """How many elements all tensors have that torch's operations make, gradients included.
 
-    Without ``views``, which cost nothing however large a tensor they show, not those.
+    Views of tensors cost nothing however large what they show: ``views=False`` leaves them out.
     """
 
     def __init__(self, views: bool = True) -> None:

@@ -150,10 +150,8 @@ def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box(
         return octave.moved(potential).square().sum()
 
     monkeypatch.setattr(f"{CORE}.shape._Octave.loss", loss)
-    still = {
-        "iterations": [4],
-        "learning_rate": 1e-3,
-    }  # what leaves the box is looked up in more steps
+    # what leaves the box is looked up in more steps: it moves a little only
+    still = {"iterations": [4], "learning_rate": 1e-3}
     config = quick_config(shape=still, optimize={"steps": ["shape"]})
     made = []
     for length in (160, 320):

@@ -6,7 +6,8 @@ picture, V pictures an iteration, L views in the pool, S style images, s an octa
 resolution as a share of the full one; in the work, of N, B and P only what the camera sees counts:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
-    work    = sum over steps and octaves of (L VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
+    work    = sum over steps and octaves of
+                  (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3))
     seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
@@ -54,8 +55,8 @@ BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read ba
 BOX_BYTES_SHAPE = 250  # effect, potential and displacement, and what the transport makes of it
 BOX_BYTES_WARM = 150  # velocity, and where every voxel's smoke was before
 MASK_BYTES = 16  # as it was read, checked, within [0, 1] and on the device
-VOXEL_BYTES = 500  # positions, colours, their gradients and moments, a view in the making
-VIEW_BYTES = 80  # four pixels and weights, in two orders
+VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
+VIEW_BYTES = 40  # four pixels and weights
 PIXEL_BYTES = 12_000  # feature maps and what is kept of them for the gradient
 
 START = 3.0  # loading torch, learning the filters
@@ -244,7 +245,6 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
     """Seconds of one thread."""
     active, box = (frame.seen * n for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.seen ** (2 / 3)
-    n_views = n_different_views(config.views)
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     if not frame.window_start and finest == 1.0:
         octaves = warm_iterations(octaves, config.windows.warm_iterations)
@@ -254,7 +254,8 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
         if n_iterations == 0 or scale > finest:
             continue
         iteration = config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
-        work += n_iterations * (ITERATION + iteration) + n_views * VIEW_TIME * active * scale**3
+        drawn = min(n_different_views(config.views), n_iterations * config.views.count)
+        work += n_iterations * (ITERATION + iteration) + drawn * VIEW_TIME * active * scale**3
         if step == "shape":
             work += (MAP_TIME * active + BOX_TIME * box) * scale**3
     return work

@@ -93,7 +93,7 @@ def test_a_picture_takes_a_few_times_its_map_and_a_refined_field_little_beside_i
         [sys.executable, "-c", PICTURES], capture_output=True, text=True, check=True, timeout=60
     )
     per_voxel, share = map(float, done.stdout.split())
-    assert 64 < per_voxel < 300  # the map itself is 64
+    assert 32 < per_voxel < 300  # the map itself is 32
     assert 0.9 < share < 2.5
 
 

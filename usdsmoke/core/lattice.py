@@ -1,4 +1,4 @@
-"""A dense box around the smoke of one octave, on which potentials and displacements live."""
+"""A dense box around the smoke of one octave: what displacements are carried and finished on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

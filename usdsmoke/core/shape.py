@@ -48,7 +48,7 @@ from usdsmoke.core.scene import Scene, frame_views
 from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
 from usdsmoke.core.sparse_displacement import SparseDisplacement
 from usdsmoke.core.sparse_map import Nodes
-from usdsmoke.core.sparse_pyramid import SparsePyramid
+from usdsmoke.core.sparse_pyramid import LevelNodes, SparsePyramid
 from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.transport import warp
@@ -58,7 +58,7 @@ __all__ = ["Start", "longest_move", "run_shape_step"]
 
 Start = Callable[[Lattice], Tensor]
 
-_Moments = tuple[Adam, Lattice, SparsePyramid]  # and what they live on
+_Moments = tuple[Adam, Lattice, LevelNodes]  # and what they live on
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 N_LEVELS = 5  # of the coefficient pyramid
@@ -204,10 +204,11 @@ def run_shape_step(
             octave, first, cap, config, n_iterations, rate, carried, told
         )
         potential = Potential(values, octave.lattice)
-        carried = (adam, octave.lattice, octave.pyramid)
+        carried = (adam, octave.lattice, octave.pyramid.nodes)
         ends += [end] if end is not None else []
         done = (octave.lattice, octave.effect, octave.base) if smoke is source else None
         del octave  # with its views, which are most of a step's memory
+    carried = None
     if done is not None:  # the box at full resolution is there
         lattice, effect, base = done
     else:
@@ -244,12 +245,11 @@ def _moments_for(octave: _Octave, before: _Moments | None) -> Adam:
     """Those of the octave before, on this one's pyramid; fresh ones without."""
     if before is None:
         return Adam()
-    adam, lattice, pyramid = before
+    adam, lattice, nodes = before
 
     def carry(moments: list[Tensor]) -> list[Tensor]:
-        levels = pyramid.fill(moments)
-        new = carry_levels(octave.pyramid.shapes, octave.lattice, lattice, levels)
-        return octave.pyramid.take(new)
+        here = octave.pyramid.nodes
+        return here.take(carry_levels(here.shapes, octave.lattice, lattice, nodes.fill(moments)))
 
     return adam.carried(carry)
 
@@ -275,9 +275,11 @@ def _optimize_octave(
     # style, but carried ones change by a tenth more at an equal distance (64 voxels, 12 frames)
     scales = [
         cap * spacing * math.sqrt(max(map(truediv, octave.lattice.shape, shape)))
-        for shape in pyramid.shapes
+        for shape in pyramid.nodes.shapes
     ]
-    unknowns = [level.requires_grad_(True) for level in pyramid.zeros(base.shape[-1])]
+    unknowns = pyramid.nodes.zeros(base.shape[-1], base)
+    for level in unknowns:
+        level.requires_grad_(True)
     base_there = pyramid.chosen(base)
     adam = _moments_for(octave, before if config.optimize.carry_moments else None)
 
@@ -293,4 +295,4 @@ def _optimize_octave(
         if watch is not None:
             watch(state)
     with torch.no_grad():
-        return base + Pyramid(tuple(pyramid.fill(scaled()))).expand(), adam, state
+        return base + Pyramid(tuple(pyramid.nodes.fill(scaled()))).expand(), adam, state

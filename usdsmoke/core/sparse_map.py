@@ -6,7 +6,7 @@ applied to those alone: the entries of a row that read a node are kept, what rea
 directions are stored as runs of entries, summed run by run: results repeat bit by bit.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -14,6 +14,8 @@ from typing import Any, cast
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from usdsmoke.core.pieces import PIECE, cut
 
 __all__ = [
     "Nodes",
@@ -27,9 +29,6 @@ __all__ = [
 ]
 
 Table = tuple[Tensor, Tensor]
-
-_CHUNK = 2**14  # sums that are put together at once: what is made for them stays small
-_GPU_CHUNKS = 256  # times as many at once on a GPU, where every piece costs time
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class SparseSums:
         start = like.new_empty(n_sums, dtype=kind)
         done = end = 0
         for n, tables in blocks:
-            for part in _chunks(n, like.device):
+            for part in cut(n, PIECE, like.device):
                 indices, weights = tables(part)
                 there = indices >= 0
                 counts = there.sum(1)
@@ -168,7 +167,7 @@ def nodes_read(rows: Nodes, axis: int, taps: Taps) -> Nodes:
     """The nodes that are read for ``rows`` along an axis."""
     shape = _with_length(rows.shape, axis, taps.n_columns)
     needed = torch.zeros(shape, dtype=torch.bool, device=rows.flat.device)
-    for part in _chunks(len(rows), rows.flat.device):
+    for part in cut(len(rows), PIECE, rows.flat.device):
         numbers, weight = taps.numbers(rows, axis, part)
         needed.view(-1).index_fill_(0, numbers.masked_select(weight != 0), True)
     return Nodes.where(needed)
@@ -197,12 +196,6 @@ def _sums_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Te
     taps = Taps.of(matrix, like)
     block = (len(rows), partial(read_along, rows, columns, axis, taps))
     return SparseSums.of(taps.width, block, like=like)
-
-
-def _chunks(n: int, device: torch.device) -> Iterator[slice]:
-    size = _CHUNK * (1 if device.type == "cpu" else _GPU_CHUNKS)
-    for first in range(0, n, size):
-        yield slice(first, min(first + size, n))
 
 
 def _with_length(shape: tuple[int, int, int], axis: int, length: int) -> tuple[int, int, int]:

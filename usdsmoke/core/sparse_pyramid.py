@@ -1,21 +1,47 @@
-r"""A coefficient pyramid where few voxels of a box count: cost by those, and not by the box.
+"""A coefficient pyramid where few voxels of a box count: cost by those, and not by the box.
 
 What a displacement takes from a potential is its values where the effect is above 0. The nodes of
 each level are those that the interpolation to the next finer one reads, found once, axis by axis;
 all others would have a gradient of 0 for ever. Values and gradients are ``Pyramid.expand``'s there.
-
-Smoke that fills its box has no dense way of its own: summed over all of 128^3 voxels, an iteration
-took two thirds of the time that small matrices on the whole box took, on one thread.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from torch import Tensor
 
-from usdsmoke.core.resample import Method, interpolation_matrix, pyramid_shapes
+from usdsmoke.core.resample import interpolation_matrix, pyramid_shapes
 from usdsmoke.core.sparse_map import Nodes, SparseMap, Taps, map_along, nodes_read
 
-__all__ = ["SparsePyramid"]
+__all__ = ["LevelNodes", "SparsePyramid"]
+
+
+@dataclass(frozen=True)
+class LevelNodes:
+    """Which nodes of a pyramid's levels have coefficients; coarse to fine."""
+
+    shapes: Sequence[tuple[int, int, int]]  # of the levels' lattices
+    flats: Sequence[Tensor]  # [n] each: the nodes' numbers in C order among all of their lattice
+
+    def zeros(self, n_channels: int, like: Tensor) -> list[Tensor]:
+        """Coefficients of all levels' nodes, [n C] each, with the dtype and device of ``like``."""
+        return [like.new_zeros(len(flat), n_channels) for flat in self.flats]
+
+    def take(self, boxes: Sequence[Tensor]) -> list[Tensor]:
+        """The nodes' values [n C] of dense levels [i j k C]."""
+        return [
+            box.reshape(-1, box.shape[-1])[flat]
+            for box, flat in zip(boxes, self.flats, strict=True)
+        ]
+
+    def fill(self, levels: Sequence[Tensor]) -> list[Tensor]:
+        """Dense levels [i j k C] of the nodes' values [n C], 0 elsewhere."""
+        boxes = []
+        for shape, flat, level in zip(self.shapes, self.flats, levels, strict=True):
+            box = level.new_zeros(*shape, level.shape[-1])
+            box.view(-1, level.shape[-1])[flat] = level.detach()
+            boxes.append(box)
+        return boxes
 
 
 class SparsePyramid:
@@ -25,28 +51,23 @@ class SparsePyramid:
         nodes: the chosen voxels of the finest level.
         n_levels: as of ``pyramid_shapes``.
         like: dtype and device of the coefficients.
-        method: of the upsampling, see ``resample.upsample``.
     """
 
-    def __init__(self, nodes: Nodes, n_levels: int, like: Tensor, method: Method = "cubic") -> None:
-        #: lattice shapes, coarse to fine
-        self.shapes = pyramid_shapes(nodes.shape, n_levels)
-        self._like, self._flats = like, [nodes.flat]
+    def __init__(self, nodes: Nodes, n_levels: int, like: Tensor) -> None:
+        shapes, flats = pyramid_shapes(nodes.shape, n_levels), [nodes.flat]
         self._steps: list[list[SparseMap]] = []  # from each level to the next finer one
-        for coarse in self.shapes[-2::-1]:
+        for coarse in shapes[-2::-1]:
             step: list[SparseMap] = []
             for axis in (2, 1, 0):  # neighbours along k lie next to each other
-                matrix = interpolation_matrix(nodes.shape[axis], coarse[axis], method)
+                matrix = interpolation_matrix(nodes.shape[axis], coarse[axis], "cubic")
                 if matrix is not None:
                     read = nodes_read(nodes, axis, Taps.of(matrix, like))
                     step.insert(0, map_along(nodes, read, axis, matrix, like))
                     nodes = read
             self._steps.insert(0, step)
-            self._flats.insert(0, nodes.flat)
-
-    def zeros(self, n_channels: int) -> list[Tensor]:
-        """Coefficients of all levels' nodes, coarse to fine, [n C] each."""
-        return [self._like.new_zeros(len(flat), n_channels) for flat in self._flats]
+            flats.insert(0, nodes.flat)
+        #: without the maps between them
+        self.nodes = LevelNodes(shapes, flats)
 
     def expand(self, levels: Sequence[Tensor]) -> Tensor:
         """The field at the chosen voxels, [n C]. Gradients: through ``levels``, exact adjoint."""
@@ -59,20 +80,4 @@ class SparsePyramid:
 
     def chosen(self, box: Tensor) -> Tensor:
         """A box's values [I J K C] at the chosen voxels, [n C]."""
-        return box.reshape(-1, box.shape[-1])[self._flats[-1]]
-
-    def take(self, boxes: Sequence[Tensor]) -> list[Tensor]:
-        """The nodes' values [n C] of dense levels [i j k C]."""
-        return [
-            box.reshape(-1, box.shape[-1])[flat]
-            for box, flat in zip(boxes, self._flats, strict=True)
-        ]
-
-    def fill(self, levels: Sequence[Tensor]) -> list[Tensor]:
-        """Dense levels [i j k C] of the nodes' values [n C], 0 elsewhere."""
-        boxes = []
-        for shape, flat, level in zip(self.shapes, self._flats, levels, strict=True):
-            box = level.new_zeros(*shape, level.shape[-1])
-            box.view(-1, level.shape[-1])[flat] = level.detach()
-            boxes.append(box)
-        return boxes
+        return box.reshape(-1, box.shape[-1])[self.nodes.flats[-1]]

@@ -1,5 +1,6 @@
 """The potential on the voxels that count is the one on the whole box, and so are its gradients."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -61,7 +62,7 @@ def compare(effect: Tensor, active: Tensor, kind: str, n_channels: int, lattice:
     moves = SparseDisplacement(
         Nodes.where(active), nodes, effect, kind, lattice.spacing, n_channels
     )
-    levels = [level.detach().requires_grad_() for level in pyramid.take(dense)]
+    levels = [level.detach().requires_grad_() for level in pyramid.nodes.take(dense)]
     found = moves.free(pyramid.chosen(base) + pyramid.expand(levels))
     torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-12)
 
@@ -70,7 +71,7 @@ def compare(effect: Tensor, active: Tensor, kind: str, n_channels: int, lattice:
         return list(torch.autograd.grad(total, unknowns, allow_unused=True, materialize_grads=True))
 
     for ours, theirs in zip(
-        pyramid.fill(slopes(found, levels)), slopes(wanted, dense), strict=True
+        pyramid.nodes.fill(slopes(found, levels)), slopes(wanted, dense), strict=True
     ):
         torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
     return sum(len(level) for level in levels)
@@ -111,18 +112,19 @@ def test_only_nodes_whose_coefficient_reaches_the_smoke_take_part() -> None:
     dense = [random(*s, 1).requires_grad_() for s in pyramid_shapes(effect.shape, LEVELS)]
     reached = Pyramid(tuple(dense)).expand()[effect > 0].square().sum()
     pyramid = SparsePyramid(Nodes.where(effect > 0), LEVELS, effect)
-    ones = pyramid.fill([torch.ones_like(level) for level in pyramid.zeros(1)])
+    ones = pyramid.nodes.fill([torch.ones_like(level) for level in pyramid.nodes.zeros(1, effect)])
     for box, slope in zip(ones, torch.autograd.grad(reached, dense), strict=True):
         assert torch.equal(box > 0, slope != 0)
 
 
 def test_what_a_box_of_a_level_takes_it_gives_back() -> None:
     effect = random(9, 12, 7) < 0.2
-    pyramid = SparsePyramid(Nodes.where(effect), 3, torch.zeros((), dtype=torch.float64))
-    levels = [random(*level.shape, seed=n) for n, level in enumerate(pyramid.zeros(2))]
-    boxes = pyramid.fill(levels)
+    like = torch.zeros((), dtype=torch.float64)
+    pyramid = SparsePyramid(Nodes.where(effect), 3, like)
+    levels = [random(*zero.shape, seed=n) for n, zero in enumerate(pyramid.nodes.zeros(2, like))]
+    boxes = pyramid.nodes.fill(levels)
     assert [tuple(box.shape[:3]) for box in boxes] == pyramid_shapes(effect.shape, 3)
-    for before, after in zip(levels, pyramid.take(boxes), strict=True):
+    for before, after in zip(levels, pyramid.nodes.take(boxes), strict=True):
         assert torch.equal(before, after)
     assert torch.equal(pyramid.chosen(boxes[-1]), levels[-1])
 
@@ -151,21 +153,31 @@ def test_sums_that_are_put_together_in_parts_are_the_same(monkeypatch: pytest.Mo
     matrix = interpolation_matrix(10, 5, "cubic")
     assert matrix is not None
     whole = map_along(rows, columns, 2, matrix, matrix)
-    monkeypatch.setattr("usdsmoke.core.sparse_map._CHUNK", 7)
+    monkeypatch.setattr("usdsmoke.core.sparse_map.PIECE", 7)
     parts = map_along(rows, columns, 2, matrix, matrix)
     for one, other in ((whole.forth, parts.forth), (whole.back, parts.back)):
         assert torch.equal(one.index, other.index) and torch.equal(one.weight, other.weight)
         assert torch.equal(one.start, other.start)
 
 
-def test_results_repeat_bit_by_bit() -> None:
+@pytest.fixture
+def threads() -> Iterator[None]:
+    """Puts the number of threads back."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_results_repeat_bit_by_bit_on_any_number_of_threads(threads: None) -> None:
     effect = (random(24, 20, 22) * (random(24, 20, 22, seed=1) < 0.3)).float()
     nodes = Nodes.where(effect > 0)
     found = []
-    for _ in range(2):
+    for n_threads in (1, 2):
+        torch.set_num_threads(n_threads)
         pyramid = SparsePyramid(nodes, LEVELS, effect)
         moves = SparseDisplacement(nodes, nodes, effect, "stream", (1.0, 1.0, 1.0), 3)
-        levels = [random(*level.shape).float().requires_grad_() for level in pyramid.zeros(3)]
+        zeros = pyramid.nodes.zeros(3, effect)
+        levels = [random(*zero.shape).float().requires_grad_() for zero in zeros]
         moved = moves.free(pyramid.expand(levels))
         found.append([moved, *torch.autograd.grad(moved.square().sum(), levels)])
     assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
