@@ -33,7 +33,7 @@ from usdsmoke.errors import UsdSmokeError
 __all__ = ["Findings", "main", "measure", "render_report"]
 
 MARKS = {"share": 0.25, "border": 1.2, "style": 0.10}
-SHARES = (0.5, 0.25, 0.12)  # of the iterations, for frames alone that stop early
+SHARES = (0.5, 0.25, 0.12, 0.06)  # of the iterations, for frames alone that stop early
 STYLE_OF = {"displacement": "grey", "colour": "colour"}  # pictures that show a kind's style
 QUICK = ["windows.size=3", "windows.overlap=1", "optimize.iterations=6", "views.pool=2"]
 STYLE_SIZE = {False: 512, True: 128}  # pixels, by whether it is quick

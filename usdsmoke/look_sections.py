@@ -159,7 +159,7 @@ class ShapeConfig:
         [60, 50, 40], "iterations per octave, coarse to fine; 0 leaves one out", low=0, least=1
     )
     warm_rate: float = setting(
-        0.115,
+        0.12,
         "share of the learning rate for a frame that starts from its neighbour's result",
         above=0.0,
         high=1.0,

@@ -20,7 +20,7 @@ __all__ = ["CoarseStart", "start_colours", "start_displacement"]
 
 # Share of the difference to the coarse result that a carried one is corrected by. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
-PULL_DISPLACEMENT = 0.4
+PULL_DISPLACEMENT = 0.35
 PULL_COLOUR = 0.5
 
 
