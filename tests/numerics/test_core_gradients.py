@@ -18,7 +18,7 @@ from usdsmoke.core.optics import opacity
 from usdsmoke.core.picture_loss import PictureLoss
 from usdsmoke.core.potential import border_mask, displacement_from
 from usdsmoke.core.project import colour_map, column_map
-from usdsmoke.core.resample import Pyramid
+from usdsmoke.core.resample import Pyramid, pyramid_shapes
 from usdsmoke.core.scene import fit_view
 from usdsmoke.core.smoke import ActiveSmoke
 from usdsmoke.core.style import decode_srgb
@@ -174,7 +174,8 @@ def test_pyramid_of_a_stream_function_to_the_style_loss(smoke, target):
     chain, lattice = shape_chain(
         smoke, "stream", lambda grey: target.loss(grey.expand(-1, -1, 3), None)
     )
-    pyramid = Pyramid.zeros(lattice.shape, 3, 3, smoke.density)
+    zeros = [smoke.density.new_zeros(*shape, 3) for shape in pyramid_shapes(lattice.shape, 3)]
+    pyramid = Pyramid(tuple(zeros))
     finest = 2 * random(*pyramid.levels[-1].shape, seed=5)
 
     def from_coarse(level: Tensor) -> Tensor:

@@ -39,20 +39,6 @@ class Pyramid:
     levels: tuple[Tensor, ...]
     method: Method = "cubic"
 
-    @classmethod
-    def zeros(
-        cls,
-        shape: Sequence[int],
-        n_channels: int,
-        n_levels: int,
-        like: Tensor,
-        method: Method = "cubic",
-        factor: float = 2.0,
-    ) -> "Pyramid":
-        """A pyramid of zeros for fields [I J K C], with the dtype and device of ``like``."""
-        shapes = pyramid_shapes(shape, n_levels, factor)
-        return cls(tuple(like.new_zeros((*level, n_channels)) for level in shapes), method)
-
     def expand(self) -> Tensor:
         """The field, [I J K C] on the finest level's lattice.
 
@@ -67,28 +53,25 @@ class Pyramid:
         return total
 
 
-def pyramid_shapes(
-    shape: Sequence[int], n_levels: int, factor: float = 2.0
-) -> list[tuple[int, int, int]]:
-    """Lattice shapes of a pyramid, coarse to fine; the last is ``shape``.
+def pyramid_shapes(shape: Sequence[int], n_levels: int) -> list[tuple[int, int, int]]:
+    """Lattice shapes of a pyramid, each half of the next finer one; the last is ``shape``.
 
     Args:
         shape: I, J, K of the finest level.
         n_levels: how many are wanted, >= 1; fewer where the box is too small for them.
-        factor: ratio of neighbouring levels, > 1.
 
     Raises:
         ShapeError: a number is out of range.
     """
     finest: tuple[int, ...] = tuple(int(n) for n in tuple(shape)[:3])
-    if n_levels < 1 or not factor > 1 or len(finest) != 3 or min(finest) < 1:
+    if n_levels < 1 or len(finest) != 3 or min(finest) < 1:
         raise ShapeError(
-            f"cannot make a pyramid of {n_levels} levels with factor {factor} on {list(finest)} "
-            "voxels; wanted at least 1 level, a factor above 1 and at least 1 voxel along 3 axes"
+            f"cannot make a pyramid of {n_levels} levels on {list(finest)} voxels; wanted at least "
+            "1 level and at least 1 voxel along 3 axes"
         )
     shapes: list[tuple[int, ...]] = [finest]
     while len(shapes) < n_levels:
-        coarser = tuple(max(min(n, 2), math.ceil(n / factor)) for n in shapes[0])
+        coarser = tuple(max(min(n, 2), math.ceil(n / 2)) for n in shapes[0])
         if coarser == shapes[0]:
             break
         shapes.insert(0, coarser)

@@ -14,7 +14,7 @@ from usdsmoke.core.potential import (
     carry_levels,
     displacement_from,
 )
-from usdsmoke.core.resample import Pyramid
+from usdsmoke.core.resample import pyramid_shapes
 from usdsmoke.core.smoke import make_octaves
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
@@ -111,8 +111,13 @@ def pyramids(n_levels: int, room: int = 2) -> tuple[list[Lattice], list[list[tor
     """Lattices of two octaves, coarse first, and pyramids on them."""
     octaves = make_octaves(smoke_of(puff(24), affine(1)), 2)
     lattices = [surround(smoke, room) for smoke in octaves]
-    like = torch.zeros((), dtype=torch.float64)
-    levels = [list(Pyramid.zeros(lattice.shape, 2, n_levels, like).levels) for lattice in lattices]
+    levels = [
+        [
+            torch.zeros(*shape, 2, dtype=torch.float64)
+            for shape in pyramid_shapes(box.shape, n_levels)
+        ]
+        for box in lattices
+    ]
     return lattices, levels
 
 
