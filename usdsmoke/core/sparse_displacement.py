@@ -19,10 +19,12 @@ class SparseDisplacement:
 
     Args:
         active: voxels at which the displacement is wanted.
-        nodes: voxels of the same box that hold the potential.
-        effect: [I J K] in [0, 1], its share; 0 outside of ``nodes``.
+        nodes: voxels of the same box that hold the potential; one that no active voxel reads moves
+            nothing, and gets no gradient.
+        effect: [I J K] in [0, 1], the potential's share; 0 outside of ``nodes``.
         kind, spacing: see ``free_displacement``.
-        n_channels: of the potential.
+        n_channels: of the potential: 3 for a stream function (in a slab 1), 1 for a potential, 4
+            for both.
     """
 
     def __init__(
