@@ -41,6 +41,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("naming", {"errors"}, set()),
     ("publish", {"errors"}, set()),
     ("memory", set(), set()),
+    ("torch_environment", set(), set()),
     ("provenance", {"errors"}, set()),
     ("provenance_versions", set(), set()),
     ("provenance_stage", {"volume"}, {"numpy"}),

@@ -1,6 +1,5 @@
 """The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +34,7 @@ from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, styli
 from usdsmoke.plan import Plan
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
 from usdsmoke.run_windows import finished_window, manifest_path
+from usdsmoke.torch_environment import prepare_torch_environment
 
 __all__ = [
     "StepResult",
@@ -266,11 +266,7 @@ def _prepare(
     settings: Mapping[str, Any] | Sequence[str],
     planned: Callable[[Plan], None] | None,
 ) -> Job:
-    # Read when torch is imported, later.
-    # Threads that spin while they wait slow each other down many times where processors are shared.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Every size of picture leaves its convolutions in a cache, which grows with the shot.
-    os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")
+    prepare_torch_environment()
     resolved, explicit = resolve_settings(config, settings)
     job = _settled(stage, style, Path(output), resolved, explicit)
     if planned is not None:

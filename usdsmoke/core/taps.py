@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from usdsmoke.core.pieces import cut
+
 __all__ = ["iterate_cells", "sum_taps"]
 
 _CHUNK = 65536  # points; measured best of 2^14 ... 2^20
@@ -49,7 +51,7 @@ def iterate_cells(values: Tensor, positions_ijk: Tensor) -> Iterator[list[tuple[
         position's cell that lies inside the box, in a shape that broadcasts with them.
     """
     flat, strides, axes = _flatten(values)
-    for part in _chunks(len(positions_ijk)):
+    for part in cut(len(positions_ijk), _CHUNK, positions_ijk.device):
         base, taps = _find_taps(positions_ijk[part], values.shape, strides, axes, False, False)
         offsets = [
             positions_ijk[part, axis] - tap.first for axis, tap in zip(axes, taps, strict=True)
@@ -75,7 +77,7 @@ class _TapSum(torch.autograd.Function):
         want_slopes = ctx.needs_input_grad[1]
         sums = flat.new_empty((len(planes), len(positions)))
         jacobian = flat.new_zeros((3, *sums.shape)) if want_slopes else None
-        for part in _chunks(len(positions)):
+        for part in cut(len(positions), _CHUNK, positions.device):
             base, taps = _find_taps(
                 positions[part], values.shape, strides, axes, cubic, want_slopes
             )
@@ -106,16 +108,11 @@ def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: b
     """What each voxel's weight is in all sums together, weighted with ``grad_planes`` [C N]."""
     planes = grad_planes.new_zeros((len(grad_planes), shape[:3].numel()))
     strides, axes = _layout(shape)
-    for part in _chunks(len(positions)):
+    for part in cut(len(positions), _CHUNK, positions.device):
         base, taps = _find_taps(positions[part], shape, strides, axes, cubic, want_slopes=False)
         for plane, grad_plane in zip(planes, grad_planes, strict=True):
             _scatter_sum(plane, base, strides, taps, grad_plane[part])
     return planes.T.reshape(shape)
-
-
-def _chunks(n_positions: int) -> Iterator[slice]:
-    for start in range(0, n_positions, _CHUNK):
-        yield slice(start, min(start + _CHUNK, n_positions))
 
 
 def _layout(shape: torch.Size) -> tuple[list[int], list[int]]:

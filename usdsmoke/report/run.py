@@ -1,6 +1,5 @@
 """A report from end to end: scene, sweeps, diagrams, page."""
 
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from usdsmoke.report.engine import Sweep, Tell, run_sweeps
 from usdsmoke.report.measure import Clock
 from usdsmoke.report.page import make_page
 from usdsmoke.report.records import Omission, Report
+from usdsmoke.torch_environment import prepare_torch_environment
 
 __all__ = ["SWEEPS", "ReportResult", "make_report"]
 
@@ -108,7 +108,7 @@ def make_report(
         WriteFailed: the report cannot be written.
     """
     check_matplotlib()
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # see pipeline.py
+    prepare_torch_environment()
     tell = progress or (lambda sweep, point, share: None)
     target = Path(output).absolute()
     if target.exists() and not target.is_dir():
