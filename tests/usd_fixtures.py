@@ -176,7 +176,10 @@ def make_look(
     look: str = "stylized",
     mode: str = "sublayer",
 ) -> LookFiles:
-    """The look of a stage, with files of little boxes in place of stylized smoke."""
+    """The look of a stage, with files of little boxes in place of stylized smoke.
+
+    Its times are fixed, so that two looks made a second apart differ in nothing.
+    """
     stage = open_stage(stage_file)
     source = find_volumes(stage, StageConfig(frames=frames, prims=list(prims)))
     results = []
@@ -195,7 +198,10 @@ def make_look(
         results.append(
             StylizedVolume(volume, written, 0.5, grids, str(empty_file) if empty else "")
         )
-    facts = RunFacts("1.2.3", 7, {"a": {"b": 1}}, styles={"x.png": "ff"}, run_id=run_id)
+    made = "2026-01-31T12:00:00Z"
+    facts = RunFacts(
+        "1.2.3", 7, {"a": {"b": 1}}, {}, {"x.png": "ff"}, run_id=run_id, created=made, finished=made
+    )
     config = LayerConfig(format=layer_format, look=look, mode=mode)
     return author_look(stage, source, results, output, config, build_provenance(facts))
 
