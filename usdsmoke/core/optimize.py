@@ -6,6 +6,7 @@ It minimises any objective and knows nothing of smoke, so it can be tested on a 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -123,7 +124,9 @@ def minimize(
     """Minimises ``objective`` over ``parameters`` in place; one item per good iteration.
 
     A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
-    and moments back to the last good state and halves the rate. The run ends early when the
+    and moments back to the last good state and halves the rate; but not where that state would
+    have had such a loss in this iteration too: views differ, the more so the nearer a loss is to
+    nothing. The run ends early when the
     smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of the iterations.
     At the end the best remembered state comes back if the last one is clearly worse.
 
@@ -148,7 +151,7 @@ def minimize(
     latest = None
     for iteration in range(n_iterations):
         value, gradients = _evaluate(objective, iteration, parameters)
-        if not state.accept(iteration, value, gradients):
+        if not state.accept(iteration, value, gradients, partial(_loss, objective, iteration)):
             continue
         now = state.rate * _schedule(iteration / n_iterations)
         with torch.no_grad():
@@ -166,7 +169,7 @@ def minimize(
         if iteration < n_iterations - 1:
             yield latest
     if n_iterations > 0:
-        end = state.settle(latest, lambda: _evaluate(objective, n_iterations, parameters)[0])
+        end = state.settle(latest, partial(_loss, objective, n_iterations))
         yield replace(end, losses=tuple(losses), rates=tuple(rates))
 
 
@@ -182,6 +185,15 @@ def _evaluate(
         return float(loss), [torch.zeros_like(p) for p in parameters]
     gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
     return float(loss.detach()), list(gradients)
+
+
+def _loss(objective: Callable[[int], Tensor], iteration: int) -> float:
+    """The loss alone; NaN where something on the way was not finite."""
+    try:
+        with torch.no_grad():
+            return float(objective(iteration))
+    except NonFiniteError:
+        return math.nan
 
 
 def _schedule(fraction: float) -> float:
@@ -204,9 +216,20 @@ class _State:
     def _copy(self) -> tuple[list[Tensor], Adam]:
         return [p.detach().clone() for p in self.parameters], self.adam.copy()
 
-    def accept(self, iteration: int, value: float, gradients: list[Tensor]) -> bool:
-        """True when the step may be taken; else everything is rolled back and the rate halved."""
-        if self._is_sound(value) and all(bool(torch.isfinite(g).all()) for g in gradients):
+    def accept(
+        self,
+        iteration: int,
+        value: float,
+        gradients: list[Tensor],
+        loss_again: Callable[[], float],
+    ) -> bool:
+        """True when the step may be taken; else everything is rolled back and the rate halved.
+
+        Args:
+            loss_again: the loss of the same iteration with the parameters as they are then.
+        """
+        finite = math.isfinite(value) and all(bool(torch.isfinite(g).all()) for g in gradients)
+        if finite and (self._is_sound(value) or self._was_so_before(value, loss_again)):
             begins = math.isnan(self._first_loss)
             if begins:
                 self._first_loss = self.smoothed = value
@@ -228,6 +251,17 @@ class _State:
         self._put(self._good[0])
         self.adam.restore(self._good[1])
         return False
+
+    def _was_so_before(self, value: float, loss_again: Callable[[], float]) -> bool:
+        """Whether the state to roll back to has about this loss too; no step is to blame then."""
+        here = [p.detach().clone() for p in self.parameters]
+        self._put(self._good[0])
+        before = loss_again()
+        if not value <= BLOW_UP * before:  # NaN too
+            return False
+        self._put(here)
+        self._best = max(self._best, before)
+        return True
 
     def settle(self, latest: Minimum | None, last_loss: Callable[[], float]) -> Minimum:
         """The end: the last state, or the best remembered one where that is clearly better.

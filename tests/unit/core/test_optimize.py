@@ -92,6 +92,23 @@ def test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported
     assert steep(x).item() <= steep(torch.zeros(3).double()).item()
 
 
+def test_views_whose_losses_differ_a_thousandfold_are_no_divergence():
+    """Whatever the step: such a loss was there before it, and no smaller step mends that."""
+    x = start()
+    end = list(minimize(lambda t: bowl(x) * (1e3 if t % 7 == 6 else 1.0), [x], 0.05, 400))[-1]
+    assert end.rollbacks == 0 and end.rate > 0.05 / 10 and bowl(x).item() < 1e-3
+
+
+def test_a_step_that_goes_wrong_is_seen_among_views_that_differ_too():
+    x = start()
+
+    def objective(iteration: int) -> Tensor:
+        return bowl(x) * (1e3 if iteration % 7 == 6 else 1.0) + (x.abs() > 3).sum() * 1e6
+
+    end = list(minimize(objective, [x], 20.0, 200))[-1]
+    assert end.rollbacks >= 3 and bool((x.abs() < 3).all())
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_loss_that_is_not_finite_is_rolled_back(bad):
     x, seen = start(), []
