@@ -112,7 +112,11 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("cluster_check", {"errors"}, set()),
     # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
     ("cluster", {"*"}, {"distributed"}),
-    ("pipeline_features", {"core.definition", "core.vgg19_file", "provenance", "sections"}, set()),
+    (
+        "pipeline_features",
+        {"core.definition", "core.layers", "core.vgg19_file", "provenance", "sections"},
+        set(),
+    ),
     ("pipeline*", {"*"}, {"pxr", "numpy", "torch"}),
     ("preview*", {"*"}, {"pxr", "numpy"}),
     ("report.diagrams", {"errors", "report.records"}, {"matplotlib"}),

@@ -158,6 +158,12 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "output is a file": (output_is_a_file, "LayerError", "notes.txt is a file; wanted a folder"),
     "no weights": (with_arguments("--set", "features.network=vgg19", "--set",
         "features.vgg19_file=/none.pth"), "FeatureError", "no VGG-19 weights at /none.pth"),
+    "wrong layer": (with_arguments("--set", "features.layers=[nope]"), "ConfigError",
+        "features.layers names 'nope', which the embedded network has not; it has: oriented1"),
+    "wrong content layer": (with_arguments("--set", "features.content_layers=[relu1_1]"),
+        "ConfigError", "features.content_layers names 'relu1_1'"),
+    "weights of 0": (with_arguments("--set", "features.layers=[learned1]", "--set",
+        "features.weights=[0]"), "ConfigError", "features.weights are all 0 for the style layers"),
 }  # fmt: skip
 
 
@@ -179,7 +185,7 @@ def test_bad_input_is_refused_by_name_and_leaves_nothing_behind(
     assert core.stylized == []
 
 
-SEEN_LATER = ("NaN", "cut off", "no weights", "too little for a grid")
+SEEN_LATER = ("NaN", "cut off", "too little for a grid")
 
 
 @pytest.mark.parametrize("name", [name for name in REFUSALS if name not in SEEN_LATER])

@@ -17,7 +17,7 @@ from tests.counters import Elements, count_calls, watch_calls
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.config import resolve_config
-from usdsmoke.core.definition import default_layers, learned_layers, oriented_layers
+from usdsmoke.core.definition import learned_layers, oriented_layers
 from usdsmoke.core.features import EmbeddedFeatures
 from usdsmoke.core.move import ROOM
 from usdsmoke.core.scene import measure_scene
@@ -90,7 +90,6 @@ def test_no_layer_below_the_deepest_style_layer_is_made_or_learned(
 
 def test_the_plan_knows_the_layers_that_the_network_has() -> None:
     assert EmbeddedFeatures.names == oriented_layers() + learned_layers()
-    assert EmbeddedFeatures.default_style_layers == default_layers()
     everything = resolve_config({"features": {"layers": list(EmbeddedFeatures.names)}})
     assert unneeded_layers(everything) == ()
     assert set(unneeded_layers(resolve_config())) == {"oriented4", "learned4"}

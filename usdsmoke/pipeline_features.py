@@ -1,13 +1,31 @@
-"""Which features a run compares pictures by, as a hash; torch is not needed to tell."""
+"""Which features a run compares pictures by, and their hash; torch is not needed to tell."""
 
 from collections.abc import Iterable
 
 from usdsmoke.core.definition import embedded_hash
+from usdsmoke.core.layers import content_layers, style_layers
 from usdsmoke.core.vgg19_file import find_vgg19_file
 from usdsmoke.provenance import hash_file
 from usdsmoke.sections import FeaturesConfig
 
-__all__ = ["features_hash", "features_hashes"]
+__all__ = ["check_features", "features_hash", "features_hashes"]
+
+
+def check_features(config: FeaturesConfig, here: bool = True) -> None:
+    """Refuse layers that the network has not, and a network whose parameters are not here.
+
+    Args:
+        config: which network and layers.
+        here: whether the parameter file must be at hand; not if other machines do the work.
+
+    Raises:
+        ConfigError: see ``core.layers.style_layers`` and ``content_layers``.
+        FeatureError: the parameter file is missing.
+    """
+    style_layers(config)
+    content_layers(config)
+    if here and config.network == "vgg19":
+        find_vgg19_file(config.vgg19_file)
 
 
 def features_hash(config: FeaturesConfig) -> str:

@@ -22,6 +22,7 @@ from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.needs import Omission
+from usdsmoke.pipeline_features import check_features
 from usdsmoke.pipeline_originals import check_look_name, check_originals, check_output_folder
 from usdsmoke.pipeline_settings import portable_settings, settle_files
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
@@ -89,7 +90,7 @@ def prepare_job(
         style_paths: files; none where every Volume brings its own.
         output: the output folder.
         config: the run's settings.
-        fits: whether memory and disk must be large enough for the whole work.
+        fits: whether memory, disk and the network's file must do for the whole work.
         explicit: dotted names of the settings that are stronger than a Volume's own.
 
     Raises:
@@ -108,6 +109,7 @@ def prepare_job(
     source = seen_through(stage, resolved.source, cameras)
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
+        check_features(own.config.features, fits)
     styles = tuple(read_style_image(style_file) for style_file in resolved.style_files)
     if config.layer.mode == "reference":
         check_asset(stage)
@@ -115,16 +117,14 @@ def prepare_job(
     left_out = [Omission("earlier look", note) for note in earlier.notes]
     plan = dataclasses.replace(plan, omitted=(*plan.omitted, *left_out))
     targets = look_files(source, output, config.layer)
-    stems = [volume.stem for volume in plan.volumes]
-    sheets = sheet_files(stems, output, config.layer.look)
+    sheets = sheet_files([volume.stem for volume in plan.volumes], output, config.layer.look)
     inputs = _input_files(stage, source, resolved.style_files)
     inputs += [Path(file_path) for file_path in earlier.layers]
     check_look_name(output, config.layer.look)
     check_output_folder(output, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)
-    explicit = frozenset(explicit)
-    return Job(stage, plan, styles, style_files, output, targets, earlier, explicit)
+    return Job(stage, plan, styles, style_files, output, targets, earlier, frozenset(explicit))
 
 
 def published_runs(job: Job) -> frozenset[str]:

@@ -10,19 +10,14 @@ from typing import Protocol
 from torch import Tensor
 
 from usdsmoke.config import FeaturesConfig
-from usdsmoke.core.definition import default_layers
 from usdsmoke.core.learned import LearnedFeatures
 from usdsmoke.core.oriented import OrientedFeatures
 from usdsmoke.core.vgg19 import Vgg19Features
-from usdsmoke.errors import ConfigError
 
 __all__ = [
     "EmbeddedFeatures",
     "Network",
     "build_network",
-    "content_layers",
-    "layer_names",
-    "style_layers",
 ]
 
 
@@ -40,7 +35,6 @@ class EmbeddedFeatures:
     """
 
     names = OrientedFeatures.names + LearnedFeatures.names
-    default_style_layers = default_layers()
 
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._style, self._seed = style, seed
@@ -55,60 +49,6 @@ class EmbeddedFeatures:
             if names:
                 maps.update(self._parts[part](picture, names))
         return maps
-
-
-def layer_names(config: FeaturesConfig) -> tuple[str, ...]:
-    """Every layer that the configured network has, each kind shallow to deep."""
-    return EmbeddedFeatures.names if config.network == "embedded" else Vgg19Features.names
-
-
-def style_layers(config: FeaturesConfig) -> dict[str, float]:
-    """The style layers and their weights; those of weight 0 are left out.
-
-    Raises:
-        ConfigError: an unknown layer, weights that do not match the layers in number, or none
-            above 0.
-    """
-    known = layer_names(config)
-    network = EmbeddedFeatures if config.network == "embedded" else Vgg19Features
-    names = config.layers or list(network.default_style_layers)
-    for name in names:
-        if name not in known:
-            raise ConfigError(
-                f"features.layers names {name!r}, which the {config.network} network has not; "
-                f"it has: {', '.join(known)}"
-            )
-    weights = config.weights or [1.0] * len(names)
-    if len(weights) != len(names):
-        raise ConfigError(
-            f"features.weights holds {len(weights)} numbers for {len(names)} style layers "
-            f"({', '.join(names)}); give one for each or none"
-        )
-    used = {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}
-    if not used:
-        raise ConfigError(
-            f"features.weights are all 0 for the style layers {', '.join(names)}; wanted at least "
-            "one above 0, or losses.style=0 to leave the style out"
-        )
-    return used
-
-
-def content_layers(config: FeaturesConfig) -> tuple[str, ...]:
-    """The layers that content is compared by; the deepest style layer when none is named.
-
-    Raises:
-        ConfigError: an unknown layer; see ``style_layers`` too.
-    """
-    known = layer_names(config)
-    for name in config.content_layers:
-        if name not in known:
-            raise ConfigError(
-                f"features.content_layers names {name!r}, which the {config.network} network has "
-                f"not; it has: {', '.join(known)}"
-            )
-    if config.content_layers:
-        return tuple(config.content_layers)
-    return (max(style_layers(config), key=known.index),)
 
 
 def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from usdsmoke.config import Config, StyleConfig, style_shares
-from usdsmoke.core.features import Network, build_network, content_layers, style_layers
+from usdsmoke.core.features import Network, build_network
+from usdsmoke.core.layers import content_layers, style_layers
 from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.picture_loss import PictureLoss
 from usdsmoke.core.scene import Scene
@@ -91,7 +92,7 @@ class StyleTargets:
         device: where the features are computed.
 
     Raises:
-        ConfigError: see ``features.style_layers`` and ``config.style_shares``; ``at`` raises
+        ConfigError: see ``layers.style_layers`` and ``config.style_shares``; ``at`` raises
             FeatureError, see ``features.build_network``.
     """
 

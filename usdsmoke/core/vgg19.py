@@ -15,12 +15,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.layers import VGG19_BLOCKS, vgg19_layers
 from usdsmoke.core.vgg19_file import FILE_NAME, find_vgg19_file
 from usdsmoke.errors import FeatureError
 
 __all__ = ["Vgg19Features"]
 
-_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
 _MEAN = (0.485, 0.456, 0.406)
 _DEVIATION = (0.229, 0.224, 0.225)
 
@@ -28,7 +28,7 @@ _DEVIATION = (0.229, 0.224, 0.225)
 def _convolutions() -> list[tuple[str, int, int, int]]:
     """(layer name, torchvision index, channels in, channels out) of the 16 convolutions."""
     found, index, channels = [], 0, 3
-    for block, (width, count) in enumerate(_BLOCKS, start=1):
+    for block, (width, count) in enumerate(VGG19_BLOCKS, start=1):
         for number in range(1, count + 1):
             found.append((f"relu{block}_{number}", index, channels, width))
             channels, index = width, index + 2
@@ -85,8 +85,7 @@ class Vgg19Features:
     the edge of the picture.
     """
 
-    names = tuple(name for name, *_ in _convolutions())
-    default_style_layers = ("relu2_1", "relu3_1")  # [Christen2020, section 4]
+    names = vgg19_layers()
 
     def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]]) -> None:
         self._parameters = parameters

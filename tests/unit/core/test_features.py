@@ -9,7 +9,9 @@ from torch import Tensor
 
 from tests.smoke_fixtures import random_style
 from usdsmoke.config import FeaturesConfig, StyleConfig
-from usdsmoke.core.features import EmbeddedFeatures, build_network, layer_names, style_layers
+from usdsmoke.core.definition import default_layers
+from usdsmoke.core.features import EmbeddedFeatures, build_network
+from usdsmoke.core.layers import layer_names, style_layers
 from usdsmoke.core.learned import LearnedFeatures
 from usdsmoke.core.losses import StyleTarget
 from usdsmoke.core.oriented import OrientedFeatures, colour_whitening
@@ -107,7 +109,7 @@ def test_filters_are_learned_no_deeper_than_wanted_and_once(wanted, learned, mon
 @pytest.mark.parametrize("first", ["learned1", "learned3", "learned4"])
 def test_the_order_in_which_layers_are_asked_for_changes_no_filter(first):
     """All draws are made from shallow to deep, whenever that is."""
-    wanted = frozenset(EmbeddedFeatures.default_style_layers)
+    wanted = frozenset(default_layers())
     plain = EmbeddedFeatures(STYLE, seed=5)(STYLE, wanted)
     network = EmbeddedFeatures(STYLE, seed=5)
     network(STYLE, frozenset({first, "oriented4"}))

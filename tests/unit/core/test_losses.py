@@ -6,6 +6,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.smoke_fixtures import random_style
+from usdsmoke.core.definition import default_layers
 from usdsmoke.core.features import EmbeddedFeatures
 from usdsmoke.core.losses import StyleTarget, gram_matrix, total_variation
 
@@ -115,7 +116,7 @@ def test_style_loss_of_the_style_itself_is_zero_and_of_others_is_not():
 
 def test_style_loss_is_smaller_for_the_same_texture_elsewhere_than_for_another():
     style = torch.from_numpy(random_style(32, 40))
-    layers = dict.fromkeys(EmbeddedFeatures.default_style_layers, 1.0)
+    layers = dict.fromkeys(default_layers(), 1.0)
     target = StyleTarget(style, EmbeddedFeatures(style), layers)
     same = torch.roll(style, 7, dims=1)
     other = torch.from_numpy(random_style(32, 40).transpose(1, 0, 2).copy())  # turned stripes
