@@ -129,14 +129,16 @@ def _told(part: str, name: str) -> _Value:
     return lambda report: (_part(report, part).get(name), 0.0)
 
 
-def _remaining(step: str, fall: str = "fallen") -> _Value:
+def _remaining(step: str) -> _Value:
+    """Octaves differ in their pictures, and warm frames hardly fall: the loss is the unit."""
+
     def value(report: Mapping[str, Any]) -> tuple[Any, Any]:
         found = _part(report, step)
-        fallen, remaining = found.get(fall), found.get("remaining")
-        if not (_is(fallen) and _is(remaining)):
+        remaining, losses = found.get("remaining"), found.get("loss")
+        end = losses[-1] if isinstance(losses, Sequence) and losses else None
+        if not (_is(end) and _is(remaining)):
             return None, 0.0
-        whole = fallen + remaining
-        return (remaining / whole if whole > 0 else 0.0), 0.0
+        return (min(remaining / end, 1.0) if end > 0 else 0.0), 0.0
 
     return value
 
@@ -150,8 +152,7 @@ def _overlap(name: str) -> _Value:
     return lambda report: (_part(_part(report, "overlap"), "difference").get(name), 0.0)
 
 
-_PICTURE, _FALL, _LAST = "the picture", "its step's fall", "its octave's fall"
-_LAST_FALL = "fallen in the last octave"
+_PICTURE, _END = "the picture", "its final loss"
 _NO_SHAPE, _NO_COLOUR = "no shape step", "no colour step"
 _FEW = "too few iterations, or no such step"
 _KINDS: Sequence[_Kind] = (
@@ -165,12 +166,8 @@ _KINDS: Sequence[_Kind] = (
           _told("shape", "cheap scheme differs"), "no shape step, or the same scheme"),
     _Kind("mass", "the density", "measured before it is corrected",
           _told("shape", "mass error"), _NO_SHAPE),
-    _Kind("optimiser, shape", _FALL, "tails fitted to the loss", _remaining("shape"), _FEW),
-    _Kind("optimiser, colour", _FALL, "tails fitted to the loss", _remaining("colour"), _FEW),
-    _Kind("last octave, shape", _LAST, "the same of the last octave alone",
-          _remaining("shape", _LAST_FALL), _FEW),
-    _Kind("last octave, colour", _LAST, "the same of the last octave alone",
-          _remaining("colour", _LAST_FALL), _FEW),
+    _Kind("optimiser, shape", _END, "tails fitted to the loss", _remaining("shape"), _FEW),
+    _Kind("optimiser, colour", _END, "tails fitted to the loss", _remaining("colour"), _FEW),
     _Kind("view sampling", "the loss", "standard error over the pool of views", _view_spread,
           _FEW),
     _Kind("unseen views", "the loss", "views beside the pool against its own",

@@ -18,14 +18,15 @@ FIRST: dict[str, Any] = {
         "transport error": {"value": 0.01, "order": 3.0, "seconds": 0.25},
         "cheap scheme differs": 0.08,
         "mass error": -0.03,
+        "loss": [9.0, 4.0],
         "fallen": 3.0,
         "remaining": 1.0,
         "view spread": 0.5,
     },
     "colour": {
         "seconds": 4.0,
+        "loss": [20.0, 10.0],
         "fallen": 9.0,
-        "fallen in the last octave": 3.0,
         "remaining": 1.0,
         "view spread": 0.02,
     },
@@ -53,11 +54,17 @@ def test_losses_of_mass_do_not_make_up_for_gains() -> None:
     assert make_budget([FIRST, SECOND])["mass"].mean == pytest.approx(0.02)
 
 
-def test_what_the_optimiser_leaves_is_a_share_of_the_whole_fall() -> None:
+def test_what_the_optimiser_leaves_is_a_share_of_the_final_loss() -> None:
     budget = make_budget([FIRST])
     assert budget["optimiser, shape"].mean == 0.25
     assert budget["optimiser, colour"].mean == 0.1
-    assert budget["last octave, colour"].mean == 0.25
+    assert budget["optimiser, colour"].relative_to == "its final loss"
+
+
+def test_no_more_than_the_whole_loss_remains_and_of_none_nothing() -> None:
+    for remaining, loss, wanted in ((9.0, 3.0, 1.0), (0.0, 0.0, 0.0), (1e-9, 0.0, 0.0)):
+        report = {"colour": {"remaining": remaining, "loss": [loss]}}
+        assert make_budget([report])["optimiser, colour"].mean == wanted
 
 
 def test_views_are_those_of_the_last_step() -> None:
@@ -70,7 +77,7 @@ def test_what_has_no_figure_is_named_with_the_reason() -> None:
     assert "opacity" in budget.left_out["quadrature"]
     assert "no frame follows another" in budget.left_out["temporal, displacement"]
     names = {estimate.name for estimate in budget.estimates}
-    assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == 17
+    assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == 15
 
 
 def test_seconds_are_those_of_steps_and_estimates() -> None:
