@@ -10,9 +10,12 @@ from tests.pipeline_fixtures import Shot, make_shot
 from tests.unit.test_error_choice import MEASURED
 from usdsmoke import pipeline_tolerance
 from usdsmoke.cli import main
-from usdsmoke.pipeline import assemble, run_window, stylize
+from usdsmoke.pipeline import assemble, plan_stylize, run_window, stylize
+from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_rerun import rerun
+from usdsmoke.pipeline_tolerance import choice_notes
 from usdsmoke.plan import Plan
+from usdsmoke.report.run import make_report
 
 
 @pytest.fixture
@@ -88,6 +91,47 @@ def test_a_rerun_has_the_settings_that_were_chosen(shot: Shot, measurements: lis
     again = rerun(result.look_layer, shot.folder / "again")
     assert again.differences == () and len(measurements) == 1
     assert again.result.plan.config.grids == result.plan.config.grids
+
+
+def dry_plan(shot: Shot, *more: str) -> str:
+    settings = ["optimize.target_error=0.3", *more]
+    return "\n".join(plan_stylize(shot.stage, shot.style, shot.output, settings=settings).needed)
+
+
+def test_a_plan_alone_says_that_the_choice_is_still_to_come(
+    shot: Shot, measurements: list[int]
+) -> None:
+    assert "BEFORE the choice for a tolerance of 0.3" in dry_plan(shot)
+    assert not measurements and not shot.output.exists()
+
+
+def test_a_plan_alone_takes_a_calibration_that_is_there(
+    shot: Shot, measurements: list[int]
+) -> None:
+    ran = run(shot, 0.3)
+    found = plan_stylize(
+        shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"]
+    )
+    assert found.config == ran.config and choice_notes(found) == choice_notes(ran)
+    assert len(measurements) == 1
+    assert "BEFORE the choice" in dry_plan(shot, "shape.reach=0.1")  # other inputs
+
+
+def test_a_report_is_on_the_settings_that_were_chosen(
+    shot: Shot, measurements: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Job] = []
+
+    def stop(job: Job, *more: Any) -> None:
+        opened.append(job)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("usdsmoke.report.run.open_case", stop)
+    with pytest.raises(KeyboardInterrupt):
+        make_report(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
+    assert opened[0].config.views.image_size == 80 and len(measurements) == 1
+    assert choice_notes(opened[0].plan)[0] == "settings for a tolerance of 0.3"
+    assert not shot.output.exists()
 
 
 def test_the_option_of_the_command(

@@ -29,7 +29,7 @@ from usdsmoke.pipeline_settings import (
     resolve_settings,
     style_paths,
 )
-from usdsmoke.pipeline_tolerance import settle_tolerance
+from usdsmoke.pipeline_tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
@@ -67,6 +67,9 @@ def plan_stylize(
 ) -> Plan:
     """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
 
+    With ``optimize.target_error`` a calibration that the output folder has is used; without one the
+    plan is that before the choice, and says so.
+
     Args:
         stage: as in ``stylize``, like those that follow it.
         style: one image file or several; None where every Volume's prim brings its own.
@@ -79,7 +82,12 @@ def plan_stylize(
         UsdSmokeError: everything that can be known before voxels are read.
     """
     resolved, explicit = resolve_settings(config, settings)
-    return prepare_job(stage, style_paths(style), Path(output), resolved, fits, explicit).plan
+    styles = style_paths(style)
+
+    def prepare(config: Config) -> Job:
+        return prepare_job(stage, styles, Path(output), config, fits, explicit)
+
+    return foresee_tolerance(prepare(resolved), prepare).plan
 
 
 def stylize(

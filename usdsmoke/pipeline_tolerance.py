@@ -6,7 +6,7 @@ the inputs as its key: another tolerance, or another process of a queue, finds i
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,16 @@ from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_run
 from usdsmoke.pipeline_outputs import plain_values
 from usdsmoke.pipeline_pictures import sample_frames
-from usdsmoke.plan import VolumePlan
+from usdsmoke.plan import Plan, VolumePlan
 from usdsmoke.publish import make_folders, publish_new
 
-__all__ = ["settle_tolerance"]
+__all__ = ["choice_notes", "foresee_tolerance", "settle_tolerance"]
+
+_VERSION = 2  # of what a calibration holds
+_HEADING = "settings for a tolerance of"
 
 
-def settle_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
+def settle_tolerance(job: Job, prepare: Callable[[Config], Job], keep: bool = True) -> Job:
     """The job with the settings that ``optimize.target_error`` comes to; as it is without one.
 
     What the user has set, by name or in a file, stays. The plan tells what was chosen and why.
@@ -32,21 +35,64 @@ def settle_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
     Args:
         job: as it was asked for.
         prepare: makes the same job with other settings.
+        keep: put the calibration into the output folder, or take it from there.
 
     Raises:
         UsdSmokeError: the frame cannot be read or stylized, the calibration not be written.
     """
-    config = job.config
-    target = config.optimize.target_error
+    if job.config.optimize.target_error is None:
+        return job
+    measured = _calibration(job) if keep else plain_values(_measure(job))
+    return _settled(job, prepare, measured)
+
+
+def foresee_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
+    """The same from what the output folder has; no frame is read and nothing is written.
+
+    Where these inputs were not calibrated there, the settings stay and the plan says so.
+    """
+    target = job.config.optimize.target_error
     if target is None:
         return job
+    folder = job.output / "vdb/calibration"
+    found = _read(_file(job)) if folder.is_dir() else None
+    if found is not None:
+        return _settled(job, prepare, found)
+    return _with_notes(
+        job,
+        f"all settings here are those BEFORE the choice for a tolerance of {target:g}: a run "
+        "first stylizes one frame in short, which takes some seconds, and then chooses; what "
+        "follows from the settings, such as the estimate, changes with them",
+    )
+
+
+def _settled(job: Job, prepare: Callable[[Config], Job], measured: Mapping[str, Any]) -> Job:
+    config, target = job.config, job.config.optimize.target_error
+    assert target is not None  # callers have looked
     settings = config_to_dict(config)
     set_by_user = user_values(settings, config_to_dict(Config()), job.explicit)
     planned = {"shape": config.shape.iterations, "colour": config.colour.iterations}
-    choice = choose_settings(_calibration(job), target, planned, set_by_user)
+    choice = choose_settings(measured, target, planned, set_by_user)
     settled = prepare(resolve_config(settings, choice.settings))
-    notes = (f"settings for a tolerance of {target:g}", *choice.notes)
-    return replace(settled, plan=replace(settled.plan, needed=(*settled.plan.needed, *notes)))
+    return _with_notes(settled, f"{_HEADING} {target:g}", *choice.notes)
+
+
+def choice_notes(plan: Plan) -> tuple[str, ...]:
+    """What a plan says of the choice; nothing without a tolerance."""
+    starts = [place for place, text in enumerate(plan.needed) if text.startswith(_HEADING)]
+    return plan.needed[starts[0] :] if starts else ()
+
+
+def _with_notes(job: Job, *notes: str) -> Job:
+    return replace(job, plan=replace(job.plan, needed=(*job.plan.needed, *notes)))
+
+
+def _file(job: Job) -> Path:
+    features = features_hashes(volume.config.features for volume in job.plan.volumes)
+    described = [_VERSION, describe_run(job, features)]
+    text = json.dumps(described, sort_keys=True, ensure_ascii=False)
+    key = hashlib.sha256(text.encode()).hexdigest()[:12]
+    return job.output / "vdb/calibration" / f"{key}.json"
 
 
 def _calibration(job: Job) -> dict[str, Any]:
@@ -55,10 +101,7 @@ def _calibration(job: Job) -> dict[str, Any]:
     Where two processes measure at once, the first one's figures hold for both: their settings must
     be the same.
     """
-    features = features_hashes(volume.config.features for volume in job.plan.volumes)
-    text = json.dumps(describe_run(job, features), sort_keys=True, ensure_ascii=False)
-    key = hashlib.sha256(text.encode()).hexdigest()[:12]
-    target = job.output / "vdb/calibration" / f"{key}.json"
+    target = _file(job)
     if (found := _read(target)) is not None:
         return found
     measured = json.dumps(plain_values(_measure(job)), indent=1)

@@ -7,9 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.config import Config
 from usdsmoke.errors import WriteFailed
-from usdsmoke.pipeline_inputs import prepare_job
+from usdsmoke.pipeline_inputs import Job, prepare_job
 from usdsmoke.pipeline_settings import FilePath, Settings, Styles, resolve_settings, style_paths
+from usdsmoke.pipeline_tolerance import choice_notes, settle_tolerance
 from usdsmoke.publish import publish_file
 from usdsmoke.report import (
     sweep_backtrace,
@@ -115,7 +117,11 @@ def make_report(
         raise WriteFailed(f"cannot write a report to {target}: it is a file; name a folder")
     resolved, explicit = resolve_settings(config, settings)
     tell("scene", "reading", 0.0)
-    job = prepare_job(stage, style_paths(style), target, resolved, False, explicit)
+
+    def prepare(config: Config) -> Job:
+        return prepare_job(stage, style_paths(style), target, config, False, explicit)
+
+    job = settle_tolerance(prepare(resolved), prepare, keep=False)
     longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
     case = open_case(job, longest, seconds)
     budget = Budget(seconds, now)
@@ -128,7 +134,7 @@ def make_report(
         (scene_figures(case), machine_figures(case, budget.spent), version_figures()),
         tuple(results),
         (*omitted, *_simplified(case)),
-        tuple(_notes(case)),
+        (*_notes(case), *choice_notes(job.plan)),
     )
     tell("page", "writing", 1.0)
     return _write(report, target)
