@@ -25,6 +25,7 @@ def budget_text(budget: "ErrorBudget") -> str:
         )
         for estimate in budget.estimates
     ]
+    notes = [f"{name}: {note}" for name, note in budget.notes.items()]
     left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
     took = [f"{name} {format_seconds(seconds)}" for name, seconds in budget.seconds.items()]
-    return "\n".join([*columns(rows), *left_out, f"time: {', '.join(took)}"])
+    return "\n".join([*columns(rows), *notes, *left_out, f"time: {', '.join(took)}"])

@@ -7,7 +7,7 @@ Every entry is relative, and says to what. Most are estimates, made from the fra
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
 __all__ = ["ErrorBudget", "ErrorEstimate", "make_budget"]
@@ -42,6 +42,7 @@ class ErrorBudget:
     estimates: tuple[ErrorEstimate, ...]
     left_out: Mapping[str, str]  # why, by name
     seconds: Mapping[str, float]  # of the steps, and of the estimates
+    notes: Mapping[str, str] = field(default_factory=dict)  # what an estimate does not hold
 
     def __getitem__(self, name: str) -> ErrorEstimate:
         """The estimate of this name; KeyError if it was left out."""
@@ -53,18 +54,23 @@ class ErrorBudget:
             "estimates": [dataclasses.asdict(estimate) for estimate in self.estimates],
             "left_out": dict(self.left_out),
             "seconds": dict(self.seconds),
+            "notes": dict(self.notes),
         }
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> "ErrorBudget":
         """The budget that ``to_dict`` gave."""
         estimates = tuple(ErrorEstimate(**values) for values in found["estimates"])
-        return cls(estimates, found["left_out"], found["seconds"])
+        return cls(estimates, found["left_out"], found["seconds"], found.get("notes", {}))
 
     @property
     def texts(self) -> list[str]:
         """``name=figures`` for a record, then what was left out."""
-        found = [f"{estimate.name}={estimate}" for estimate in self.estimates]
+        found = [
+            f"{estimate.name}={estimate}{f' ({note})' if note else ''}"
+            for estimate in self.estimates
+            for note in [self.notes.get(estimate.name, "")]
+        ]
         return found + [f"{name}=left out: {why}" for name, why in self.left_out.items()]
 
 
@@ -74,18 +80,28 @@ class _Kind:
     relative_to: str
     how: str
     value: _Value
-    without: str  # why no frame has it
+    without: str  # why no frame has it, if nothing else is known of the run
 
 
-def make_budget(reports: Iterable[Mapping[str, Any]]) -> ErrorBudget:
-    """The budget of frames whose reports are given, in the order of the result's files."""
+def make_budget(
+    reports: Iterable[Mapping[str, Any]],
+    reasons: Mapping[str, str] | None = None,
+    notes: Mapping[str, str] | None = None,
+) -> ErrorBudget:
+    """The budget of frames whose reports are given, in the order of the result's files.
+
+    Args:
+        reports: of the frames; empty ones do not count.
+        reasons: why no frame has an entry, by its name, where that is known.
+        notes: what an entry does not hold, by its name.
+    """
     reports = [report for report in reports if report]
     estimates, left_out = [], {}
     for kind in _KINDS:
         found = [kind.value(report) for report in reports]
         values = [(abs(float(value)), float(took or 0.0)) for value, took in found if _is(value)]
         if not values:
-            left_out[kind.name] = kind.without
+            left_out[kind.name] = (reasons or {}).get(kind.name) or kind.without
             continue
         errors = [error for error, _ in values]
         mean, took = math.fsum(errors) / len(errors), math.fsum(seconds for _, seconds in values)
@@ -100,7 +116,8 @@ def make_budget(reports: Iterable[Mapping[str, Any]]) -> ErrorBudget:
         if any(_is(value) for value in spent):
             seconds[step] = math.fsum(value for value in spent if _is(value))
     seconds["estimates"] = math.fsum(estimate.seconds for estimate in estimates)
-    return ErrorBudget(tuple(estimates), left_out, seconds)
+    known = {name: note for name, note in (notes or {}).items() if name not in left_out}
+    return ErrorBudget(tuple(estimates), left_out, seconds, known)
 
 
 def _part(report: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -8,13 +8,14 @@ from typing import Any
 
 from usdsmoke.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.contact_sheet import sheet_files
-from usdsmoke.error_budget import ErrorBudget, make_budget
+from usdsmoke.error_budget import ErrorBudget
 from usdsmoke.errors import LayerError, UsdSmokeError
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.grids.write import write_frame
 from usdsmoke.layer import author_look
 from usdsmoke.layer.records import EMISSION
 from usdsmoke.memory import give_back_memory
+from usdsmoke.pipeline_budget import run_budget
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request
 from usdsmoke.pipeline_outputs import (
@@ -117,7 +118,7 @@ def assemble_run(
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     temporal, overlap = _temporal_error(run), _overlap_difference(run)
-    run.error_budget = make_budget(_reports(run)).to_dict()
+    run.error_budget = run_budget(job.plan, run.reports).to_dict()
     provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
     source, layer = job.plan.source, job.config.layer
     files = author_look(job.stage, source, volumes, job.output, layer, provenance, job.earlier)
@@ -146,7 +147,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         warnings=(*job.earlier.notes, *_warnings(job.plan, run), *more),
         temporal_error=_temporal_error(run),
         overlap_difference=_overlap_difference(run),
-        error_budget=make_budget(_reports(run)),
+        error_budget=run_budget(job.plan, run.reports),
     )
 
 
@@ -261,16 +262,13 @@ def _sheets(job: Job) -> tuple[Path, ...]:
 
 
 def _temporal_error(run: RunFolder) -> dict[str, float] | None:
-    return _means(report.get("temporal error") for report in _reports(run))
+    return _means(report.get("temporal error") for report in run.reports.values())
 
 
 def _overlap_difference(run: RunFolder) -> dict[str, float] | None:
-    return _means((report.get("overlap") or {}).get("difference") for report in _reports(run))
-
-
-def _reports(run: RunFolder) -> list[dict[str, Any]]:
-    """In the order of names: a sum's last bits must not depend on who ran which window."""
-    return [run.frames[name]["report"] for name in sorted(run.frames)]
+    return _means(
+        (report.get("overlap") or {}).get("difference") for report in run.reports.values()
+    )
 
 
 def _means(found: Iterable[Mapping[str, Any] | None]) -> dict[str, float] | None:

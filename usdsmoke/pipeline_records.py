@@ -12,11 +12,11 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.config import GridsConfig, merge_settings
-from usdsmoke.error_budget import make_budget
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import read_binding_version
 from usdsmoke.images import StyleImage
 from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.pipeline_budget import run_budget
 from usdsmoke.pipeline_settings import portable_settings
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.provenance import Provenance, RunFacts, build_provenance
@@ -95,8 +95,7 @@ def make_provenance(
         temporal_error, overlap_difference: means over the frames that have them.
     """
     config = plan.config
-    # In the order of names: a sum's last bits must not depend on who ran which window.
-    reports = [run.frames[name]["report"] for name in sorted(run.frames)]
+    reports = list(run.reports.values())
     coarse = finished_coarse(run).seconds
     work = sum(window.seconds for window in windows)
     state = {key: value for key, value in run.description.items() if key != "settings"}
@@ -120,7 +119,7 @@ def make_provenance(
         temporal_error=temporal_error,
         overlap_difference=overlap_difference,
         figures=summarize_figures(reports),
-        error_budget=make_budget(reports).texts,
+        error_budget=run_budget(plan, run.reports).texts,
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         stage_values=stage_values(plan.source),
         request=run.request,

@@ -70,6 +70,12 @@ class RunFolder:
         return _look_of(self.description)
 
     @property
+    def reports(self) -> dict[str, dict[str, Any]]:
+        """The reports of the result's frames by file name, in the order of names: a sum's last
+        bits must not depend on who ran which window."""
+        return {name: self.frames[name]["report"] for name in sorted(self.frames)}
+
+    @property
     def settings_hash(self) -> str:
         """SHA-256 of the settings that decide the result."""
         return _digest(self.description["settings"])
