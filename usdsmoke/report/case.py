@@ -1,5 +1,6 @@
 """The scene of a report: one frame as it is, and a smaller copy of it to try things on."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -43,6 +44,7 @@ class Case:
     longest: int
     seconds: float  # that the whole report may take
     notes: list[str] = field(default_factory=list)  # on the page, made by sweeps
+    allowed: float = math.inf  # seconds that the sweep at hand may take, set by the engine
     iterations: dict[str, tuple[int, ...]] = field(default_factory=dict)  # of trials, by step
 
     @property

@@ -2,14 +2,14 @@
 
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 from usdsmoke.report.records import Spread
 
-__all__ = ["Clock", "Measured", "measure", "spread_of"]
+__all__ = ["Clock", "Measured", "Run", "measure", "spread_of", "summarize", "timed_runs"]
 
 
 def _cpu_seconds() -> float:
@@ -28,13 +28,38 @@ class Clock:
 
 
 @dataclass(frozen=True)
+class Run:
+    """One run of a point."""
+
+    result: Any
+    cpu: float  # seconds
+    wall: float
+
+
+@dataclass(frozen=True)
 class Measured:
     """All runs of one point."""
 
-    error: Spread
-    cpu: Spread
-    wall: Spread
-    size: Spread | None
+    errors: tuple[float, ...]
+    cpu_times: tuple[float, ...]  # seconds
+    wall_times: tuple[float, ...]
+    size: Spread | None = None
+    notes: tuple[str, ...] = ()  # of the results
+
+    @property
+    def error(self) -> Spread:
+        """Of all runs."""
+        return spread_of(self.errors)
+
+    @property
+    def cpu(self) -> Spread:
+        """Seconds of this process and its children."""
+        return spread_of(self.cpu_times)
+
+    @property
+    def wall(self) -> Spread:
+        """Seconds by the clock on the wall."""
+        return spread_of(self.wall_times)
 
 
 def measure(
@@ -55,21 +80,42 @@ def measure(
         warm_up: do it once more before, untimed: for work of milliseconds.
         size: of a result, where that and not time is what it costs.
     """
+    return summarize(timed_runs(work, n_runs, clock, warm_up), error, size)
+
+
+def timed_runs(
+    work: Callable[[int], Any], n_runs: int, clock: Clock, warm_up: bool = False
+) -> Iterator[Run]:
+    """The runs one by one, each done when it is asked for; arguments as of ``measure``."""
     if warm_up:
         work(0)
-    errors, cpu, wall, sizes = [], [], [], []
     for number in range(n_runs):
         clock.settle()
         started = clock.wall(), clock.cpu()
         result = work(number)
         clock.settle()
-        wall.append(clock.wall() - started[0])
-        cpu.append(clock.cpu() - started[1])
-        errors.append(error(result))
+        wall, cpu = clock.wall() - started[0], clock.cpu() - started[1]
+        yield Run(result, cpu, wall)
+
+
+def summarize(
+    runs: Iterable[Run],
+    error: Callable[[Any], float],
+    size: Callable[[Any], float] | None = None,
+    note: Callable[[Any], str] | None = None,
+) -> Measured:
+    """What the runs of a point have in all; of every result at once, so that none is kept."""
+    errors, cpu, wall, sizes, notes = [], [], [], [], []
+    for run in runs:
+        cpu.append(run.cpu)
+        wall.append(run.wall)
+        errors.append(error(run.result))
         if size is not None:
-            sizes.append(size(result))
+            sizes.append(size(run.result))
+        if note is not None:
+            notes.append(note(run.result))
     return Measured(
-        spread_of(errors), spread_of(cpu), spread_of(wall), spread_of(sizes) if sizes else None
+        tuple(errors), tuple(cpu), tuple(wall), spread_of(sizes) if sizes else None, tuple(notes)
     )
 
 

@@ -1,6 +1,6 @@
 """What a report is made of: points on curves, curves in sweeps, sweeps and omissions on a page."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ __all__ = [
     "CPU_TIME",
     "WALL_TIME",
     "Figures",
+    "LeftOut",
     "Omission",
     "Plan",
     "Point",
@@ -18,6 +19,10 @@ __all__ = [
 ]
 
 CPU_TIME, WALL_TIME = "CPU time [s]", "wall-clock time [s]"
+
+
+class LeftOut(Exception):
+    """Raised by a sweep's plan: why it is left out in the time that there is."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,8 @@ class Task:
     effort: float = 1.0  # expected time, in any unit that all tasks of a sweep share
     size: Callable[[Any], float] | None = None  # cost of a result that is no time, such as bytes
     prepare: Callable[[], None] = lambda: None  # what is done once, before time is taken
+    key: Hashable = None  # tasks of one key, in any sweep, are one work: done and timed once
+    note: Callable[[Any], str] | None = None  # of a result: what the label does not know before
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,8 @@ class Plan:
     floor: float | None = None  # a value on x that nothing is expected to go below, drawn as a line
     n_runs: int = 3
     warm_up: bool = False
+    rate: float = 0.0  # seconds that a unit of effort is expected to take; 0: not known before
+    equal_is_same: bool = False  # points whose runs end with the same bits did the same work
     notes: tuple[str, ...] = ()
 
 

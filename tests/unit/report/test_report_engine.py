@@ -1,6 +1,7 @@
 """Points are taken while there is time; what is left out is named."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from usdsmoke.errors import ConfigError
 from usdsmoke.report.budget import Budget, parse_budget
 from usdsmoke.report.engine import Sweep, run_sweeps
 from usdsmoke.report.measure import Clock, measure
-from usdsmoke.report.records import Plan, Task
+from usdsmoke.report.records import LeftOut, Plan, Task
 
 
 class FakeTime:
@@ -33,6 +34,7 @@ class NoCase:
     """As much of a case as the engine looks at."""
 
     on_gpu = False
+    allowed = 0.0
 
 
 def sweep_of(
@@ -66,11 +68,97 @@ def test_the_time_is_kept_but_for_what_was_begun() -> None:
 
 def test_a_point_that_would_not_fit_is_not_begun_and_named() -> None:
     time = FakeTime()
-    results, omitted, told = run([sweep_of(time, "a", [1, 100, 2], 1.0)], time, 20.0)
-    assert [point.label for point in results[0].points] == ["a0", "a2"]
-    assert results[0].missing == ("curve (a1)",) and "curve, a1" not in told
-    assert time.now == 100.0 + 3 * (1 + 2)
-    assert "curve (a1)" in omitted[0].reason
+    results, omitted, told = run([sweep_of(time, "a", [1, 100, 2, 1], 1.0)], time, 20.0)
+    assert [point.label for point in results[0].points] == ["a0", "a2", "a3"]
+    assert results[0].missing == ("curve (a1: about 3e+02 s)",) and "curve, a1" not in told
+    assert time.now == 100.0 + 3 * (1 + 2 + 1)
+    assert "curve (a1" in omitted[0].reason
+
+
+def test_time_that_is_over_goes_to_the_points_that_were_passed_over() -> None:
+    time = FakeTime()
+    sweeps = [sweep_of(time, "a", [1, 1, 1, 5], 1.0), sweep_of(time, "b", [1, 1, 1], 1.0)]
+    results, omitted, told = run(sweeps, time, 35.0)
+    assert [point.label for point in results[0].points] == ["a0", "a1", "a2", "a3"]
+    assert told[-1] == "curve, a3" and not omitted  # after those of b
+
+
+def test_few_sweeps_with_three_points_are_better_than_many_with_fewer() -> None:
+    time = FakeTime()
+    sweeps = [sweep_of(time, name, [1, 1, 1, 1], 1.0) for name in "abc"]
+    results, omitted, _ = run(sweeps, time, 21.0)
+    assert [len(result.points) for result in results] == [3, 3]
+    assert len([item for item in omitted if item.what.startswith("Sweep ")]) == 1
+    assert time.now - 100.0 <= 21.0
+
+
+def test_a_sweep_without_its_configured_point_is_left_out() -> None:
+    time = FakeTime()
+    sweep = sweep_of(time, "a", [1, 1, 1, 100], 1.0)
+
+    def plan(case: Any) -> Plan:
+        made = sweep.plan(case)
+        return replace(made, tasks=[*made.tasks[:3], replace(made.tasks[3], configured=True)])
+
+    results, omitted, _ = run([replace(sweep, plan=plan)], time, 20.0)
+    assert not results and omitted[0].what == "Sweep a"
+
+
+def test_a_sweep_that_says_that_it_does_not_fit_is_asked_again_at_the_end() -> None:
+    time, sweep_asked = FakeTime(), []
+    sweep = sweep_of(time, "a", [1, 1, 1], 1.0)
+
+    def plan(case: Any) -> Plan:
+        sweep_asked.append(case.allowed)
+        if len(sweep_asked) == 1:
+            raise LeftOut("too dear")
+        return sweep.plan(case)
+
+    sweeps = [replace(sweep, plan=plan), sweep_of(time, "b", [1, 1, 1], 1.0)]
+    results, omitted, _ = run(sweeps, time, 40.0)
+    assert sweep_asked == [20.0, 31.0]
+    assert {result.name for result in results} == {"a", "b"} and not omitted
+    results, omitted, _ = run([replace(sweep, plan=_refusing)], time, 40.0)
+    assert not results and omitted[0].reason.endswith("was given: too dear")
+
+
+def _refusing(case: Any) -> Plan:
+    raise LeftOut("too dear")
+
+
+def test_the_same_work_is_done_and_timed_once_in_a_report() -> None:
+    time = FakeTime()
+    one, other = (sweep_of(time, name, [2, 1, 1], 1.0) for name in "ab")
+
+    def shared(sweep: Sweep) -> Sweep:
+        tasks = sweep.plan(NoCase()).tasks  # type: ignore[arg-type]
+        first = replace(tasks[0], key="the same", configured=True)
+        made = replace(sweep.plan(NoCase()), tasks=[first, *tasks[1:]])  # type: ignore[arg-type]
+        return replace(sweep, plan=lambda case: made)
+
+    results, _, _ = run([shared(one), shared(other)], time, 100.0)
+    assert results[0].points[0].cost == results[1].points[0].cost
+    assert time.now == 100.0 + 3 * (2 + 1 + 1) + 3 * (1 + 1)
+
+
+def test_points_that_did_the_same_work_have_the_same_times() -> None:
+    time, seconds = FakeTime(), iter([1.0, 1.25, 1.0, 1.5, 3.0, 3.0])
+
+    def work(number: int) -> tuple[int, float]:
+        lasts = next(seconds)
+        time.now += lasts
+        return number, lasts
+
+    def error(found: tuple[int, float]) -> float:
+        return found[0] + (0.5 if found[1] == 3.0 else 0.0)
+
+    tasks = [Task("rule", str(n), work, error, note=lambda found: "at the end") for n in range(3)]
+    plan = Plan(tasks, "error", "about", "reference", n_runs=2, equal_is_same=True)
+    results, _, _ = run([Sweep("a", "A", 1.0, lambda case: "", lambda case: plan)], time, 99.0)
+    first, second, third = results[0].points
+    assert first.label == "0 (at the end)"
+    assert first.cost == second.cost and first.cost.low == 1.0 and first.cost.high == 1.5
+    assert third.cost.median == 3.0
 
 
 def test_what_an_earlier_sweep_does_not_use_is_left_to_the_later_ones() -> None:
