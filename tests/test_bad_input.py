@@ -120,6 +120,10 @@ def output_is_a_file(shot: Shot) -> list[str]:
     return ["-o", str(write_text(shot.folder / "in/notes.txt", "mine"))]
 
 
+def output_lies_in_a_file(shot: Shot) -> list[str]:
+    return ["-o", str(write_text(shot.folder / "in/notes.txt", "mine") / "q/r")]
+
+
 def with_arguments(*more: str) -> Spoil:
     return lambda shot: list(more)
 
@@ -156,6 +160,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "too little for a grid": (with_arguments("--set", "grids.memory_limit_gib=0.1"),
         "GridTooLarge", "0.0 GiB are allowed"),
     "output is a file": (output_is_a_file, "LayerError", "notes.txt is a file; wanted a folder"),
+    "output in a file": (output_lies_in_a_file, "LayerError", "notes.txt, which is a file"),
     "no weights": (with_arguments("--set", "features.network=vgg19", "--set",
         "features.vgg19_file=/none.pth"), "FeatureError", "no VGG-19 weights at /none.pth"),
     "wrong layer": (with_arguments("--set", "features.layers=[nope]"), "ConfigError",

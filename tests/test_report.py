@@ -16,7 +16,7 @@ from benchmarks.shape_cost import write_vgg19
 from tests.pipeline_fixtures import run_here
 from tests.report_fixtures import QUICK, case_of, make_scene
 from usdsmoke.cli import main
-from usdsmoke.errors import PlanError, WriteFailed
+from usdsmoke.errors import LayerError, PlanError
 from usdsmoke.grids.write import write_frame
 from usdsmoke.report.data import COLUMNS
 from usdsmoke.report.engine import Sweep
@@ -220,7 +220,7 @@ def test_a_folder_that_is_a_file_and_a_scene_without_smoke_are_refused(tmp_path:
     scene = make_scene(tmp_path, n_frames=1)
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    with pytest.raises(WriteFailed, match="it is a file"):
+    with pytest.raises(LayerError, match="is a file; wanted a folder"):
         make_report(scene.stage, scene.style, taken)
     assert taken.read_text() == "mine"
     write_frame(
@@ -253,11 +253,13 @@ def test_the_command_prints_the_page_and_json_holds_everything(
     assert held["sweeps"][0]["points"][0]["configured"]
 
 
-def test_a_time_that_is_none_is_refused_before_anything_is_read(
+def test_a_time_that_is_none_is_wrong_usage(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["report", str(tmp_path / "none.usda"), "-o", str(tmp_path / "out"), "--budget", "soon"]
-    assert main(words) == 1
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
     assert "wanted a number of seconds, minutes or hours" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.cli_record_arguments import add_record_commands
-from usdsmoke.cli_values import repair_value, size_value
+from usdsmoke.cli_values import duration_value, repair_value, size_value
 from usdsmoke.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
 
 __all__ = ["build_parser", "given_settings"]
@@ -195,8 +195,9 @@ def _add_report(commands: Any) -> None:
     parser.add_argument(
         "--budget",
         default="5min",
+        type=duration_value,
         metavar="TIME",
-        help="how long to measure: 300s, 5min, 1h; what does not fit is named; default: 5min",
+        help="how long to measure: 300s, 5min, 1h30m; what does not fit is named; default: 5min",
     )
 
 

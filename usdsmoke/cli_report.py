@@ -23,10 +23,8 @@ def run_report(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from usdsmoke.report.budget import parse_budget
     from usdsmoke.report.run import make_report
 
-    seconds = parse_budget(arguments.budget)
     config, settings = given_settings(arguments)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -36,7 +34,7 @@ def run_report(arguments: argparse.Namespace) -> int:
             arguments.output,
             config,
             settings,
-            seconds,
+            arguments.budget,
             _Teller(console, bar),
         )
     if arguments.json:

@@ -53,11 +53,18 @@ def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[
         targets: files that will be written outside the folder of frames.
 
     Raises:
-        LayerError: the folder is a file, an input stands where the result goes, or a file's name
-            would be too long, which would come out only when everything is computed.
+        LayerError: the folder is a file or would lie in one, an input stands where the result
+            goes, or a file's name would be too long: what would come out only when everything is
+            computed.
     """
     if output.exists() and not output.is_dir():
         raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
+    for parent in output.parents:
+        if parent.exists() and not parent.is_dir():
+            raise LayerError(
+                f"the output {output} would lie in {parent}, which is a file; wanted a folder, new "
+                "or old"
+            )
     for target in targets:
         length = len(os.fsencode(target.name))
         if length > _LONGEST_NAME:

@@ -54,6 +54,15 @@ def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
     return found
 
 
+def _reason(error: Exception, file_path: Path) -> str:
+    """Why a file cannot be read; torch's own texts advise to run whatever code it holds."""
+    if isinstance(error, OSError):
+        return error.strerror or "the system refused"
+    if file_path.suffix == ".safetensors":
+        return "it is no whole safetensors file of numbers"
+    return "it is damaged, or holds more than tensors, and no code of a file is run"
+
+
 def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, Tensor]]:
     """Weight and bias of each convolution by layer name; what else the file holds is not needed."""
     parameters = {}
@@ -112,10 +121,9 @@ class Vgg19Features:
             else:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file
-            reason = " ".join(str(error).split())[:200]
             raise FeatureError(
-                f"cannot read VGG-19 weights from {file_path}: {reason}; wanted torchvision's "
-                "state dict or a safetensors file"
+                f"cannot read VGG-19 weights from {file_path}: {_reason(error, file_path)}; wanted "
+                "torchvision's state dict or a safetensors file"
             ) from None
         return cls(_pick_parameters(tensors, file_path))
 

@@ -5,9 +5,14 @@ from pathlib import Path
 
 from usdsmoke.errors import FeatureError
 
-__all__ = ["FILE_NAME", "find_vgg19_file"]
+__all__ = ["FILE_NAME", "find_vgg19_file", "named_vgg19_file"]
 
 FILE_NAME = "vgg19-dcbb9e9d.pth"
+
+
+def named_vgg19_file(configured: str = "") -> str:
+    """The file that was asked for, by setting or by ``USDSMOKE_VGG19``; "" if none was."""
+    return configured or os.environ.get("USDSMOKE_VGG19", "")
 
 
 def find_vgg19_file(configured: str = "") -> Path:
@@ -17,7 +22,7 @@ def find_vgg19_file(configured: str = "") -> Path:
         FeatureError: there is none; the message lists where it was looked for.
     """
     cache = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch"))
-    named = configured or os.environ.get("USDSMOKE_VGG19", "")
+    named = named_vgg19_file(configured)
     places = [Path(named)] if named else [cache / "hub" / "checkpoints" / FILE_NAME]
     for place in places:
         if place.is_file():

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -28,9 +29,10 @@ def report_as_dict(report: Report) -> dict[str, Any]:
     }
 
 
-def report_as_json(report: Report) -> str:
-    """``report_as_dict`` as text."""
-    return json.dumps(report_as_dict(report), indent=1, ensure_ascii=False) + "\n"
+def report_as_json(report: Report, files: Sequence[str] = ()) -> str:
+    """``report_as_dict`` as text, with the names of the report's own files."""
+    values = {**report_as_dict(report), "files": list(files)}
+    return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
 
 
 def report_as_csv(report: Report) -> str:

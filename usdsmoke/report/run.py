@@ -3,16 +3,14 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from usdsmoke.config import Config
-from usdsmoke.errors import WriteFailed
+from usdsmoke.errors import Interrupted
 from usdsmoke.pipeline_inputs import Job, prepare_job
 from usdsmoke.pipeline_settings import FilePath, Settings, Styles, resolve_settings, style_paths
 from usdsmoke.pipeline_tolerance import choice_notes, settle_tolerance
-from usdsmoke.publish import publish_file
 from usdsmoke.report import (
     sweep_backtrace,
     sweep_files,
@@ -32,9 +30,11 @@ from usdsmoke.report.circumstances import machine_figures, scene_figures, versio
 from usdsmoke.report.data import report_as_csv, report_as_json
 from usdsmoke.report.diagrams import check_matplotlib, draw_sweep
 from usdsmoke.report.engine import Sweep, Tell, run_sweeps
+from usdsmoke.report.folder import DATA, PAGE, TABLE, ReportFolder, report_folder
 from usdsmoke.report.measure import Clock
 from usdsmoke.report.page import make_page
 from usdsmoke.report.records import Omission, Report
+from usdsmoke.report.sweep_network import check_network
 from usdsmoke.torch_environment import prepare_torch_environment
 
 __all__ = ["SWEEPS", "ReportResult", "make_report"]
@@ -67,7 +67,6 @@ _NEVER = (
         "errors and losses are measured; whether a difference shows, only pictures can tell",
     ),
 )
-PAGE, TABLE, DATA = "report.html", "report.csv", "report.json"
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,8 @@ def make_report(
     Args:
         stage: a USD file.
         style: one image file or several; None where every Volume's prim brings its own.
-        output: the folder of the report; made if missing. An old report in it is replaced.
+        output: the folder of the report; made if missing. An old report in it is replaced as a
+            whole once the new one is measured.
         config, settings: as in ``pipeline.stylize``.
         seconds: that the measurements may take; a point that is begun is finished.
         progress: called with the sweep, the point, and the share of the time that is used.
@@ -107,37 +107,51 @@ def make_report(
     Raises:
         MissingExtra: matplotlib is not installed.
         UsdSmokeError: the scene cannot be used, see ``prepare_job``; nothing is written then.
-        WriteFailed: the report cannot be written.
+        WriteFailed, OutputExists: the report cannot be written there, see ``report_folder``.
+        FeatureError: VGG-19 is named and cannot be read.
+        Interrupted: by Ctrl-C; nothing is kept, and an old report stays as it was.
+
+    All of them but the last come before the first measurement.
     """
     check_matplotlib()
     prepare_torch_environment()
     tell = progress or (lambda sweep, point, share: None)
     target = Path(output).absolute()
-    if target.exists() and not target.is_dir():
-        raise WriteFailed(f"cannot write a report to {target}: it is a file; name a folder")
+    taken = SWEEPS if sweeps is None else sweeps
     resolved, explicit = resolve_settings(config, settings)
     tell("scene", "reading", 0.0)
 
     def prepare(config: Config) -> Job:
         return prepare_job(stage, style_paths(style), target, config, False, explicit)
 
-    job = settle_tolerance(prepare(resolved), prepare, keep=False)
-    longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
-    case = open_case(job, longest, seconds)
-    budget = Budget(seconds, now)
-    results, omitted = run_sweeps(
-        SWEEPS if sweeps is None else sweeps, case, budget, clock or _clock_of(case), tell
-    )
-    report = Report(
-        f"Work and precision: {Path(job.plan.source.file_path).name}, "
-        f"{case.volume.source.prim_path}",
+    first = prepare(resolved)
+    check_network(first.plan)
+    with report_folder(target, [*(f"{s.name}.png" for s in taken), TABLE, DATA, PAGE]) as folder:
+        try:
+            job = settle_tolerance(first, prepare, keep=False)
+            longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
+            case = open_case(job, longest, seconds)
+            report = _measured(case, taken, Budget(seconds, now), clock or _clock_of(case), tell)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"stopped; nothing that was measured is kept, and {target} is as it was"
+            ) from None
+        tell("page", "writing", 1.0)
+        return _write(report, folder)
+
+
+def _measured(
+    case: Case, sweeps: Sequence[Sweep], budget: Budget, clock: Clock, tell: Tell
+) -> Report:
+    results, omitted = run_sweeps(sweeps, case, budget, clock, tell)
+    plan = case.job.plan
+    return Report(
+        f"Work and precision: {Path(plan.source.file_path).name}, {case.volume.source.prim_path}",
         (scene_figures(case), machine_figures(case, budget.spent), version_figures()),
         tuple(results),
         (*omitted, *_simplified(case)),
-        (*_notes(case), *choice_notes(job.plan)),
+        (*_notes(case), *choice_notes(plan)),
     )
-    tell("page", "writing", 1.0)
-    return _write(report, target)
 
 
 def _clock_of(case: Case) -> Clock:
@@ -192,25 +206,11 @@ def _simplified(case: Case) -> list[Omission]:
     return [*found, *_NEVER]
 
 
-def _write(report: Report, target: Path) -> ReportResult:
-    """Pictures and data first, the page last."""
+def _write(report: Report, folder: ReportFolder) -> ReportResult:
+    """Everything is made before anything is written."""
     pictures = {result.name: draw_sweep(result) for result in report.sweeps}
-    texts = {
-        TABLE: report_as_csv(report),
-        DATA: report_as_json(report),
-        PAGE: make_page(report, pictures),
-    }
     contents = {f"{name}.png": data for name, data in pictures.items()}
-    contents |= {name: text.encode("utf-8") for name, text in texts.items()}
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteFailed(f"cannot make the folder {target}: {error.strerror}") from error
-    for name, data in contents.items():
-        publish_file(target / name, partial(_save, data))
-    files = tuple(target / name for name in contents)
-    return ReportResult(target / PAGE, files, report)
-
-
-def _save(data: bytes, file_path: Path) -> None:
-    file_path.write_bytes(data)
+    contents[TABLE] = report_as_csv(report).encode("utf-8")
+    contents[PAGE] = make_page(report, pictures).encode("utf-8")
+    files = folder.write(contents, lambda names: report_as_json(report, names))
+    return ReportResult(files[0].parent / PAGE, files, report)

@@ -3,7 +3,9 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.core.vgg19_file import find_vgg19_file, named_vgg19_file
 from usdsmoke.errors import FeatureError
+from usdsmoke.plan import Plan as RunPlan
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan
@@ -13,27 +15,57 @@ from usdsmoke.report.trial import Setting, Trial, base_iterations
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["SWEEP", "patch_distance"]
+__all__ = ["SWEEP", "check_network", "patch_distance"]
 
 _SHARES = (1.0, 0.5, 2.0)
 _PATCH = 7  # pixels
 _N_DIRECTIONS = 64
 
 
-def _applies(case: Case) -> str:
-    from usdsmoke.core.vgg19_file import find_vgg19_file
+def check_network(plan: RunPlan) -> None:
+    """Refuse a file of VGG-19 that was named and cannot be used, before anything is measured.
 
+    Args:
+        plan: of the run that the report is about.
+
+    Raises:
+        FeatureError: it is missing, or cannot be read.
+    """
+    wanted = {
+        config.features.vgg19_file
+        for config in (volume.config for volume in plan.volumes)
+        if config.features.network == "vgg19"
+        or ("colour" in config.optimize.steps and config.losses.style > 0
+            and named_vgg19_file(config.features.vgg19_file))
+    }  # fmt: skip
+    for configured in sorted(wanted):
+        _load(configured)
+
+
+def _load(configured: str) -> None:
+    from usdsmoke.core.vgg19 import Vgg19Features
+
+    Vgg19Features.from_file(configured)
+
+
+def _applies(case: Case) -> str:
     if "colour" not in case.steps:
         return "optimize.steps has no colour: patches of colour tell nothing"
     if case.config.losses.style == 0:
         return "losses.style is 0: no network is evaluated"
+    configured = case.config.features.vgg19_file
     try:
-        find_vgg19_file(case.config.features.vgg19_file)
+        find_vgg19_file(configured)
     except FeatureError:
         return (
             "no weights of VGG-19 were given (features.vgg19_file), so there is nothing to "
             "compare the embedded features with"
         )
+    if not named_vgg19_file(configured):  # nobody has asked for what lies in torch's cache
+        try:
+            _load(configured)
+        except FeatureError as error:
+            return str(error)
     return ""
 
 

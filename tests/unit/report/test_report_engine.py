@@ -4,10 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import pytest
-
-from usdsmoke.errors import ConfigError
-from usdsmoke.report.budget import Budget, parse_budget
+from usdsmoke.report.budget import Budget
 from usdsmoke.report.engine import Sweep, run_sweeps
 from usdsmoke.report.measure import Clock, measure
 from usdsmoke.report.records import LeftOut, Plan, Task
@@ -203,16 +200,3 @@ def test_the_error_is_looked_at_outside_of_the_time() -> None:
         return found
 
     assert measure(time.work(1.0), error, 2, Clock(time, time)).cpu.high == 1.0
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"), [("300s", 300), ("5min", 300), ("1h", 3600), ("90", 90), ("0.5 min", 30)]
-)
-def test_durations(text: str, seconds: float) -> None:
-    assert parse_budget(text) == seconds
-
-
-@pytest.mark.parametrize("text", ["", "five", "5 days", "-3s", "0", "0.5s", "5m in"])
-def test_what_is_no_duration_is_refused_with_what_is(text: str) -> None:
-    with pytest.raises(ConfigError, match="wanted a number of seconds, minutes or hours"):
-        parse_budget(text)
