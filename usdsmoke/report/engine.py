@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from usdsmoke.errors import UsdSmokeError
 from usdsmoke.report.budget import Budget
 from usdsmoke.report.conclude import conclude
 from usdsmoke.report.measure import Clock, Measured, Run, summarize, timed_runs
@@ -46,6 +47,13 @@ class Sweep:
     plan: Callable[["Case"], Plan]  # may raise LeftOut, by what case.allowed seconds suffice for
 
 
+@dataclass(frozen=True)
+class _Failed:
+    """Why a sweep ended with nothing."""
+
+    reason: str
+
+
 @dataclass
 class _UnderWay:
     """A sweep with what was measured and what was not."""
@@ -55,6 +63,7 @@ class _UnderWay:
     pending: list[Task]
     taken: list[tuple[Task, Measured]] = field(default_factory=list)
     rates: dict[str, float] = field(default_factory=dict)  # seconds per unit of effort, by curve
+    failure: str = ""  # what ended it
 
     @property
     def missing(self) -> int:
@@ -105,15 +114,19 @@ def run_sweeps(
     results = []
     for sweep in wanted:
         item = found[sweep.name]
+        if isinstance(item, _Failed):
+            omitted.append(Omission(sweep.title, item.reason))
+            continue
         if isinstance(item, str):
             omitted.append(Omission(sweep.title, f"{_no_time(budget)}: {item}"))
             continue
         if item.missing:
-            omitted.append(Omission(sweep.title, f"{_no_time(budget)}: {_too_few(item)}"))
+            reason = item.failure or f"{_no_time(budget)}: {_too_few(item)}"
+            omitted.append(Omission(sweep.title, reason))
             continue
         missing = _missing(item)
         if missing:
-            reason = f"{_no_time(budget)}: {'; '.join(missing)}"
+            reason = f"{item.failure or _no_time(budget)}: {'; '.join(missing)}"
             omitted.append(Omission(f"Points of “{sweep.title}”", reason))
         points = _points(item, case.on_gpu)
         results.append(conclude(SweepResult(sweep.name, sweep.title, item.plan, points, missing)))
@@ -125,10 +138,10 @@ class _Engine:
         self._case, self._budget, self._clock, self._tell = case, budget, clock, tell
         self._known: dict[object, list[Run]] = {}  # by key
 
-    def run(self, wanted: Sequence[Sweep]) -> dict[str, _UnderWay | str]:
+    def run(self, wanted: Sequence[Sweep]) -> dict[str, _UnderWay | _Failed | str]:
         """By name: what became of each, or why it was left out."""
         budget = self._budget
-        found: dict[str, _UnderWay | str] = {}
+        found: dict[str, _UnderWay | _Failed | str] = {}
         for number, sweep in enumerate(wanted):
             end = budget.until([later.weight for later in wanted[number:]])
             found[sweep.name] = self._begun(sweep, end, max(end, budget.spent + budget.left / 2))
@@ -140,7 +153,7 @@ class _Engine:
             self._take(item, budget.seconds, budget.seconds)
         return found
 
-    def _begun(self, sweep: Sweep, end: float, least_end: float) -> _UnderWay | str:
+    def _begun(self, sweep: Sweep, end: float, least_end: float) -> _UnderWay | _Failed | str:
         """A sweep with the points that fit; ``least_end`` holds for the first three."""
         if self._budget.left <= 0:
             return _NO_TIME
@@ -150,6 +163,8 @@ class _Engine:
             plan = sweep.plan(self._case)
         except LeftOut as reason:
             return str(reason)
+        except UsdSmokeError as error:
+            return _Failed(_failure(error))
         plan = _timed_by(plan, self._case.on_gpu)
         item = _UnderWay(sweep, plan, list(plan.tasks))
         self._take(item, end, least_end)
@@ -158,14 +173,18 @@ class _Engine:
     def _take(self, item: _UnderWay, end: float, least_end: float) -> None:
         for task in list(item.pending):
             spent = self._budget.spent
-            if self._budget.left <= 0 or self._hopeless(item, least_end):
+            if item.failure or self._budget.left <= 0 or self._hopeless(item, least_end):
                 return
             limit = least_end if item.missing else end
             if spent + self._expected(item, task) > limit:
                 continue
             self._tell(item.sweep.title, f"{task.curve}, {task.label}", self._share())
             known = task.key is not None and task.key in self._known
-            item.taken.append((task, self._measured(item.plan, task)))
+            try:
+                item.taken.append((task, self._measured(item.plan, task)))
+            except UsdSmokeError as error:  # what others have measured is written all the same
+                item.failure = _failure(error)
+                return
             item.pending.remove(task)
             if not known:
                 n_runs = item.plan.n_runs + item.plan.warm_up
@@ -238,6 +257,10 @@ def _with_times_of_equals(found: Measured, others: Sequence[Measured]) -> Measur
 def _timed_by(plan: Plan, on_gpu: bool) -> Plan:
     """On a GPU the clock on the wall counts, and the diagram says so."""
     return replace(plan, y_label=WALL_TIME) if on_gpu and plan.y_label == CPU_TIME else plan
+
+
+def _failure(error: UsdSmokeError) -> str:
+    return f"it ended with an error: {' '.join(str(error).split())}".rstrip(".")
 
 
 def _no_time(budget: Budget) -> str:

@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import pytest
+
+from usdsmoke.errors import FeatureError
 from usdsmoke.report.budget import Budget
 from usdsmoke.report.engine import Sweep, run_sweeps
 from usdsmoke.report.measure import Clock, measure
@@ -200,3 +203,37 @@ def test_the_error_is_looked_at_outside_of_the_time() -> None:
         return found
 
     assert measure(time.work(1.0), error, 2, Clock(time, time)).cpu.high == 1.0
+
+
+def failing(time: FakeTime, name: str, at: int) -> Sweep:
+    """A sweep whose point of this number, or whose plan before the first one, ends in an error."""
+
+    def fail(number: int) -> float:
+        raise FeatureError("no such\nweights.")
+
+    def plan(case: Any) -> Plan:
+        works = [fail if n == at else time.work(1.0) for n in range(5)]
+        if at < 0:
+            fail(at)
+        tasks = [Task("curve", f"{name}{n}", w, lambda found: found) for n, w in enumerate(works)]
+        return Plan(tasks, "error", "about", "reference")
+
+    return Sweep(name, f"Sweep {name}", 1.0, lambda case: "", plan)
+
+
+@pytest.mark.parametrize("at", [-1, 0, 2])
+def test_a_sweep_that_ends_in_an_error_leaves_the_others(at: int) -> None:
+    time = FakeTime()
+    sweeps = [sweep_of(time, "a", [1] * 3, 1.0), failing(time, "b", at)]
+    results, omitted, _ = run([*sweeps, sweep_of(time, "c", [1] * 3, 1.0)], time, 300.0)
+    assert [result.name for result in results] == ["a", "c"]
+    assert (omitted[0].what, omitted[0].reason) == (
+        "Sweep b", "it ended with an error: no such weights",
+    )  # fmt: skip
+
+
+def test_points_before_an_error_are_kept_where_there_are_three() -> None:
+    time = FakeTime()
+    results, omitted, _ = run([failing(time, "b", 3)], time, 300.0)
+    assert [point.label for point in results[0].points] == ["b0", "b1", "b2"]
+    assert "no such weights: curve (b3" in omitted[0].reason
