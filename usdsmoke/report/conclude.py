@@ -1,18 +1,21 @@
 """What follows from a sweep's points, in sentences: one for every curve, one on what is configured.
 
-Errors and costs that lie within the spread of the runs count as equal.
+Errors and costs that lie within the spread of the runs count as equal. Ratios belong to points
+that were measured; where a curve passes the configured error between two of them, the sentence says
+so, names both and calls the ratio between them what it is: about so much.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from usdsmoke.report.fit import cost_at, fitted_order
-from usdsmoke.report.records import Point, SweepResult
+from usdsmoke.report.fit import Crossing, crossing, fitted_order
+from usdsmoke.report.records import Plan, Point, SweepResult
 
 __all__ = ["conclude", "times"]
 
 _EQUAL = 1.02  # ratio of errors up to which they count as equal
 _CLOSE = 1.05  # ratio of costs up to which two points cost the same
+_ABOVE = 3.0  # times the reference's own error, from which on an order is fitted to an error
 
 
 def conclude(result: SweepResult) -> SweepResult:
@@ -20,10 +23,11 @@ def conclude(result: SweepResult) -> SweepResult:
     chosen = next((point for point in result.points if point.configured), None)
     noun = "size" if "byte" in result.plan.y_label else "time"
     sentences = {
-        curve: _of_curve(points, chosen, noun, result.plan.setting)
+        curve: f"{_of_curve(points, chosen, noun)}{_order(points, result.plan)}"
         for curve, points in result.curves.items()
     }
-    return replace(result, sentences=sentences, verdict=_verdict(result.points, chosen, noun))
+    verdict = _verdict(result, chosen, noun)
+    return replace(result, sentences=sentences, verdict=verdict)
 
 
 def times(ratio: float) -> str:
@@ -36,32 +40,67 @@ def times(ratio: float) -> str:
     return f"{ratio:.2g}x" if digits == 2 else f"{round(ratio, digits):.0f}x"
 
 
-def _verdict(points: Sequence[Point], chosen: Point | None, noun: str) -> str:
+def _verdict(result: SweepResult, chosen: Point | None, noun: str) -> str:
     if chosen is None:
         return "What is configured is not among these points."
-    name = f"The configured point ({chosen.curve}, {chosen.label})"
+    points, name = result.points, f"The configured point ({chosen.curve}, {chosen.label})"
     if len(points) == 1:
         return f"{name} is the only one that was measured."
-    best = min(
-        (p for p in points if p is chosen or _as_good(p, chosen)), key=lambda p: p.cost.median
-    )
-    ratio = chosen.cost.median / best.cost.median
+    good = [p for p in points if p is chosen or _as_good(p, chosen)]
+    best = min(good, key=lambda p: p.cost.median)
     if best is chosen or not _costs_more(chosen, best):
-        return f"{name} is the cheapest of those measured at its error."
-    other = f"{best.curve}, {best.label}"
+        rest = _cheaper_between(result, chosen, noun)
+        return f"{name} is the cheapest of those measured at its error{rest}."
+    ratio = chosen.cost.median / best.cost.median
+    other = f"{best.curve}, {best.label}{_as_far(best, chosen)}"
     if ratio < 2:
         return f"{name} is within {times(ratio)} of the cheapest at its error: {other}."
     return f"{name} could be had in {times(1 / ratio)} of its {noun}: {other}."
 
 
-def _of_curve(points: Sequence[Point], chosen: Point | None, noun: str, setting: str) -> str:
-    order = _order(points, setting)
+def _as_far(point: Point, chosen: Point) -> str:
+    """A point that is as good by the spread of the runs alone is named so."""
+    if point.error.median <= chosen.error.median * _EQUAL:
+        return ""
+    return " (as far as the runs can tell: their errors overlap)"
+
+
+def _cheaper_between(result: SweepResult, chosen: Point, noun: str) -> str:
+    """Curves that pass the configured error for less, between points of other errors."""
+    found = {curve: _passes(points, chosen) for curve, points in result.curves.items()}
+    cheaper = [
+        f"{curve} reaches it at about {times(at.cost / chosen.cost.median)} its {noun}"
+        for curve, at in found.items()
+        if at is not None and at.cost * _CLOSE < chosen.cost.median
+    ]
+    return f"; between two measured points {', '.join(cheaper)}" if cheaper else ""
+
+
+def _passes(points: Sequence[Point], chosen: Point) -> Crossing | None:
+    """Where a curve without the configured point passes its error, if no point of it is there."""
+    if chosen.error.median <= 0 or any(point is chosen for point in points):
+        return None
+    if any(abs(point.error.median / chosen.error.median - 1) <= _EQUAL - 1 for point in points):
+        return None
+    errors, costs = [p.error.median for p in points], [p.cost.median for p in points]
+    return crossing(chosen.error.median, errors, costs)
+
+
+def _of_curve(points: Sequence[Point], chosen: Point | None, noun: str) -> str:
     if chosen is None:
         best = min(points, key=lambda p: p.error.median)
-        return f"The least error is that of {best.label}.{order}"
+        return f"The least error is that of {best.label}."
     if any(point is chosen for point in points):
-        return f"{_around(points, chosen, noun)}{order}"
-    return f"{_against(points, chosen, noun)}{order}"
+        return _around(points, chosen, noun)
+    at = _passes(points, chosen)
+    if at is not None:
+        fine, rough = points[at.finer], points[at.rougher]
+        return (
+            f"It reaches the configured error at about {times(at.cost / chosen.cost.median)} the "
+            f"{noun}, between {fine.label} ({_ratio(fine, chosen)}, {_change(fine, chosen)}) and "
+            f"{rough.label} ({_ratio(rough, chosen)}, {_change(rough, chosen)})."
+        )
+    return _against(points, chosen, noun)
 
 
 def _around(points: Sequence[Point], chosen: Point, noun: str) -> str:
@@ -80,37 +119,41 @@ def _around(points: Sequence[Point], chosen: Point, noun: str) -> str:
     if len(points) == 1:
         return "Nothing but what is configured was measured on this curve."
     if not texts:
-        return "Nothing else on this curve costs more or less than what is configured."
+        return "Nothing else on this curve costs more or less, beyond the spread of the runs."
     return f"Beside what is configured, {'; '.join(texts)}."
 
 
 def _against(points: Sequence[Point], chosen: Point, noun: str) -> str:
-    """A curve without the configured point, beside it."""
+    """A curve that the configured point is not on, by its measured points."""
     good = [point for point in points if _as_good(point, chosen)]
-    if good:
-        best = min(good, key=lambda p: p.cost.median)
-        ratio = _between(points, chosen) or best.cost.median / chosen.cost.median
-        text = f"It has the configured error at {times(ratio)} the {noun} ({best.label})"
-        finest = min(points, key=lambda p: p.error.median)
-        if finest is best or not finest.error.median < chosen.error.median:
-            return f"{text}."
-        more = f"{finest.label} takes {_ratio(finest, chosen)} and {_change(finest, chosen)}"
-        return f"{text}; {more}."
+    if not good:
+        return _never(points, chosen, noun)
+    best = min(good, key=lambda p: p.cost.median)
+    text = f"{best.label} {_takes(best, chosen, noun)} and {_change(best, chosen)}"
+    finest = min(points, key=lambda p: p.error.median)
+    if finest is best or not finest.error.median < chosen.error.median:
+        return f"{text}."
+    return f"{text}; {finest.label} takes {_ratio(finest, chosen)} and {_change(finest, chosen)}."
+
+
+def _never(points: Sequence[Point], chosen: Point, noun: str) -> str:
     best = min(points, key=lambda p: p.error.median)
+    if chosen.error.median > 0:
+        return (
+            f"It does not come down to the configured error: {best.label} has "
+            f"{times(best.error.median / chosen.error.median)} the error at "
+            f"{_ratio(best, chosen)} the {noun}."
+        )
     return (
-        f"It does not come down to the configured error: {best.label} has "
-        f"{times(best.error.median / chosen.error.median)} the error at {_ratio(best, chosen)} "
-        f"the {noun}."
-        if chosen.error.median > 0
-        else f"It is not exact as what is configured is; {best.label} has an error of "
+        f"It is not exact as what is configured is; {best.label} has an error of "
         f"{best.error.median:.2g} at {_ratio(best, chosen)} the {noun}."
     )
 
 
-def _between(points: Sequence[Point], chosen: Point) -> float | None:
-    errors, costs = [p.error.median for p in points], [p.cost.median for p in points]
-    found = cost_at(chosen.error.median, errors, costs) if chosen.error.median > 0 else None
-    return None if found is None else found / chosen.cost.median
+def _takes(point: Point, chosen: Point, noun: str) -> str:
+    if _costs_more(point, chosen) or _costs_more(chosen, point):
+        return f"takes {_ratio(point, chosen)} the {noun}"
+    return f"takes the same {noun} within the runs' spread"
 
 
 def _costs_more(point: Point, other: Point) -> bool:
@@ -147,9 +190,14 @@ def _change(point: Point, chosen: Point) -> str:
     return f"lowers the error by {1 - found.median / wanted.median:.1%}"
 
 
-def _order(points: Sequence[Point], setting: str) -> str:
-    numbers = [(p.setting, p.error.median) for p in points if p.setting is not None]
-    if not setting or not numbers:
+def _order(points: Sequence[Point], plan: Plan) -> str:
+    """The fitted order; errors of the reference's own size say nothing about a method."""
+    if not plan.setting:
         return ""
-    order = fitted_order([h for h, _ in numbers], [e for _, e in numbers])
-    return "" if order is None else f" Fitted order in {setting}: {order:.1f}."
+    numbers = [(p.setting, p.error.median) for p in points if p.setting is not None]
+    fit = [(h, e) for h, e in numbers if e > _ABOVE * plan.uncertain]
+    order = fitted_order([h for h, _ in fit], [e for _, e in fit])
+    if order is None:
+        return ""
+    rest = f", from {len(fit)} points" if len(fit) < len(numbers) else ""
+    return f" Fitted order in {plan.setting}: {order:.1f}{rest}."

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from usdsmoke.errors import MissingExtra
-from usdsmoke.report.records import Point, SweepResult
+from usdsmoke.report.records import Point, Spread, SweepResult
 
 __all__ = ["check_matplotlib", "draw_sweep"]
 
@@ -34,7 +34,7 @@ def draw_sweep(result: SweepResult) -> bytes:
     """The diagram of a sweep, a PNG file's bytes.
 
     Medians are joined along each curve; bars reach from the smallest to the largest run. The
-    configured point has a ring. Errors of 0 stand at the left edge, named exact.
+    configured point has a ring. Errors of 0 stand beyond a line at the left, where the axis says 0.
 
     Raises:
         MissingExtra: matplotlib is not installed.
@@ -46,57 +46,94 @@ def draw_sweep(result: SweepResult) -> bytes:
     axes = figure.subplots()
     axes.set(xscale="log", yscale="log", xlabel=result.plan.x_label, ylabel=result.plan.y_label)
     exact = _place_of_zero(result.points)
+    least = min((p.cost.median for p in result.points if p.cost.median > 0), default=1.0)
     for number, (curve, points) in enumerate(result.curves.items()):
         colour = _COLOURS[number % len(_COLOURS)]
         marker = _MARKERS[number % len(_MARKERS)]
-        _draw_curve(axes, curve, points, colour, marker, exact)
+        _draw_curve(axes, curve, points, (colour, marker), (exact, least))
     chosen = [point for point in result.points if point.configured]
     for point in chosen:
         axes.plot(
-            point.error.median or exact, point.cost.median, "o", markersize=17, fillstyle="none",
-            color="black", markeredgewidth=1.6, label="configured", zorder=5,
+            point.error.median or exact, point.cost.median or least, "o", markersize=17,
+            fillstyle="none", color="black", markeredgewidth=1.6, label="configured", zorder=5,
         )  # fmt: skip
     if result.plan.floor is not None:
         axes.axvline(
             result.plan.floor, color="#777777", linestyle="--", linewidth=1, label="reference"
         )
-    if any(point.error.median == 0 for point in result.points):
-        axes.axvline(exact, color="#cccccc", linewidth=1)
-        axes.annotate("exact", (exact, 1), xycoords=("data", "axes fraction"), fontsize=8,
-                      xytext=(3, -10), textcoords="offset points", color="#666666")  # fmt: skip
+    _draw_own_error(axes, result)
     axes.grid(True, which="both", color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     _widen(axes)
     _plain_ticks(axes)
+    if any(point.error.median == 0 for point in result.points):
+        _name_exact(axes, exact, all(point.error.median == 0 for point in result.points))
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
 
+def _draw_own_error(axes: Any, result: SweepResult) -> None:
+    """The reference's own error, where points come near it."""
+    own = result.plan.uncertain
+    if own > 0 and any(0 < point.error.low < 10 * own for point in result.points):
+        axes.axvline(
+            own, color="#777777", linestyle="--", linewidth=1, label="the reference's own error"
+        )
+
+
 def _draw_curve(
-    axes: Any, curve: str, points: Sequence[Point], colour: str, marker: str, exact: float
+    axes: Any,
+    curve: str,
+    points: Sequence[Point],
+    look: tuple[str, str],
+    zeros: tuple[float, float],
 ) -> None:
-    x = [point.error.median or exact for point in points]
-    y = [point.cost.median for point in points]
-    sideways = [
-        [p.error.median - p.error.low for p in points],
-        [p.error.high - p.error.median for p in points],
-    ]
-    upwards = [
-        [p.cost.median - p.cost.low for p in points],
-        [p.cost.high - p.cost.median for p in points],
-    ]
+    x = [_bar(p.error, zeros[0]) for p in points]
+    y = [_bar(p.cost, zeros[1]) for p in points]
+    colour, marker = look
     axes.errorbar(
-        x, y, xerr=sideways, yerr=upwards, color=colour, marker=marker, markersize=5,
+        [middle for _, middle, _ in x], [middle for _, middle, _ in y],
+        xerr=_lengths(x), yerr=_lengths(y), color=colour, marker=marker, markersize=5,
         linewidth=1.2, elinewidth=0.8, capsize=2, label=curve,
     )  # fmt: skip
 
 
+def _bar(spread: Spread, zero: float) -> tuple[float, float, float]:
+    """Low, middle and high on an axis that has no 0: it is drawn at ``zero``."""
+    middle = spread.median or zero
+    return min(spread.low or zero, middle), middle, max(spread.high, middle)
+
+
+def _lengths(bars: Sequence[tuple[float, float, float]]) -> list[list[float]]:
+    return [[middle - low for low, middle, _ in bars], [high - middle for _, middle, high in bars]]
+
+
 def _place_of_zero(points: Sequence[Point]) -> float:
     """Where errors of 0 are drawn."""
-    least = min((p.error.low for p in points if p.error.low > 0), default=1.0)
-    return least / 5
+    positive = [value for p in points for value in (p.error.low, p.error.median) if value > 0]
+    return min(positive, default=1.0) / 5
+
+
+def _name_exact(axes: Any, exact: float, alone: bool) -> None:
+    """The axis says 0 where the exact points are, and no number beyond the line before them."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    if alone:
+        axes.xaxis.set_major_locator(FixedLocator([exact]))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: "0"))
+        return
+    end = exact * 5**0.5
+    axes.axvspan(axes.get_xlim()[0], end, color="#f4f4f4", zorder=0)
+    axes.axvline(end, color="#aaaaaa", linewidth=1)
+    shown = axes.xaxis.get_major_formatter()
+    axes.xaxis.set_major_formatter(
+        FuncFormatter(lambda value, place: "" if value < end else shown(value, place))
+    )
+    axes.annotate("0", (exact, 0), xycoords=("data", "axes fraction"), xytext=(0, -4),
+                  textcoords="offset points", ha="center", va="top")  # fmt: skip
 
 
 def _widen(axes: Any) -> None:

@@ -3,10 +3,11 @@
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["cost_at", "fitted_order"]
+__all__ = ["Crossing", "crossing", "fitted_order"]
 
 _LEAST_POINTS = 3
 _ROUND_OFF = 1e-13  # relative errors below this say nothing about a method
@@ -32,20 +33,39 @@ def fitted_order(settings: Sequence[float], errors: Sequence[float]) -> float | 
     return float(np.polyfit(x, y, 1)[0])
 
 
-def cost_at(error: float, errors: Sequence[float], costs: Sequence[float]) -> float | None:
-    """What a curve costs at an error, between its points straight in the logarithms.
+@dataclass(frozen=True)
+class Crossing:
+    """Where a curve passes an error between two of its points."""
+
+    cost: float  # straight in the logarithms between them
+    finer: int  # place of the point with less error, which costs more
+    rougher: int
+
+
+def crossing(error: float, errors: Sequence[float], costs: Sequence[float]) -> Crossing | None:
+    """The least cost at which a curve has an error between two neighbouring points.
+
+    >>> crossing(0.1, [1.0, 0.01], [1.0, 100.0])
+    Crossing(cost=10.0, finer=1, rougher=0)
 
     Args:
         error: > 0.
         errors, costs: of the curve's points, in any order, > 0.
 
     Returns:
-        The least such cost; None where the error does not lie between two points of the curve.
+        None where the error does not lie between two points, or the finer one costs no more than
+        the rougher: then it is the better one, and nothing lies between that is worth a word; also
+        where a point of less error costs less than what lies between.
     """
-    pairs = sorted((e, c) for e, c in zip(errors, costs, strict=True) if e > 0 and c > 0)
-    found = []
-    for (e0, c0), (e1, c1) in itertools.pairwise(pairs):
-        if e0 <= error <= e1:
-            part = 0.0 if e0 == e1 else math.log(error / e0) / math.log(e1 / e0)
-            found.append(c0 * (c1 / c0) ** part)
-    return min(found, default=None)
+    places = sorted(
+        (place for place, (e, c) in enumerate(zip(errors, costs, strict=True)) if e > 0 and c > 0),
+        key=lambda place: errors[place],
+    )
+    for fine, rough in itertools.pairwise(places):
+        if not errors[fine] < error < errors[rough] or costs[fine] <= costs[rough]:
+            continue
+        part = math.log(error / errors[fine]) / math.log(errors[rough] / errors[fine])
+        cost = costs[fine] * (costs[rough] / costs[fine]) ** part
+        finer = [costs[place] for place in places if errors[place] <= errors[fine]]
+        return Crossing(cost, fine, rough) if min(finer) > cost else None
+    return None

@@ -65,6 +65,7 @@ class Plan:
     reference: str  # against what errors are measured, and what says that it is right
     y_label: str = CPU_TIME
     setting: str = ""  # what the numbers along a curve are, where an order can be fitted to them
+    uncertain: float = 0.0  # how far the reference itself may be off, where a second one tells
     floor: float | None = None  # a value on x that nothing is expected to go below, drawn as a line
     n_runs: int = 3
     warm_up: bool = False

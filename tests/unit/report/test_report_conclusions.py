@@ -23,7 +23,7 @@ def test_a_cheaper_point_of_the_same_error_is_named_with_its_ratio() -> None:
     assert found.sentences["ours"] == (
         "Beside what is configured, 16 takes 2x the time and lowers the error by 50.0%."
     )
-    assert found.sentences["other"] == "It has the configured error at 0.77x the time (7)."
+    assert found.sentences["other"] == "7 takes 0.77x the time and leaves the error as it is."
 
 
 def test_the_cheapest_point_is_told_to_be_it() -> None:
@@ -71,8 +71,8 @@ def test_what_the_best_point_of_another_curve_gains_is_told() -> None:
         point("number", "120 (2x)", 0.099, 2.1),
     ]
     assert conclude(result_of(points)).sentences["number"] == (
-        "It has the configured error at 1x the time (60 (1x)); 120 (2x) takes 2.1x and lowers the "
-        "error by 1.0%."
+        "60 (1x) takes the same time within the runs' spread and leaves the error as it is; "
+        "120 (2x) takes 2.1x and lowers the error by 1.0%."
     )
 
 
@@ -97,3 +97,65 @@ def test_without_the_configured_point_nothing_is_said_of_it() -> None:
     found = conclude(result_of([point("a", "1", 0.2, 1.0), point("a", "2", 0.1, 2.0)]))
     assert found.verdict == "What is configured is not among these points."
     assert found.sentences["a"] == "The least error is that of 2."
+
+
+def test_a_ratio_between_points_is_called_what_it_is_and_both_points_are_named() -> None:
+    points = [
+        point("cubic", "whole", 0.1, 1.0, configured=True),
+        point("linear", "half", 0.05, 1.55),
+        point("linear", "whole", 0.2, 0.4),
+    ]
+    found = conclude(result_of(points))
+    assert found.sentences["linear"] == (
+        "It reaches the configured error at about 0.79x the time, between half (1.6x, lowers the "
+        "error by 50.0%) and whole (0.4x, raises the error to 2x)."
+    )
+    assert found.verdict == (
+        "The configured point (cubic, whole) is the cheapest of those measured at its error; "
+        "between two measured points linear reaches it at about 0.79x its time."
+    )
+
+
+def test_a_dearer_curve_does_not_stand_against_the_verdict() -> None:
+    points = [
+        point("cubic", "whole", 0.1, 1.0, configured=True),
+        point("linear", "half", 0.05, 16.0),
+        point("linear", "whole", 0.2, 2.0),
+    ]
+    found = conclude(result_of(points))
+    assert "at about 5.7x the time" in found.sentences["linear"]
+    assert found.verdict.endswith("is the cheapest of those measured at its error.")
+
+
+def test_every_ratio_without_about_is_that_of_a_measured_point() -> None:
+    points = [
+        point("ours", "1", 0.1, 1.0, configured=True),
+        point("other", "4", 0.02, 1.33),
+        point("other", "1", 0.3, 1.2),
+    ]
+    sentence = conclude(result_of(points)).sentences["other"]
+    assert sentence.startswith(
+        "It reaches the configured error at about 1.3x the time, between 4 ("
+    )
+    cheap = [*points[:2], replace(points[2], cost=Spread(1.5, 1.5, 1.5))]  # rough and dear
+    assert conclude(result_of(cheap)).sentences["other"] == (
+        "4 takes 1.3x the time and lowers the error by 80.0%."
+    )
+
+
+def test_a_cheaper_point_that_is_as_good_by_noise_alone_is_named_so() -> None:
+    points = [point("ours", "12", 0.10, 1.0, configured=True), point("ours", "1", 0.12, 0.8)]
+    noisy = [replace(p, error=Spread(p.error.median, 0.09, 0.13)) for p in points]
+    assert conclude(result_of(noisy)).verdict.endswith(
+        "ours, 1 (as far as the runs can tell: their errors overlap)."
+    )
+
+
+def test_no_order_is_fitted_to_the_error_of_the_reference() -> None:
+    errors = [0.16, 0.04, 0.01, 0.004, 0.004]  # the last two are the reference's
+    points = [
+        point("ours", f"{n}", error, 2.0**n, setting=0.5**n, configured=n == 0)
+        for n, error in enumerate(errors)
+    ]
+    found = conclude(result_of(points, setting="the step", uncertain=0.003))
+    assert found.sentences["ours"].endswith("Fitted order in the step: 2.0, from 3 points.")

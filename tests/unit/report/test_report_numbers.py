@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import puff
-from usdsmoke.report.fit import cost_at, fitted_order
+from usdsmoke.report.fit import crossing, fitted_order
 from usdsmoke.report.quadrature import RULES, integrate
 from usdsmoke.report.sweep_interpolation import Turn
 from usdsmoke.report.sweep_projection import tent_mean
@@ -44,9 +44,16 @@ def test_no_order_is_fitted_to_two_points_or_to_round_off() -> None:
     assert fitted_order([1, 0.5, 0.25], [8, 1, 0.125]) == pytest.approx(3)
 
 
-def test_cost_at_an_error_lies_on_the_straight_line_of_the_logarithms() -> None:
-    assert cost_at(0.1, [1, 0.01], [1, 100]) == pytest.approx(10)
-    assert cost_at(0.001, [1, 0.01], [1, 100]) is None
+def test_a_curve_passes_an_error_on_the_straight_line_of_the_logarithms() -> None:
+    found = crossing(0.1, [1, 0.01, 5], [1, 100, 0.5])
+    assert found is not None and found.cost == pytest.approx(10)
+    assert (found.finer, found.rougher) == (1, 0)
+    assert crossing(0.001, [1, 0.01], [1, 100]) is None
+
+
+def test_nothing_lies_between_where_the_finer_point_is_the_cheaper_one() -> None:
+    assert crossing(0.1, [1, 0.01], [100, 1]) is None
+    assert crossing(0.1, [1, 0.01, 0.001], [1, 100, 2]) is None
 
 
 def test_a_quarter_turn_in_one_step_meets_its_exact_result() -> None:
