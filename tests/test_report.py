@@ -92,7 +92,7 @@ def test_the_page_is_whole_and_needs_nothing_else(result: ReportResult) -> None:
     for link in page.links:
         assert link.startswith("data:image/png;base64,") or link[1:] in page.ids
     pictures = [link for link in page.links if link.startswith("data:")]
-    assert len(pictures) == len(result.report.sweeps) == 11
+    assert len(pictures) == len(result.report.sweeps) == 13
 
 
 def test_every_curve_has_a_sentence_and_every_sweep_a_verdict(result: ReportResult) -> None:
@@ -200,7 +200,7 @@ def test_with_its_weights_vgg19_stands_beside_the_embedded_features(
 def test_unused_views_see_what_more_iterations_gain(step: str, tmp_path: Path) -> None:
     case = case_of(make_scene(tmp_path, n_frames=1), "losses.keep=0", "shape.learning_rate=0.1")
     trial, config = Trial(case, step, case.config), untiring(case.config)
-    few, many = (trial.judge(trial.run(Setting((0, n), config), 0)) for n in (1, 40))
+    few, many = (trial.judge.loss(trial.run(Setting((0, n), config), 0)) for n in (1, 40))
     assert many < 0.97 * few
 
 

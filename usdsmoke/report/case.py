@@ -4,12 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from usdsmoke.config import Config
 from usdsmoke.errors import PlanError
+from usdsmoke.frames import find_frame_velocity, read_frame
+from usdsmoke.grids.header import read_header
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.plan import FramePlan, VolumePlan
@@ -20,10 +22,11 @@ if TYPE_CHECKING:
 
     from usdsmoke.core.scene import Scene
     from usdsmoke.core.smoke import ActiveSmoke
+    from usdsmoke.report.reference import Reference
 
 __all__ = ["Case", "open_case"]
 
-_MOST_FRAMES = 5  # of the sweep over windows
+_SHORTEST = 24  # voxels along the longest side of the small copy: less shows no style
 
 
 @dataclass
@@ -45,7 +48,9 @@ class Case:
     seconds: float  # that the whole report may take
     notes: list[str] = field(default_factory=list)  # on the page, made by sweeps
     allowed: float = math.inf  # seconds that the sweep at hand may take, set by the engine
-    iterations: dict[str, tuple[int, ...]] = field(default_factory=dict)  # of trials, by step
+    trial_seconds: dict[str, float] = field(default_factory=dict)  # of a configured run, by step
+    references: dict[str, "Reference"] = field(default_factory=dict)  # by step
+    shot: Any = None  # frames that the sweeps over windows share
 
     @property
     def config(self) -> Config:
@@ -101,6 +106,18 @@ class Case:
         image_size = max(16, round(scene.image_size * scene.pixel_size / pixel))
         return replace(scene, pixel_size=pixel, image_size=image_size, camera=self.frame.camera)
 
+    @property
+    def can_shrink(self) -> bool:
+        """Whether the small copy may be made smaller still."""
+        low, high = self.small_smoke.box
+        return self.longest // 2 >= _SHORTEST and int((high - low + 1).max()) > self.longest // 2
+
+    def shrink(self, longest: int) -> None:
+        """Another size of the small copy; everything that was made of it is forgotten."""
+        self.longest = longest
+        for name in ("small", "small_smoke", "small_scene", "halvings"):
+            self.__dict__.pop(name, None)
+
     @cached_property
     def halvings(self) -> int:
         """How many times the small copy's voxels were merged."""
@@ -118,13 +135,25 @@ class Case:
             mask=None, mask_to_stage=None,
         )  # fmt: skip
 
-    @cached_property
-    def neighbours(self) -> list[FramePlan]:
-        """The frame with those around it, in order, without empty ones: a few at most."""
+    def neighbours(self, n_frames: int) -> list[FramePlan]:
+        """The frame with those around it, in order, without empty ones: so many at most."""
         frames = [frame for frame in self.volume.frames if not frame.is_empty]
         place = next(n for n, frame in enumerate(frames) if frame is self.plan)
-        first = max(0, min(place - _MOST_FRAMES // 2, len(frames) - _MOST_FRAMES))
-        return frames[first : first + _MOST_FRAMES]
+        first = max(0, min(place - n_frames // 2, len(frames) - n_frames))
+        return frames[first : first + n_frames]
+
+    def read_with_velocity(self, frame: FramePlan) -> VolumeFrame:
+        """A frame with its velocity, where it has one, even if the configured run reads none."""
+        volume, config = self.volume, self.config
+        if frame.velocity is not None or config.stage.motion == "estimate":
+            return self.reader.read(volume, frame)
+        files = {source.file_path for source in frame.source.fields.values()}
+        headers = {file_path: read_header(file_path) for file_path in files}
+        found = find_frame_velocity(volume.source, frame.source, headers, config)
+        if found is None:
+            return self.reader.read(volume, frame)
+        rate = self.job.plan.source.time_codes_per_second
+        return read_frame(volume.source, frame.source, config, found, rate, None)
 
 
 def open_case(job: Job, longest: int, seconds: float) -> Case:

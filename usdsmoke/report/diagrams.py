@@ -57,10 +57,6 @@ def draw_sweep(result: SweepResult) -> bytes:
             point.error.median or exact, point.cost.median or least, "o", markersize=17,
             fillstyle="none", color="black", markeredgewidth=1.6, label="configured", zorder=5,
         )  # fmt: skip
-    if result.plan.floor is not None:
-        axes.axvline(
-            result.plan.floor, color="#777777", linestyle="--", linewidth=1, label="reference"
-        )
     _draw_own_error(axes, result)
     axes.grid(True, which="both", color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)

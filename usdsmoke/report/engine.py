@@ -5,7 +5,7 @@ nothing, it may go beyond that, to half of what is left. Time that is over at th
 sweeps and points that were passed over.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -136,7 +136,7 @@ def run_sweeps(
 class _Engine:
     def __init__(self, case: "Case", budget: Budget, clock: Clock, tell: Tell) -> None:
         self._case, self._budget, self._clock, self._tell = case, budget, clock, tell
-        self._known: dict[object, list[Run]] = {}  # by key
+        self._known: dict[Hashable, list[Run]] = {}  # by key
 
     def run(self, wanted: Sequence[Sweep]) -> dict[str, _UnderWay | _Failed | str]:
         """By name: what became of each, or why it was left out."""
@@ -201,12 +201,14 @@ class _Engine:
 
     def _measured(self, plan: Plan, task: Task) -> Measured:
         task.prepare()
-        runs = timed_runs(task.work, plan.n_runs, self._clock, plan.warm_up)
-        if task.key is None:
-            return summarize(runs, task.error, task.size, task.note)
-        if task.key not in self._known:
-            self._known[task.key] = list(runs)
-        return summarize(self._known[task.key], task.error, task.size, task.note)
+        runs: Iterable[Run] = timed_runs(task.work, plan.n_runs, self._clock, plan.warm_up)
+        if task.key is not None:
+            runs = self._known[task.key] if task.key in self._known else self._kept(task.key, runs)
+        return summarize(runs, task.error, task.size, task.note, task.trace)
+
+    def _kept(self, key: Hashable, runs: Iterable[Run]) -> list[Run]:
+        self._known[key] = list(runs)
+        return self._known[key]
 
     def _share(self) -> float:
         return min(self._budget.spent / self._budget.seconds, 1.0)
@@ -229,8 +231,7 @@ def _too_few(item: _UnderWay) -> str:
 def _points(item: _UnderWay, on_gpu: bool) -> tuple[Point, ...]:
     """The points; those that did the same work share the times of all their runs."""
     measured = [found for _, found in item.taken]
-    if item.plan.equal_is_same:
-        measured = [_with_times_of_equals(found, measured) for found in measured]
+    measured = [_with_times_of_equals(found, measured) for found in measured]
     points = []
     for (task, _), found in zip(item.taken, measured, strict=True):
         cost = found.size or (found.wall if on_gpu else found.cpu)
@@ -246,7 +247,9 @@ def _points(item: _UnderWay, on_gpu: bool) -> tuple[Point, ...]:
 
 
 def _with_times_of_equals(found: Measured, others: Sequence[Measured]) -> Measured:
-    same = [other for other in others if other.errors == found.errors]
+    if not found.traces:
+        return found
+    same = [other for other in others if other.traces == found.traces]
     return replace(
         found,
         cpu_times=tuple(value for other in same for value in other.cpu_times),

@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -45,6 +45,7 @@ class Measured:
     wall_times: tuple[float, ...]
     size: Spread | None = None
     notes: tuple[str, ...] = ()  # of the results
+    traces: tuple[Hashable, ...] = ()
 
     @property
     def error(self) -> Spread:
@@ -103,9 +104,10 @@ def summarize(
     error: Callable[[Any], float],
     size: Callable[[Any], float] | None = None,
     note: Callable[[Any], str] | None = None,
+    trace: Callable[[Any], Hashable] | None = None,
 ) -> Measured:
     """What the runs of a point have in all; of every result at once, so that none is kept."""
-    errors, cpu, wall, sizes, notes = [], [], [], [], []
+    errors, cpu, wall, sizes, notes, traces = [], [], [], [], [], []
     for run in runs:
         cpu.append(run.cpu)
         wall.append(run.wall)
@@ -114,8 +116,11 @@ def summarize(
             sizes.append(size(run.result))
         if note is not None:
             notes.append(note(run.result))
+        if trace is not None:
+            traces.append(trace(run.result))
+    size_of_all = spread_of(sizes) if sizes else None
     return Measured(
-        tuple(errors), tuple(cpu), tuple(wall), spread_of(sizes) if sizes else None, tuple(notes)
+        tuple(errors), tuple(cpu), tuple(wall), size_of_all, tuple(notes), tuple(traces)
     )
 
 

@@ -53,6 +53,7 @@ class Task:
     prepare: Callable[[], None] = lambda: None  # what is done once, before time is taken
     key: Hashable = None  # tasks of one key, in any sweep, are one work: done and timed once
     note: Callable[[Any], str] | None = None  # of a result: what the label does not know before
+    trace: Callable[[Any], Hashable] | None = None  # of a result: equal where the work was the same
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,9 @@ class Plan:
     y_label: str = CPU_TIME
     setting: str = ""  # what the numbers along a curve are, where an order can be fitted to them
     uncertain: float = 0.0  # how far the reference itself may be off, where a second one tells
-    floor: float | None = None  # a value on x that nothing is expected to go below, drawn as a line
     n_runs: int = 3
     warm_up: bool = False
     rate: float = 0.0  # seconds that a unit of effort is expected to take; 0: not known before
-    equal_is_same: bool = False  # points whose runs end with the same bits did the same work
     notes: tuple[str, ...] = ()
 
 

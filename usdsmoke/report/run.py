@@ -42,9 +42,10 @@ __all__ = ["SWEEPS", "ReportResult", "make_report"]
 # The most useful first: what decides a run's time and look, then its parts.
 SWEEPS: tuple[Sweep, ...] = (
     *sweep_iterations.SWEEPS,
-    sweep_views.SWEEP,
+    sweep_views.SWEEPS[0],
+    *sweep_windows.SWEEPS,
     sweep_octaves.SWEEP,
-    sweep_windows.SWEEP,
+    sweep_views.SWEEPS[1],
     sweep_network.SWEEP,
     sweep_projection.SWEEP,
     sweep_quadrature.SWEEP,

@@ -1,6 +1,5 @@
-"""Iterations and the stopping rule: what more of them gain."""
+"""Number of iterations and the rule that stops early: style loss against time."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -8,22 +7,22 @@ from usdsmoke.config import Config
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan, Task
-from usdsmoke.report.trial import JUDGED, Setting, Trial, base_iterations, untiring
+from usdsmoke.report.reference import EXCESS, reference_of, reference_seconds
+from usdsmoke.report.trial import (
+    N_RUNS,
+    Setting,
+    base_iterations,
+    copy_text,
+    need_seconds,
+    scaled,
+    trial_seconds,
+)
 
-__all__ = ["SWEEPS", "scaled"]
+__all__ = ["SWEEPS"]
 
-_SHARES = (1.0, 0.5, 2.0, 0.25)
-_TOLERANCES = (5e-2, 1e-2, 5e-4)
-_REFERENCE_SHARE = 4.0
-
-
-def scaled(per_octave: Sequence[int], share: float) -> tuple[int, ...]:
-    """Iterations per octave times a number; an octave that has some keeps one at least.
-
-    >>> scaled([8, 4, 0], 0.2)
-    (2, 1, 0)
-    """
-    return tuple(max(1, round(n * share)) if n else 0 for n in per_octave)
+_SHARES = (0.5, 2.0, 0.25)
+_TOLERANCES = (5e-2, 1e-2, 0.0)
+_LEAST = 1.75  # configured runs that the first three points take, each once
 
 
 def _applies(step: str, case: Case) -> str:
@@ -35,46 +34,50 @@ def _applies(step: str, case: Case) -> str:
 
 
 def _plan(step: str, case: Case) -> Plan:
-    base = base_iterations(case, step)
-    trial, config = Trial(case, step, case.config), case.config
-    rule = config.optimize.tolerance
+    seconds = trial_seconds(case, step)
+    needed = reference_seconds(case, step) + _LEAST * N_RUNS * seconds
+    need_seconds(case, "two references and three points", needed)
+    reference = reference_of(case, step)
+    base, config = base_iterations(case, step), case.config
+    trial, rule = reference.trial, config.optimize.tolerance
 
-    def task(curve: str, label: str, share: float, own: Config, configured: bool) -> Task:
-        setting = Setting(scaled(base, share), own)
-        return trial.task(curve, label, setting, configured, share)
+    def task(curve: str, label: str, share: float, own: Config, effort: float = 0.0) -> Task:
+        setting, chosen = Setting(scaled(base, share), own), share == 1.0 and own is config
+        return trial.task(curve, label, setting, chosen, effort or share, reference.error)
 
     by_number = [
-        task(
-            "iterations, never stopped early",
-            f"{sum(scaled(base, share))} iterations ({share:g}x)",
-            share,
-            untiring(config),
-            share == 1.0 and rule == 0,
-        )
-        for share in _SHARES
+        task("iterations", f"{sum(scaled(base, share))} iterations ({share:g}x)", share, config)
+        for share in (1.0, *_SHARES)
     ]
-    rules = [rule, *(value for value in _TOLERANCES if value != rule)] if rule else _TOLERANCES
     by_rule = [
         task(
             "stopping rule",
-            f"optimize.tolerance={value:g}",
+            f"optimize.tolerance={value:g}" if value else "no rule (optimize.tolerance=0)",
             1.0,
             replace(config, optimize=replace(config.optimize, tolerance=value)),
-            value == rule,
+            1.0,
         )
-        for value in rules
+        for value in _TOLERANCES
+        if value != rule
     ]
-    first = by_rule[:1] if rule else []
-    longer = Setting(scaled(base, _REFERENCE_SHARE), untiring(config))
-    floor = trial.judge(trial.run(longer, 0))
+    tasks = [by_number[0], by_number[1], by_rule[0], by_number[2], *by_rule[1:], by_number[3]]
+    stops = (
+        f"stops an octave early by optimize.tolerance={rule:g}, where it gains too little; labels "
+        "tell how many iterations were done where that happened"
+        if rule
+        else "never stops early"
+    )
     return Plan(
-        [*first, *by_number, *by_rule[len(first) :]],
-        JUDGED,
-        f"The {step} step alone on the small copy of the frame; {sum(base)} iterations are what is "
-        "configured here. Every run has a seed of its own, so loss and time both spread.",
-        f"a run of {sum(longer.per_octave)} iterations ({_REFERENCE_SHARE:g}x) that never stops "
-        f"early, which ends at {floor:.4g} (dashed line).",
-        floor=floor,
+        tasks,
+        EXCESS,
+        f"The {step} step alone on {copy_text(case)}, {sum(base)} iterations as "
+        f"configured; the configured run {stops}. Results are judged by the loss over views that "
+        "no run has used. Runs have seeds of their own, so loss and time both spread; points that "
+        "went through the same iterations share their times.",
+        reference.text,
+        uncertain=reference.apart,
+        n_runs=N_RUNS,
+        rate=seconds,
     )
 
 
@@ -82,9 +85,9 @@ SWEEPS = tuple(
     Sweep(
         f"iterations_{step}",
         f"Iterations and stopping rule, {step} step",
-        3.0,
+        weight,
         partial(_applies, step),
         partial(_plan, step),
     )
-    for step in ("colour", "shape")
+    for step, weight in (("colour", 8.0), ("shape", 4.0))
 )

@@ -9,8 +9,7 @@ from usdsmoke.plan import Plan as RunPlan
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan
-from usdsmoke.report.sweep_iterations import scaled
-from usdsmoke.report.trial import Setting, Trial, base_iterations
+from usdsmoke.report.trial import Setting, Trial, base_iterations, scaled
 
 if TYPE_CHECKING:
     from torch import Tensor

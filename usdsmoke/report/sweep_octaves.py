@@ -1,17 +1,24 @@
 """Octaves and the finest resolution: how coarse to begin, how fine to end."""
 
-from dataclasses import replace
-
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan
-from usdsmoke.report.sweep_iterations import scaled
-from usdsmoke.report.trial import JUDGED, Setting, Trial, base_iterations, main_step
+from usdsmoke.report.reference import EXCESS, reference_of, reference_seconds
+from usdsmoke.report.trial import (
+    N_RUNS,
+    Setting,
+    base_iterations,
+    copy_text,
+    main_step,
+    need_seconds,
+    trial_seconds,
+)
 
 __all__ = ["SWEEP"]
 
 _MOST_OCTAVES = 5
-_REFERENCE_SHARE = 3.0
+_LEAST_PIXELS = 16  # of a picture
+_COARSER, _FINER = 0.8, 3.0  # time of half and of twice the resolution
 
 
 def _applies(case: Case) -> str:
@@ -20,37 +27,44 @@ def _applies(case: Case) -> str:
 
 def _plan(case: Case) -> Plan:
     step = main_step(case)
-    base = base_iterations(case, step)
-    config, trial = case.config, Trial(case, step, case.config)
-    total = sum(base)
-    tasks = [trial.task("octaves", _octaves_text(base), Setting(base, config), True, 1.0)]
-    for n in range(1, min(len(base) + 1, _MOST_OCTAVES) + 1):
-        if n != len(base):
+    seconds = trial_seconds(case, step)
+    need_seconds(
+        case,
+        "references and three points",
+        reference_seconds(case, step) + 3 * N_RUNS * seconds,
+    )
+    reference = reference_of(case, step)
+    base, config, trial = base_iterations(case, step), case.config, reference.trial
+    size, total = case.small_scene.image_size, sum(base)
+    settings = [("octaves", _octaves_text(base), Setting(base, config), 1.0)]
+    for n in sorted(
+        {1, 2, len(base) - 1, len(base) + 1} - {0, len(base)}, key=lambda n: abs(n - len(base))
+    ):
+        if n <= _MOST_OCTAVES:
             even = tuple(max(1, total // n) for _ in range(n))
             effort = _effort(even) / _effort(base)
-            setting = Setting(even, config)
-            tasks.append(trial.task("octaves", _octaves_text(even), setting, False, effort))
-    size = case.small_scene.image_size
-    for pixels in (2, 3):
-        if size // pixels >= 16:
-            label = f"views.image_size {round(size / pixels)}"
-            setting = Setting(base, config, pixels=pixels)
-            tasks.append(trial.task("finest resolution", label, setting, False, pixels**-2.0))
-    setting = Setting(base, config, refine=2)
-    label = f"views.image_size {2 * size}, grids.refine=2"
-    tasks.append(trial.task("finest resolution", label, setting, False, 6.0))
-    longer = scaled(base, _REFERENCE_SHARE)
-    never = replace(config, optimize=replace(config.optimize, tolerance=0.0))
-    floor = trial.judge(trial.run(Setting(longer, never), 0))
+            settings.append(("octaves", _octaves_text(even), Setting(even, config), effort))
+    if size // 2 >= _LEAST_PIXELS:
+        coarser = Setting(base, config, pixels=2)
+        label = f"pictures of {round(size / 2)} pixels"
+        settings.insert(2, ("finest resolution", label, coarser, _COARSER))
+    finer = Setting(base, config, refine=2)
+    label = f"pictures of {2 * size} pixels, grids.refine=2"
+    settings.append(("finest resolution", label, finer, _FINER))
     return Plan(
-        tasks,
-        JUDGED,
-        f"The {step} step on the small copy of the frame, whose pictures are {size} pixels large "
-        "as configured. Results are judged at that size, whatever they were optimised at, so "
-        "detail finer than a pixel of it gains nothing here.",
-        f"a run of {sum(longer)} iterations ({_REFERENCE_SHARE:g}x) in the configured octaves, "
-        f"which ends at {floor:.4g} (dashed line).",
-        floor=floor,
+        [
+            trial.task(curve, label, setting, number == 0, effort, reference.error)
+            for number, (curve, label, setting, effort) in enumerate(settings)
+        ],
+        EXCESS,
+        f"The {step} step on {copy_text(case)} with {total} iterations, as configured, "
+        "in other octaves and at other resolutions: half and twice the small copy's pictures stand "
+        f"for half and twice views.image_size. All are judged in pictures of {size} pixels over "
+        "views that no run has used, so finer detail than that gains nothing here.",
+        f"{reference.text} Both have the configured octaves.",
+        uncertain=reference.apart,
+        n_runs=N_RUNS,
+        rate=seconds,
     )
 
 
@@ -60,7 +74,8 @@ def _octaves_text(per_octave: tuple[int, ...]) -> str:
 
 
 def _effort(per_octave: tuple[int, ...]) -> float:
-    return sum(n * (0.2 + 4.0 ** (k + 1 - len(per_octave))) for k, n in enumerate(per_octave))
+    """Small pictures take nearly as long as large ones: the network's calls count."""
+    return sum(n * (1.0 + 0.5 * 4.0 ** (k + 1 - len(per_octave))) for k, n in enumerate(per_octave))
 
 
-SWEEP = Sweep("octaves", "Octaves and finest resolution", 2.0, _applies, _plan)
+SWEEP = Sweep("octaves", "Octaves and finest resolution", 3.0, _applies, _plan)

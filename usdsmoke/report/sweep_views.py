@@ -5,20 +5,22 @@ from dataclasses import replace
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
 from usdsmoke.report.records import Plan
-from usdsmoke.report.sweep_iterations import scaled
+from usdsmoke.report.reference import EXCESS, reference_of, reference_seconds
 from usdsmoke.report.trial import (
-    JUDGED,
+    N_RUNS,
     Setting,
     Trial,
     base_iterations,
+    copy_text,
     main_step,
-    untiring,
+    need_seconds,
+    scaled,
+    trial_seconds,
 )
 
-__all__ = ["SWEEP"]
+__all__ = ["SWEEPS"]
 
-_POOLS, _COUNTS = (1, 4, 32), (2, 4)
-_REFERENCE_SHARE = 3.0
+_POOLS, _COUNTS = (1, 4, 64, 32), (2, 4)
 
 
 def _applies(case: Case) -> str:
@@ -29,38 +31,62 @@ def _applies(case: Case) -> str:
     return ""
 
 
-def _plan(case: Case) -> Plan:
+def _plan_pool(case: Case) -> Plan:
     step, config = main_step(case), case.config
-    base = base_iterations(case, step)
-    trial, views = Trial(case, step, config), config.views
-    tasks = []
-    for pool in (views.pool, *(n for n in _POOLS if n != views.pool)):
-        own = replace(config, views=replace(views, pool=pool))
-        label = f"views.pool={pool}"
-        setting = Setting(base, own)
-        tasks.append(trial.task("views to draw from", label, setting, pool == views.pool))
-    for count in _COUNTS:
+    seconds, base = trial_seconds(case, step), base_iterations(case, step)
+    need_seconds(case, "three points", 3 * N_RUNS * seconds)
+    trial, tasks = Trial(case, step, config), []
+    pool = config.views.pool
+    for n in (pool, *(n for n in _POOLS if n != pool)):
+        own = config if n == pool else replace(config, views=replace(config.views, pool=n))
+        setting, error = Setting(base, own), trial.judge.gap
+        tasks.append(
+            trial.task("views to draw from", f"views.pool={n}", setting, n == pool, 1.0, error)
+        )
+    return Plan(
+        tasks,
+        "style loss of views that no run has used: how far from that of the pool's own views",
+        f"The {step} step on {copy_text(case)} with {sum(base)} iterations, as "
+        "configured. Few views to draw from fit their own pictures, and others less: the error is "
+        "what a run tells as “unseen views” at its end, over more views.",
+        "0, a result that looks as good from everywhere. A pool of 64 views, where it was "
+        "measured, tells how near to 0 the measure comes.",
+        n_runs=N_RUNS,
+        rate=seconds,
+    )
+
+
+def _plan_count(case: Case) -> Plan:
+    step, config = main_step(case), case.config
+    seconds, base = trial_seconds(case, step), base_iterations(case, step)
+    need_seconds(
+        case, "references and three points", reference_seconds(case, step) + 3 * N_RUNS * seconds
+    )
+    reference, views = reference_of(case, step), config.views
+    trial, name = reference.trial, f"views.count={views.count}, as configured"
+    first = trial.task("views an iteration", name, Setting(base, config), True, 1.0)
+    tasks = [replace(first, error=reference.error)]
+    for count in (1, *_COUNTS):
         if count == views.count:
             continue
         own = replace(config, views=replace(views, count=count))
         fewer = scaled(base, views.count / count)
-        for per_octave, text in ((fewer, "the same pictures"), (base, "the same iterations")):
-            label = f"views.count={count}, {text}"
-            effort = sum(per_octave) * count / (sum(base) * views.count)
-            setting = Setting(per_octave, own)
-            tasks.append(trial.task(f"views an iteration, {text}", label, setting, False, effort))
-    longer = scaled(base, _REFERENCE_SHARE)
-    most = replace(untiring(config), views=replace(views, pool=64))
-    floor = trial.judge(trial.run(Setting(longer, most), 0))
+        label = f"views.count={count}, {sum(fewer)} iterations: as many pictures"
+        setting = Setting(fewer, own)
+        tasks.append(trial.task("views an iteration", label, setting, False, 1.0, reference.error))
     return Plan(
         tasks,
-        JUDGED,
-        f"The {step} step on the small copy of the frame with {sum(base)} iterations. Fewer views "
-        "to draw from are sooner prepared and fit their own pictures better, and others worse.",
-        f"a run of {sum(longer)} iterations with 64 views, which ends at {floor:.4g} (dashed "
-        "line).",
-        floor=floor,
+        EXCESS,
+        f"The {step} step on {copy_text(case)}. More views an iteration tell the "
+        "direction better; with as many pictures in all there are fewer iterations.",
+        reference.text,
+        uncertain=reference.apart,
+        n_runs=N_RUNS,
+        rate=seconds,
     )
 
 
-SWEEP = Sweep("views", "Number of views", 2.0, _applies, _plan)
+SWEEPS = (
+    Sweep("views", "Number of views", 3.0, _applies, _plan_pool),
+    Sweep("views_count", "Views an iteration", 2.0, _applies, _plan_count),
+)

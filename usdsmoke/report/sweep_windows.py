@@ -1,8 +1,8 @@
 """Window size: what frames cost that start from their neighbours, and how well they follow."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +11,18 @@ import numpy as np
 from usdsmoke.config import Config
 from usdsmoke.report.case import Case
 from usdsmoke.report.engine import Sweep
+from usdsmoke.report.judge import Outcome
 from usdsmoke.report.records import Plan, Task
-from usdsmoke.report.sweep_backtrace import NO_VELOCITY, ONE_FRAME
-from usdsmoke.report.sweep_iterations import scaled
-from usdsmoke.report.trial import base_iterations
+from usdsmoke.report.reference import EXCESS, Reference, reference_of, reference_seconds
+from usdsmoke.report.sweep_backtrace import ONE_FRAME
+from usdsmoke.report.trial import (
+    N_RUNS,
+    base_iterations,
+    copy_text,
+    main_step,
+    need_seconds,
+    trial_seconds,
+)
 from usdsmoke.volume import VolumeFrame
 
 if TYPE_CHECKING:
@@ -23,56 +31,183 @@ if TYPE_CHECKING:
     from usdsmoke.core.smoke import ActiveSmoke
     from usdsmoke.core.stylize import StylizedFrame
 
-__all__ = ["SWEEP"]
+__all__ = ["SWEEPS"]
+
+NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
+_LEAST_FRAMES, _FEW_FRAMES = 3, 4
+_TEXTS = {
+    "temporal": (
+        "temporal error (mean over neighbouring frames)",
+        "0, a pattern that moves with the smoke exactly: the error is the difference of a frame "
+        "from the one before it, carried along by the velocity, over the smoke, borders of windows "
+        "included. Style errors of the same runs stand in the sweep that follows.",
+    ),
+    "style": (
+        EXCESS,
+        "{style} They are runs of the measured frame alone; the same share of its own start is "
+        "taken as the reference of every other frame. The runs are those of the sweep before.",
+    ),
+}
 
 
 def _applies(case: Case) -> str:
-    if len(case.neighbours) < 2:
+    if len(case.neighbours(2)) < 2:
         return ONE_FRAME
     if case.config.losses.style == 0:
         return "losses.style is 0: nothing is optimised"
     if case.config.stage.motion == "estimate":
         return ""
-    if case.frame.velocity is None or case.frame.velocity.is_empty:
-        return NO_VELOCITY
-    return ""
+    velocity = case.read_with_velocity(case.plan).velocity
+    return NO_MOTION if velocity is None or velocity.is_empty else ""
 
 
-def _plan(case: Case) -> Plan:
-    frames = _frames(case)
-    config, n = _config(case), len(frames)
-    chosen = min(case.config.windows.size, n)
+@dataclass(frozen=True)
+class _Shot:
+    """Some neighbouring frames, small, and how they are stylized."""
+
+    case: Case
+    frames: Sequence[VolumeFrame]
+    config: Config
+    reference: Reference
+
+    @property
+    def rate(self) -> float:
+        return self.case.job.plan.source.time_codes_per_second
+
+    @cached_property
+    def smokes(self) -> list["ActiveSmoke"]:
+        """The source's."""
+        from usdsmoke.core.smoke import activate
+
+        return [activate(frame.density, np.eye(4), self.case.device) for frame in self.frames]
+
+    @cached_property
+    def starts(self) -> list[float]:
+        """The loss of each frame before it is stylized."""
+        judge = self.reference.trial.judge
+        return [
+            judge.start(smoke, frame.density, ("frame", frame.time_code))
+            for smoke, frame in zip(self.smokes, self.frames, strict=True)
+        ]
+
+    def stylized(self, size: int, run: int) -> list["StylizedFrame"]:
+        """All frames, in windows of this size."""
+        from usdsmoke.core.stylize import stylize_window
+
+        case, seed = self.case, self.config.optimize.seed + run
+        config = replace(self.config, optimize=replace(self.config.optimize, seed=seed))
+        found: list[StylizedFrame] = []
+        for first in range(0, len(self.frames), size):
+            window = self.frames[first : first + size]
+            found += stylize_window(window, case.styles, case.small_scene, config, None, self.rate)
+        return found
+
+    def style_error(self, found: Sequence["StylizedFrame"]) -> float:
+        """The mean error of the frames' style losses, each relative to its own start."""
+        reference, errors = self.reference, []
+        for number, frame in enumerate(self.frames):
+            smoke = self.smokes[number]
+            result: Any = found[number].density
+            if found[number].emission is not None:
+                result = _painted(self.case, frame, found[number])[1]
+            outcome = Outcome(smoke, result, ("frame", frame.time_code))
+            loss = reference.trial.judge.loss(outcome) * reference.start / self.starts[number]
+            errors.append(reference.of_loss(loss))
+        return float(np.mean(errors))
+
+
+def _plan(error: str, case: Case) -> Plan:
+    shot = _shot(case)
+    config, n = case.config, len(shot.frames)
+    chosen, warm = min(config.windows.size, n), _warm_share(case)
+    sizes = [chosen, *(size for size in (n, max(n // 2, 2), 1, 2, 3) if size < n or size == n)]
+    measure = partial(_temporal_error, shot) if error == "temporal" else shot.style_error
     tasks = [
         Task(
             "window size",
-            f"windows of {size}" if size > 1 else "single frames",
-            partial(lambda size, run: _stylized(case, frames, config, size, run), size),
-            partial(_temporal_error, case, frames),
+            _label(size, config.windows.size if size == chosen else size),
+            partial(shot.stylized, size),
+            measure,
             None,
             size == chosen,
-            1 + (n / size - 1) / n,
+            _effort(n, size, warm),
+            key=("windows", n, size),
         )
-        for size in sorted({1, 2, 3, n, chosen}, key=lambda size: (size != chosen, size))
-        if size <= n
+        for size in dict.fromkeys(sizes)
     ]
+    x_label, reference = _TEXTS[error]
+    step, style = main_step(case), shot.reference
     return Plan(
         tasks,
-        "temporal error (mean over neighbouring frames)",
-        f"{n} frames of the small copy, from timeCode {frames[0].time_code:g} on, in windows of "
-        "different size, with half the iterations of other trials, without overlap and without the "
-        "coarse step that windows share. Time is "
-        f"that of all {n} frames. The temporal error is the difference of a frame from the one "
-        "before it, carried along by the velocity, over the smoke, borders of windows included.",
-        "0, a pattern that moves with the smoke exactly.",
-        n_runs=2,
+        x_label,
+        f"{n} frames, each like {copy_text(case)}, from timeCode "
+        f"{shot.frames[0].time_code:g} on, the {step} step alone with its "
+        f"{sum(base_iterations(case, step))} iterations, as configured, and "
+        "windows.warm_iterations of the last octave's where a frame starts from its neighbour; "
+        "without overlap and without the coarse step that windows share. Time is that of all "
+        f"{n} frames.{_cut_text(config.windows.size, n)}",
+        reference.format(style=style.text),
+        uncertain=style.apart if error == "style" else 0.0,
+        n_runs=N_RUNS,
+        rate=trial_seconds(case, step),
     )
 
 
-def _frames(case: Case) -> list[VolumeFrame]:
+def _shot(case: Case) -> _Shot:
+    """As many frames as the configured window has, three at least, and as the time allows."""
+    if case.shot is None:
+        step = main_step(case)
+        seconds, warm = trial_seconds(case, step), _warm_share(case)
+        first = reference_seconds(case, step)
+        most = len(case.neighbours(max(case.config.windows.size, _FEW_FRAMES)))
+
+        def needed(n: int) -> float:
+            efforts = [_effort(n, size, warm) for size in {n, max(n // 2, 2), 1}]
+            return first + N_RUNS * seconds * sum(efforts)
+
+        n = next((n for n in range(most, _LEAST_FRAMES, -1) if needed(n) <= case.allowed), None)
+        n = n or min(most, _LEAST_FRAMES)
+        need_seconds(case, f"three points of {n} frames and the references", needed(n))
+        reference = reference_of(case, step)
+        case.shot = _Shot(case, _frames(case, n), _config(case), reference)
+    shot: _Shot = case.shot
+    return shot
+
+
+def _effort(n_frames: int, size: int, warm: float) -> float:
+    """Of all frames, in configured runs of one."""
+    n_windows = -(-n_frames // size)
+    return n_windows + (n_frames - n_windows) * warm
+
+
+def _warm_share(case: Case) -> float:
+    from usdsmoke.core.schedule import warm_iterations
+
+    base = base_iterations(case, main_step(case))
+    return 1.2 * sum(warm_iterations(base, case.config.windows.warm_iterations)) / sum(base)
+
+
+def _label(size: int, meant: int) -> str:
+    if size == 1:
+        return "single frames"
+    return f"windows of {size}" if meant == size else f"windows of {meant}, cut to {size} frames"
+
+
+def _cut_text(configured: int, n: int) -> str:
+    if n >= configured:
+        return ""
+    return (
+        f" The configured windows of {configured} are longer than the {n} frames that there are or "
+        "that fit the time: what they gain beyond that is not seen here."
+    )
+
+
+def _frames(case: Case, n_frames: int) -> list[VolumeFrame]:
     """The neighbouring frames, small, with the velocity that carries each to the next."""
     from usdsmoke.core.motion import estimate_velocity
 
-    frames = [case.shrunk(case.reader.read(case.volume, plan)) for plan in case.neighbours]
+    plans = case.neighbours(n_frames)
+    frames = [case.shrunk(case.read_with_velocity(plan)) for plan in plans]
     if case.config.stage.motion != "estimate":
         return frames
     rate = case.job.plan.source.time_codes_per_second
@@ -85,38 +220,19 @@ def _frames(case: Case) -> list[VolumeFrame]:
 
 
 def _config(case: Case) -> Config:
-    """The settings with half the iterations of a trial; motion is that of the frames."""
+    """The settings with the main step alone; motion is that of the frames."""
     config = replace(case.config, grids=replace(case.config.grids, refine=1))
     config = replace(config, stage=replace(config.stage, motion="velocity"))
-    config = replace(config, optimize=replace(config.optimize, iterations=None))
-    for step in case.steps:
-        own = replace(
-            getattr(config, step), iterations=list(scaled(base_iterations(case, step), 0.5))
-        )
-        config = replace(config, **{step: own})
-    return config
+    step = main_step(case)
+    optimize = replace(config.optimize, iterations=None, steps=[step], error_budget=False)
+    own = replace(getattr(config, step), iterations=list(base_iterations(case, step)))
+    return replace(config, optimize=optimize, **{step: own})
 
 
-def _stylized(
-    case: Case, frames: Sequence[VolumeFrame], config: Config, size: int, run: int
-) -> list["StylizedFrame"]:
-    from usdsmoke.core.stylize import stylize_window
-
-    config = replace(config, optimize=replace(config.optimize, seed=config.optimize.seed + run))
-    rate = case.job.plan.source.time_codes_per_second
-    found: list[StylizedFrame] = []
-    for first in range(0, len(frames), size):
-        window = frames[first : first + size]
-        found += stylize_window(window, case.styles, case.small_scene, config, None, rate)
-    return found
-
-
-def _temporal_error(
-    case: Case, frames: Sequence[VolumeFrame], found: Sequence["StylizedFrame"]
-) -> float:
+def _temporal_error(shot: _Shot, found: Sequence["StylizedFrame"]) -> float:
     from usdsmoke.core.coherence import colour_error
 
-    rate = case.job.plan.source.time_codes_per_second
+    case, frames, rate = shot.case, shot.frames, shot.rate
     painted = [_painted(case, *pair) for pair in zip(frames, found, strict=True)]
     errors = []
     for number in range(1, len(painted)):
@@ -173,4 +289,7 @@ def _values_at(field: Any, smoke: "ActiveSmoke") -> np.ndarray:
     return values
 
 
-SWEEP = Sweep("windows", "Window size", 2.5, _applies, _plan)
+SWEEPS = (
+    Sweep("windows", "Window size: temporal error", 5.0, _applies, partial(_plan, "temporal")),
+    Sweep("windows_style", "Window size: style", 1.0, _applies, partial(_plan, "style")),
+)

@@ -1,7 +1,7 @@
-"""One step of the optimisation tried on the small frame, and its result judged by unused views."""
+"""One step of the optimisation tried on the small frame, with the configured iterations."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,25 +10,33 @@ import numpy as np
 
 from usdsmoke.config import Config
 from usdsmoke.report.case import Case
-from usdsmoke.report.records import Task
+from usdsmoke.report.judge import Judge, Outcome
+from usdsmoke.report.records import LeftOut, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.colour import ColourView
-    from usdsmoke.core.picture_loss import PictureLoss
     from usdsmoke.core.scene import Scene
     from usdsmoke.core.smoke import ActiveSmoke
     from usdsmoke.core.targets import StyleTargets
-    from usdsmoke.core.views import View
 
-__all__ = ["JUDGED", "Setting", "Trial", "base_iterations", "main_step", "untiring"]
+__all__ = [
+    "N_RUNS",
+    "Setting",
+    "Trial",
+    "base_iterations",
+    "copy_text",
+    "main_step",
+    "need_seconds",
+    "scaled",
+    "trial_seconds",
+    "untiring",
+]
 
-JUDGED = "style loss over views that no run has used"
-_N_JUDGES = 6  # views
-_JUDGE_SEED = 20_011  # far from any run's
-_SHARE = 1 / 400  # of the report's time that one trial may take
-_FEWEST = 12  # iterations of a trial
+N_RUNS = 2  # of a point
+_TRIALS = 20  # configured runs that the first points of all sweeps of trials take
+_WORTH = 0.75  # of the time: a smaller copy that takes more loses detail for too little
+_PILOT = 10  # iterations an octave, and twice as many: by these the others' time is guessed
 
 
 @dataclass(frozen=True)
@@ -46,41 +54,84 @@ def main_step(case: Case) -> str:
     return "colour" if "colour" in case.steps else case.steps[0]
 
 
+def copy_text(case: Case) -> str:
+    """What trials are done on, and how it differs from the frame."""
+    if case.halvings == 0:
+        return "the frame at its own size"
+    return (
+        f"the small copy of the frame (voxels {2**case.halvings} times as large along a side, "
+        f"pictures of {case.small_scene.image_size} pixels, not {case.scene.image_size})"
+    )
+
+
 def base_iterations(case: Case, step: str) -> tuple[int, ...]:
-    """Iterations per octave of a trial: the configured ones, fewer where time does not allow them.
-
-    Measured by a short trial, which also warms the machine up. A note on the page says by how much.
-    """
-    if step not in case.iterations:
-        case.iterations[step] = _fitting(case, step)
-    return case.iterations[step]
-
-
-def _fitting(case: Case, step: str) -> tuple[int, ...]:
+    """The configured iterations per octave, which are also those of a trial."""
     from usdsmoke.core.schedule import octave_iterations
 
-    whole = octave_iterations(
-        getattr(case.config, step).iterations, case.config.optimize.iterations
-    )
-    trial = Trial(case, step, case.config)
-    few, more = (octave_iterations(whole, min(sum(whole), n)) for n in (1, _FEWEST))
-    _seconds(trial, few, case.config)  # the machine gets warm
-    first, second = (_seconds(trial, pilot, case.config) for pilot in (few, more))
-    each = max((second - first) / max(sum(more) - sum(few), 1), 1e-5)
-    set_up = max(first - each * sum(few), 0.0)
-    target = case.seconds * _SHARE
-    wanted = min(sum(whole), max(_FEWEST, int((target - set_up) / each)))
-    taken = _seconds(trial, octave_iterations(whole, wanted), case.config)
-    if taken > target:  # a pilot of few iterations tells little
-        wanted = max(min(_FEWEST, sum(whole)), int(wanted * target / taken))
-    if wanted >= sum(whole):
-        return tuple(whole)
-    case.notes.append(
-        f"Trials of the {step} step do {wanted} iterations in all, not the configured "
-        f"{sum(whole)}, so that they fit the time; multiples of the configured number mean "
-        "multiples of that. A larger --budget comes nearer to it."
-    )
-    return tuple(octave_iterations(whole, wanted))
+    whole = getattr(case.config, step).iterations
+    return tuple(octave_iterations(whole, case.config.optimize.iterations))
+
+
+def scaled(per_octave: Sequence[int], share: float) -> tuple[int, ...]:
+    """Iterations per octave times a number; an octave that has some keeps one at least.
+
+    >>> scaled([8, 4, 0], 0.2)
+    (2, 1, 0)
+    """
+    return tuple(max(1, round(n * share)) if n else 0 for n in per_octave)
+
+
+def untiring(config: Config) -> Config:
+    """The settings without the rule that stops an octave early."""
+    return replace(config, optimize=replace(config.optimize, tolerance=0.0))
+
+
+def trial_seconds(case: Case, step: str) -> float:
+    """What a run with the configured settings is expected to take on the small copy, seconds of the
+    clock on the wall.
+
+    From two short runs, which also warm the machine up. Where it takes too large a part of the
+    report's time, the small copy is made smaller first, as long as that helps.
+    """
+    main, known = main_step(case), case.trial_seconds
+    if main not in known:
+        known[main] = _guess(case, main)
+        while known[main] * _TRIALS > case.seconds / 2 and case.can_shrink:
+            longest = case.longest
+            case.shrink(longest // 2)
+            smaller = _guess(case, main)
+            if smaller > _WORTH * known[main]:
+                case.shrink(longest)
+                break
+            known[main] = smaller
+    if step not in known:
+        known[step] = _guess(case, step)
+    return known[step]
+
+
+def need_seconds(case: Case, what: str, seconds: float) -> None:
+    """Leaves a sweep out that takes too long.
+
+    Raises:
+        LeftOut: ``seconds`` are more than the sweep at hand is allowed.
+    """
+    if seconds > case.allowed:
+        raise LeftOut(
+            f"{what} with the configured iterations would take about {seconds:.0f} s, even on the "
+            f"copy of {case.longest} voxels at most along a side, and {max(case.allowed, 0):.0f} s "
+            "were left for that"
+        )
+
+
+def _guess(case: Case, step: str) -> float:
+    base = base_iterations(case, step)
+    trial, total = Trial(case, step, case.config), sum(base)
+    few, more = (tuple(min(n, each) for n in base) for each in (_PILOT, 2 * _PILOT))
+    first, second = _seconds(trial, few, case.config), _seconds(trial, more, case.config)
+    if sum(more) == sum(few):
+        return second
+    each = max(second - first, 0.3 * first) / (sum(more) - sum(few))
+    return second + each * (total - sum(more))
 
 
 def _seconds(trial: "Trial", per_octave: Sequence[int], config: Config) -> float:
@@ -90,11 +141,6 @@ def _seconds(trial: "Trial", per_octave: Sequence[int], config: Config) -> float
     started = time.perf_counter()
     trial.run(setting, 0)
     return time.perf_counter() - started
-
-
-def untiring(config: Config) -> Config:
-    """The settings without the rule that stops an octave early."""
-    return replace(config, optimize=replace(config.optimize, tolerance=0.0))
 
 
 class Trial:
@@ -109,10 +155,9 @@ class Trial:
     def __init__(self, case: Case, step: str, config: Config) -> None:
         self._case, self._step = case, step
         self._scene = case.small_scene
-        self._judge_config = config
+        self.judge = Judge(case, step, config)
         self._targets: dict[Any, StyleTargets] = {}
         self._smokes: dict[int, ActiveSmoke] = {1: case.small_smoke}
-        self._judged: dict[int, Sequence[ColourView]] = {}  # views of a smoke, by its id
 
     def task(
         self,
@@ -121,116 +166,65 @@ class Trial:
         setting: Setting,
         configured: bool = False,
         effort: float = 1.0,
-        error: Callable[[Any], float] | None = None,
+        error: Callable[[Outcome], float] | None = None,
     ) -> Task:
-        """A task that runs a setting; its error is ``judge``'s unless another one is given."""
+        """A task that runs a setting; its error is the loss unless another one is given.
+
+        The configured one is done once in a report. The label tells where runs stopped early.
+        """
         return Task(
-            curve, label, partial(self.run, setting), error or self.judge, None, configured,
+            curve, label, partial(self.run, setting), error or self.judge.loss, None, configured,
             effort, prepare=partial(self.prepare, setting),
+            key=self._key(setting) if configured else None,
+            note=partial(_stopped, setting), trace=_trace,
         )  # fmt: skip
 
-    def run(self, setting: Setting, run: int) -> Any:
-        """The result of one run; ``judge`` takes it. Runs differ in their seed alone."""
-        config = setting.config
+    def start(self) -> float:
+        """The loss before anything is done."""
+        return self.judge.start(self._case.small_smoke, self._case.small.density, ("refined", 1))
+
+    def run(self, setting: Setting, run: int) -> Outcome:
+        """The result of one run. Runs differ in their seed alone."""
+        from usdsmoke.core.colour import run_colour_step
+
+        config, per_octave = setting.config, setting.per_octave
         config = replace(config, optimize=replace(config.optimize, seed=config.optimize.seed + run))
-        return self._run(setting, config)
+        scene = self._scene_of(setting)
+        smoke, targets = self._smoke_of(setting), self._targets_of(setting)
+        if self._step == "colour":
+            found, ends = run_colour_step(smoke, None, targets, scene, config, per_octave)
+        else:
+            found, ends = self._moved(setting, config)
+        return Outcome(smoke, found, ("refined", setting.refine), config, len(per_octave), ends)
 
     def prepare(self, setting: Setting) -> None:
         """Makes what is the same for all runs: the style's statistics and finer voxels."""
-        scene = self._scene_of(setting)
         targets = self._targets_of(setting)
         for number in range(len(setting.per_octave)):
             if setting.per_octave[number]:
                 factor = 2 ** (len(setting.per_octave) - 1 - number)
                 targets.at(factor, grey=self._step == "shape")
-        self._smoke_of(setting, scene)
+        self._smoke_of(setting)
 
-    def _run(self, setting: Setting, config: Config) -> Any:
-        from usdsmoke.core.colour import run_colour_step
+    def pictures(self, outcome: Outcome) -> list["Tensor"]:
+        """See ``Judge.pictures``."""
+        return self.judge.pictures(outcome)
+
+    def _moved(self, setting: Setting, config: Config) -> Any:
         from usdsmoke.core.move import move_density
         from usdsmoke.core.potential import Displacement, hold
         from usdsmoke.core.shape import longest_move, run_shape_step
 
+        smoke, targets = self._smoke_of(setting), self._targets_of(setting)
         scene = self._scene_of(setting)
-        smoke, targets = self._smoke_of(setting, scene), self._targets_of(setting)
-        if self._step == "colour":
-            colours, _ = run_colour_step(smoke, None, targets, scene, config, setting.per_octave)
-            return smoke, colours
-        free, _ = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
+        free, ends = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
         lattice, cap = free.lattice, longest_move(smoke, config)
         held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, None))
         displacement = Displacement(held, lattice)
-        moved, _ = move_density(self._field_of(setting), smoke, displacement, config)
-        return smoke, moved
+        return move_density(self._field_of(setting), smoke, displacement, config)[0], ends
 
-    def judge(self, result: Any) -> float:
-        """The configured loss of a result, the mean over views that no run has used."""
-        import torch
-
-        smoke, found = result
-        with torch.no_grad():
-            if self._step == "colour":
-                losses = list(self._colour_losses(smoke, found))
-            else:
-                losses = list(self._shape_losses(smoke, found))
-        return float(np.mean(losses))
-
-    def pictures(self, result: Any) -> list["Tensor"]:
-        """What the network sees in those views, [H W 3] display-encoded, with its guide [H W 1]
-        behind them: [H W 4]."""
-        import torch
-
-        smoke, found = result
-        with torch.no_grad():
-            return [
-                torch.cat([picture, guide[..., None]], dim=-1)
-                for picture, guide in self._seen(smoke, found)
-            ]
-
-    def _colour_losses(self, smoke: "ActiveSmoke", colours: "Tensor") -> Any:
-        judge = self._judge(grey=False)
-        for picture, guide in self._seen(smoke, colours):
-            yield float(judge(picture, guide))
-
-    def _seen(self, smoke: "ActiveSmoke", colours: "Tensor") -> Any:
-        from usdsmoke.core.colour import prepare_views
-        from usdsmoke.core.style import decode_srgb
-
-        targets = self._targets_of(Setting((1,), self._judge_config))
-        if id(smoke) not in self._judged:  # those of ``_smokes``, which live as long as this does
-            scene = self._scene
-            views = prepare_views(smoke, self._views(), scene.gamma_w, scene.exposure)
-            self._judged[id(smoke)] = views
-        for seen in self._judged[id(smoke)]:
-            yield seen.straight_picture(decode_srgb(colours), targets.background), seen.guide
-
-    def _shape_losses(self, smoke: "ActiveSmoke", density: Any) -> Any:
-        from usdsmoke.core.grey import look_at
-        from usdsmoke.core.optics import opacity
-        from usdsmoke.core.project import column_map
-        from usdsmoke.core.smoke import activate
-
-        scene, judge = self._scene, self._judge(grey=True)
-        keep = self._judge_config.losses.keep
-        moved = activate(density, np.eye(4), self._case.device)
-        for view in self._views():
-            still = column_map(smoke.positions, smoke.voxel_volume, view)
-            look = look_at(still, smoke.density, None, scene.gamma_w_shape, scene.exposure_shape)
-            image = column_map(moved.positions, moved.voxel_volume, view)
-            columns = image.apply(moved.density[:, None])[..., 0]
-            grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
-            loss = judge(look.filled(grey, scene.grey_mean), look.guide)
-            yield float(loss + keep * look.leaving(grey))
-
-    def _judge(self, grey: bool) -> "PictureLoss":
-        return self._targets_of(Setting((1,), self._judge_config)).at(1, grey=grey)
-
-    def _views(self) -> Sequence["View"]:
-        from usdsmoke.core.scene import frame_views
-
-        views = replace(self._judge_config.views, pool=_N_JUDGES, sampling="poisson")
-        config = replace(self._judge_config, views=views)
-        return frame_views(self._case.small_smoke, config, self._scene, _JUDGE_SEED)
+    def _key(self, setting: Setting) -> Hashable:
+        return f"{self._step}, {self._case.longest}: {setting}"
 
     def _scene_of(self, setting: Setting) -> "Scene":
         if setting.pixels == 1 and setting.refine == 1:
@@ -252,7 +246,7 @@ class Trial:
             self._targets[key] = StyleTargets(case.styles, scene, setting.config, case.device)
         return self._targets[key]
 
-    def _smoke_of(self, setting: Setting, scene: "Scene") -> "ActiveSmoke":
+    def _smoke_of(self, setting: Setting) -> "ActiveSmoke":
         from usdsmoke.core.smoke import activate
 
         if setting.refine not in self._smokes:
@@ -264,3 +258,16 @@ class Trial:
         from usdsmoke.core.refine import refine_field
 
         return refine_field(self._case.small.density, setting.refine)
+
+
+def _stopped(setting: Setting, outcome: Outcome) -> str:
+    """How many iterations were done, where the rule stopped an octave."""
+    if not any(end.reason == "converged" for end in outcome.ends):
+        return ""
+    done = sum(end.iteration + 1 for end in outcome.ends)
+    return f"{done} of {sum(setting.per_octave)} done"
+
+
+def _trace(outcome: Outcome) -> Hashable:
+    """The loss of every iteration: no two paths share it."""
+    return tuple(end.losses for end in outcome.ends)

@@ -149,11 +149,14 @@ def test_points_that_did_the_same_work_have_the_same_times() -> None:
         time.now += lasts
         return number, lasts
 
-    def error(found: tuple[int, float]) -> float:
-        return found[0] + (0.5 if found[1] == 3.0 else 0.0)
+    def trace(found: tuple[int, float]) -> tuple[int, bool]:
+        return found[0], found[1] == 3.0
 
-    tasks = [Task("rule", str(n), work, error, note=lambda found: "at the end") for n in range(3)]
-    plan = Plan(tasks, "error", "about", "reference", n_runs=2, equal_is_same=True)
+    tasks = [
+        Task("rule", str(n), work, lambda found: 1.0, note=lambda found: "at the end", trace=trace)
+        for n in range(3)
+    ]
+    plan = Plan(tasks, "error", "about", "reference", n_runs=2)
     results, _, _ = run([Sweep("a", "A", 1.0, lambda case: "", lambda case: plan)], time, 99.0)
     first, second, third = results[0].points
     assert first.label == "0 (at the end)"

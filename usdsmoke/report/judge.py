@@ -1,0 +1,171 @@
+"""How good a result of a trial is: its loss over views that no trial has used."""
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usdsmoke.config import Config
+from usdsmoke.report.case import Case
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from usdsmoke.core.colour import ColourView
+    from usdsmoke.core.optimize import Minimum
+    from usdsmoke.core.picture_loss import PictureLoss
+    from usdsmoke.core.smoke import ActiveSmoke
+    from usdsmoke.core.views import View
+
+__all__ = ["Judge", "Outcome"]
+
+_N_VIEWS = 8  # that nobody used, and at most as many that were
+_SEED = 20_011  # far from any run's
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step made of some smoke."""
+
+    smoke: "ActiveSmoke"  # before
+    found: Any  # display-encoded colours [N 3], or the moved density as a field
+    place: Hashable  # equal for outcomes of the same smoke
+    config: Config | None = None  # with the seed that it was made with
+    n_octaves: int = 1
+    ends: Sequence["Minimum"] = field(default=())  # of the octaves
+
+
+class Judge:
+    """Judges results of one step by the configured features and losses.
+
+    Args:
+        case: gives scene and styles.
+        step: ``shape`` or ``colour``.
+        config: of features and losses.
+    """
+
+    def __init__(self, case: Case, step: str, config: Config) -> None:
+        from usdsmoke.core.targets import StyleTargets
+
+        self._case, self._step, self._config = case, step, config
+        self._scene = case.small_scene
+        self._targets: StyleTargets = StyleTargets(
+            case.styles, case.small_scene, config, case.device
+        )
+        self._prepared: dict[Hashable, Sequence[ColourView]] = {}  # by place
+
+    def loss(self, outcome: Outcome) -> float:
+        """The configured loss of a result, the mean over the unused views."""
+        keep = self._config.losses.keep
+        return float(np.mean([style + keep * left for style, left in self._unseen(outcome)]))
+
+    def gap(self, outcome: Outcome) -> float:
+        """How far the style loss of unused views differs from that of used ones, relative to it.
+
+        The same measure as a run's ``unseen views``.
+        """
+        from usdsmoke.core.scene import frame_views
+
+        config = outcome.config or self._config
+        seed = config.optimize.seed + outcome.n_octaves - 1  # of the last octave's pool
+        pool = frame_views(outcome.smoke, config, self._scene, seed)
+        used = pool[:: max(1, len(pool) // _N_VIEWS)][:_N_VIEWS]
+        ours = float(np.mean([style for style, _ in self._losses(outcome, used)]))
+        others = float(np.mean([style for style, _ in self._unseen(outcome)]))
+        return abs(others - ours) / ours if ours > 0 else 0.0
+
+    def start(self, smoke: "ActiveSmoke", density: Any, place: Hashable) -> float:
+        """The loss before the step: of noise, or of density that was not moved."""
+        from usdsmoke.core.colour import initial_colours
+
+        found = density
+        if self._step == "colour":
+            config = self._config
+            found = initial_colours(smoke, config.colour.init, config.optimize.seed)
+        return self.loss(Outcome(smoke, found, place))
+
+    def pictures(self, outcome: Outcome) -> list["Tensor"]:
+        """What the network sees in the unused views of colours, [H W 3] display-encoded, with its
+        guide [H W 1] behind them: [H W 4]."""
+        import torch
+
+        with torch.no_grad():
+            views = self._unseen_views(outcome)
+            return [
+                torch.cat([picture, guide[..., None]], dim=-1)
+                for picture, guide in self._seen(outcome, views)
+            ]
+
+    def _unseen(self, outcome: Outcome) -> list[tuple[float, float]]:
+        if self._step == "shape":
+            return self._losses(outcome, self._angles(outcome.smoke))
+        return self._colour_losses(outcome, self._unseen_views(outcome))
+
+    def _losses(self, outcome: Outcome, views: Sequence["View"]) -> list[tuple[float, float]]:
+        """Style loss and what left the smoke's outline, by view."""
+        import torch
+
+        from usdsmoke.core.colour import prepare_views
+
+        if self._step == "shape":
+            with torch.no_grad():
+                return list(self._shape_losses(outcome, views))
+        scene = self._scene
+        made = prepare_views(outcome.smoke, views, scene.gamma_w, scene.exposure)
+        return self._colour_losses(outcome, made)
+
+    def _colour_losses(
+        self, outcome: Outcome, views: Sequence["ColourView"]
+    ) -> list[tuple[float, float]]:
+        import torch
+
+        judge: PictureLoss = self._targets.at(1)
+        with torch.no_grad():
+            return [
+                (float(judge(picture, guide)), 0.0) for picture, guide in self._seen(outcome, views)
+            ]
+
+    def _seen(
+        self, outcome: Outcome, views: Sequence["ColourView"]
+    ) -> Iterator[tuple["Tensor", "Tensor"]]:
+        from usdsmoke.core.style import decode_srgb
+
+        for view in views:
+            linear = decode_srgb(outcome.found)
+            yield view.straight_picture(linear, self._targets.background), view.guide
+
+    def _shape_losses(
+        self, outcome: Outcome, views: Sequence["View"]
+    ) -> Iterator[tuple[float, float]]:
+        from usdsmoke.core.grey import look_at
+        from usdsmoke.core.optics import opacity
+        from usdsmoke.core.project import column_map
+        from usdsmoke.core.smoke import activate
+
+        scene, smoke = self._scene, outcome.smoke
+        judge: PictureLoss = self._targets.at(1, grey=True)
+        moved = activate(outcome.found, np.eye(4), self._case.device)
+        for view in views:
+            still = column_map(smoke.positions, smoke.voxel_volume, view)
+            look = look_at(still, smoke.density, None, scene.gamma_w_shape, scene.exposure_shape)
+            image = column_map(moved.positions, moved.voxel_volume, view)
+            columns = image.apply(moved.density[:, None])[..., 0]
+            grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
+            loss = judge(look.filled(grey, scene.grey_mean), look.guide)
+            yield float(loss), float(look.leaving(grey))
+
+    def _unseen_views(self, outcome: Outcome) -> Sequence["ColourView"]:
+        from usdsmoke.core.colour import prepare_views
+
+        if outcome.place not in self._prepared:
+            scene, views = self._scene, self._angles(outcome.smoke)
+            made = prepare_views(outcome.smoke, views, scene.gamma_w, scene.exposure)
+            self._prepared[outcome.place] = made
+        return self._prepared[outcome.place]
+
+    def _angles(self, smoke: "ActiveSmoke") -> Sequence["View"]:
+        from usdsmoke.core.scene import frame_views
+
+        views = replace(self._config.views, pool=_N_VIEWS, sampling="poisson")
+        return frame_views(smoke, replace(self._config, views=views), self._scene, _SEED)
