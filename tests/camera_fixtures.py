@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from tests.smoke_fixtures import frame_of, puff
+from usdsmoke.core.views import View, view_of_camera
 from usdsmoke.volume import CameraSource, VolumeFrame
 
-__all__ = ["DENSITY", "FRAME", "MIDDLE", "N", "looking", "seen_by"]
+__all__ = ["DENSITY", "FRAME", "MIDDLE", "N", "camera_picture", "looking", "seen_by"]
 
 N = 24
 DENSITY = puff(N)
@@ -27,6 +28,14 @@ def looking(
     place[:3, :3] = [right, np.cross(back, right), back]
     place[3, :3] = eye
     return CameraSource("/camera", place, 36.0, film, film, 0.0, 0.0, (0.1, 1e4), parallel)
+
+
+def camera_picture(
+    place: np.ndarray, focal_length: float, film: float, height: int, width: int
+) -> View:
+    """What a perspective camera shows; the film is as wide as the picture."""
+    camera = CameraSource("/camera", place, focal_length, film, film, 0.0, 0.0, (0.1, 1e4))
+    return view_of_camera(camera, height, width)
 
 
 def seen_by(camera: CameraSource, frame: VolumeFrame = FRAME) -> VolumeFrame:

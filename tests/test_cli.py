@@ -220,6 +220,10 @@ def test_relative_paths_mean_the_folder_one_is_in(
         ["assemble"],
         ["inspect"],
         ["inspect", "a.usda", "b.usda"],
+        ["inspect", ""],
+        ["stylize", "shot.usda", "--style", "x.png", "--style", "", "-o", "out"],
+        ["stylize", "shot.usda", "--style", "x.png", "-o", ""],
+        ["verify", ""],
     ],
 )
 def test_wrong_usage_exits_with_2_and_says_how_it_is_meant(

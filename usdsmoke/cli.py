@@ -24,6 +24,7 @@ from usdsmoke.cli_preview import run_preview
 from usdsmoke.cli_record import run_provenance, run_rerun, run_verify
 from usdsmoke.cli_report import run_report
 from usdsmoke.cli_text import print_json
+from usdsmoke.cli_values import empty_path
 from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
 from usdsmoke.errors import Interrupted, UsdSmokeError
 
@@ -56,7 +57,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; None takes the process's own.
     """
-    arguments = build_parser().parse_args(argv)
+    parser = build_parser()
+    arguments = parser.parse_args(argv)
+    if name := empty_path(arguments):
+        parser.error(f"{name} is an empty text; wanted a path")
     try:
         with _signals_as_exceptions() as seen:
             code = _run(_COMMANDS[arguments.command], arguments, seen)

@@ -4,7 +4,7 @@ import argparse
 import math
 import re
 
-__all__ = ["duration_value", "repair_value", "size_value"]
+__all__ = ["duration_value", "empty_path", "repair_value", "size_value"]
 
 _SECOND, _MINUTE, _HOUR = 1.0, 60.0, 3600.0
 _UNITS = {
@@ -14,6 +14,19 @@ _UNITS = {
 }  # fmt: skip
 _PART = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([a-z]+)\s*")
 _LEAST = 1.0  # seconds
+_PATHS = ("stage", "style", "output", "config", "overrides", "template", "file")
+
+
+def empty_path(arguments: argparse.Namespace) -> str | None:
+    """Name of a path that was given as an empty text, as by a script whose variable is not set.
+
+    Taken as a path it would mean the folder in which the command was called.
+    """
+    for name in _PATHS:
+        value = getattr(arguments, name, None)
+        if value == "" or (isinstance(value, list) and "" in value):
+            return name
+    return None
 
 
 def size_value(text: str) -> tuple[int, int]:

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.raymarch import march_rays
+from tests.camera_fixtures import camera_picture
 from tests.smoke_fixtures import affine, gaussian_column, gaussian_smoke, puff, smoke_of
 from usdsmoke.core.project import colour_map, column_map
 from usdsmoke.core.smoke import ActiveSmoke, coarsen
-from usdsmoke.core.views import View, camera_view, orbit_view
+from usdsmoke.core.views import View, orbit_view
 
 ANGLES = [(0.0, 0.0), (12.0, 6.0), (37.0, 21.0)]
 GAMMA_W = 15.0  # the middle of the Gaussian is then 5.6 optical depths thick
@@ -104,7 +105,7 @@ def camera_at(distance: float, n_pixels: int, pixels_per_unit: float) -> View:
     """Looks along -Z from a distance at which a stage unit covers so many pixels."""
     place = np.eye(4)
     place[3, 2] = distance
-    return camera_view(place, pixels_per_unit * distance / n_pixels, 1.0, n_pixels, n_pixels)
+    return camera_picture(place, pixels_per_unit * distance / n_pixels, 1.0, n_pixels, n_pixels)
 
 
 def test_perspective_columns_fall_with_the_square_of_the_distance():
@@ -114,7 +115,7 @@ def test_perspective_columns_fall_with_the_square_of_the_distance():
     for distance in (4.0, 8.0):
         place = np.eye(4)
         place[3, 2] = distance
-        view = camera_view(place, 40.0, 20.0, 30, 30)
+        view = camera_picture(place, 40.0, 20.0, 30, 30)
         columns = column_map(voxel, 1.0, view, torch.float64).apply(torch.ones(1, 1).double())
         sums.append(float(columns.sum()))
         assert sums[-1] * (distance / view.focal) ** 2 == pytest.approx(1.0, rel=1e-4)

@@ -13,7 +13,6 @@ from usdsmoke.volume import CameraSource
 __all__ = [
     "View",
     "camera_orbit",
-    "camera_view",
     "draw_views",
     "frame_points",
     "orbit_view",
@@ -109,27 +108,6 @@ def frame_points(view: View, points: np.ndarray, height: int | None, width: int 
         width=width if width is not None else max(1, math.ceil(sides[0] / pixel_size - 1e-6)),
         pixel_size=float(pixel_size),
     )
-
-
-def camera_view(
-    camera_to_stage: np.ndarray,
-    focal_length: float,
-    horizontal_aperture: float,
-    height: int,
-    width: int,
-) -> View:
-    """A perspective view with a UsdGeomCamera's parameters.
-
-    Args:
-        camera_to_stage: [4 4], row vectors, rigid; the camera looks along its own -Z with +Y up.
-        focal_length, horizontal_aperture: in one unit, the aperture spanning the image's width.
-        height, width: pixels.
-    """
-    axes = np.asarray(camera_to_stage, float)[:3, :3]
-    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    eye = np.asarray(camera_to_stage, float)[3, :3]
-    focal = focal_length / horizontal_aperture * width
-    return View(axes[0], axes[1], -axes[2], eye, height, width, 0.0, focal)
 
 
 def view_of_camera(camera: CameraSource, height: int, width: int) -> View:

@@ -7,11 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.camera_fixtures import camera_picture
 from tests.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core import project
 from usdsmoke.core.project import MOST_CELLS, SparseImage, colour_map, column_map
 from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.views import View, camera_view, orbit_view
+from usdsmoke.core.views import View, orbit_view
 
 KINDS = ["orthographic", "perspective"]
 PLACES = [(0, False), (1, False), (2, True), (3, True)]  # seeds of transforms, mirrored or not
@@ -28,7 +29,7 @@ def look_at(smoke: ActiveSmoke, kind: str, size: int = 20) -> View:
     axes = np.eye(4)
     axes[:3, :3] = np.stack([view.right, view.up, -view.forward])
     axes[3, :3] = middle(smoke) - 25.0 * view.forward
-    return camera_view(axes, 50.0, 45.0, size, size + 3)
+    return camera_picture(axes, 50.0, 45.0, size, size + 3)
 
 
 def maps_of(smoke: ActiveSmoke, view: View, gamma_w: float = 0.3) -> list[SparseImage]:

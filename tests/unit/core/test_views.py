@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from tests.camera_fixtures import camera_picture
 from usdsmoke.config import ViewsConfig
 from usdsmoke.core.project import project_voxels
 from usdsmoke.core.views import (
     View,
-    camera_view,
     draw_views,
     frame_points,
     orbit_view,
@@ -75,7 +75,7 @@ def test_a_full_turn_is_the_same_view():
 def test_a_camera_looks_along_its_own_minus_z_whatever_its_scale():
     place = np.diag([3.0, 3.0, 3.0, 1.0])
     place[3, :3] = [1, 2, 3]
-    view = camera_view(place, 50.0, 25.0, 90, 160)
+    view = camera_picture(place, 50.0, 25.0, 90, 160)
     assert view.forward == pytest.approx([0, 0, -1]) and view.up == pytest.approx([0, 1, 0])
     assert view.centre == pytest.approx([1, 2, 3])
     assert view.focal == pytest.approx(320.0)  # twice the width
