@@ -15,7 +15,7 @@ from torch import Tensor
 from usdsmoke.core.lattice import Lattice
 from usdsmoke.core.potential import Displacement
 from usdsmoke.core.smoke import ActiveSmoke, sample_colours
-from usdsmoke.core.warm import departure_points
+from usdsmoke.core.warm import departure_points, trace_back
 from usdsmoke.volume import VolumeFrame
 
 __all__ = [
@@ -38,9 +38,9 @@ def carry_displacement(
         lattice: of this frame.
         seconds: time since the neighbour; negative when it is later.
     """
-    places = departure_points(frame, lattice.positions(), seconds)
-    found = before.at(places).view(*lattice.shape, 3)
-    return lattice.from_stage(found)
+    values = before.values
+    trace, moved = trace_back(frame, seconds, values.device), before.planar()
+    return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(trace(places))), values)
 
 
 def average_displacement(

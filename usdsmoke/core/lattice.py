@@ -1,6 +1,7 @@
 """A dense box around the smoke of one octave: what displacements are carried and finished on."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -9,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.pieces import cut
 from usdsmoke.core.sample import Boundary, sample_linear
 from usdsmoke.core.smoke import ActiveSmoke, densify
 from usdsmoke.errors import PlanError
@@ -16,6 +18,7 @@ from usdsmoke.volume import DenseField
 
 __all__ = ["Lattice", "field_from_box", "grow", "surround"]
 
+VOXELS_AT_ONCE = 2**16
 LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
 
 
@@ -51,6 +54,23 @@ class Lattice:
         matrix = torch.as_tensor(self.index_to_stage, device=ijk.device)
         low = torch.as_tensor(self.low, device=ijk.device)
         return (ijk + low).double() @ matrix[:3, :3] + matrix[3, :3]
+
+    def on_voxels(self, at: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
+        """What a function of places gives on all voxels of the box, [I J K ...]; made in pieces.
+
+        Args:
+            at: stage positions [n 3] float64 -> [n ...].
+            like: gives the device of the positions.
+        """
+        n_voxels, found = math.prod(self.shape), None
+        for part in cut(n_voxels, VOXELS_AT_ONCE, like.device):
+            flat = torch.arange(part.start, part.stop, device=like.device)
+            values = at(self.positions(torch.stack(torch.unravel_index(flat, self.shape), -1)))
+            if found is None:
+                found = values.new_empty((n_voxels, *values.shape[1:]))
+            found[part] = values
+        assert found is not None  # a box has voxels
+        return found.view(*self.shape, *found.shape[1:])
 
     def to_stage(self, vectors: Tensor) -> Tensor:
         """Vectors [... 3] with lengths along the grid's axes, stage units, as stage vectors."""

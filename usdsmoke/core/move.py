@@ -35,7 +35,7 @@ def effect_on(density: Tensor, share: Tensor | None) -> Tensor:
 
 def shares_on(lattice: Lattice, mask: EffectMask | None, like: Tensor) -> Tensor | None:
     """The mask's values on a box, [I J K], with the dtype and device of ``like``; None without."""
-    return None if mask is None else mask.at(lattice.positions()).view(lattice.shape).to(like)
+    return None if mask is None else lattice.on_voxels(mask.at, like).to(like)
 
 
 def move_density(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from torch import Tensor
 
@@ -13,6 +14,7 @@ from usdsmoke.core.displacement import (
     smooth_mask,
 )
 from usdsmoke.core.lattice import Lattice
+from usdsmoke.core.taps import planar
 
 __all__ = [
     "MIXED_SHARE",
@@ -38,8 +40,8 @@ class Potential:
 
     def on(self, lattice: Lattice) -> Tensor:
         """The potential on another box, [I J K C]."""
-        found = self.lattice.sample(self.values, lattice.positions().to(self.values.device))
-        return found.view(*lattice.shape, -1)
+        values = planar(self.values)
+        return lattice.on_voxels(lambda places: self.lattice.sample(values, places), values)
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,15 @@ class Displacement:
     def at(self, positions: Tensor) -> Tensor:
         """The displacement at points [N 3] float64 of stage space, [N 3]; 0 beyond the box."""
         return self.lattice.sample(self.values, positions.to(self.values.device), "zero")
+
+    def planar(self) -> "Displacement":
+        """The same, laid out for being sampled often; see ``taps.planar``."""
+        return Displacement(planar(self.values), self.lattice)
+
+    def on(self, lattice: Lattice) -> Tensor:
+        """The displacement on another box, [I J K 3], along its axes."""
+        moved = self.planar()
+        return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(places)), self.values)
 
 
 def carry_levels(
@@ -74,9 +85,8 @@ def carry_levels(
             carried.append(levels[0].new_zeros(wanted))
             continue
         old = levels[above]
-        places = lattice.coarsened(wanted).positions()
-        found = before.coarsened(old.shape).sample(old, places.to(old.device))
-        carried.append(found.view(wanted))
+        places, values = before.coarsened(old.shape), planar(old)
+        carried.append(lattice.coarsened(wanted).on_voxels(partial(places.sample, values), old))
     return carried
 
 

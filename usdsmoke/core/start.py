@@ -4,7 +4,9 @@ The coarse result is made once for the whole shot, so what windows have in commo
 where the style sits. The neighbour's result has the detail.
 """
 
+import math
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -59,15 +61,14 @@ def start_displacement(
     if before is None:
         if shared is None:
             return torch.zeros(*lattice.shape, 3)
-        return lattice.from_stage(_on(shared, lattice))
+        return shared.on(lattice)
     carried = carry_displacement(before, frame, lattice, seconds)
     if shared is None:
         return carried
     in_stage = Displacement(lattice.to_stage(carried), lattice)
     missing = shared.values - _block_means(in_stage, shared.lattice)
-    return carried + PULL_DISPLACEMENT * lattice.from_stage(
-        _on(Displacement(missing, shared.lattice), lattice)
-    )
+    del in_stage
+    return carried + PULL_DISPLACEMENT * Displacement(missing, shared.lattice).on(lattice)
 
 
 def start_colours(
@@ -104,16 +105,11 @@ def start_colours(
     return (carried + PULL_COLOUR * missing).clamp(0, 1)
 
 
-def _on(displacement: Displacement, lattice: Lattice) -> Tensor:
-    return displacement.at(lattice.positions()).view(*lattice.shape, 3)
-
-
 def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:
     """Means over the coarse lattice's voxels, [i j k 3]: what lies beyond the fine box is 0."""
-    places = coarse.index_of(fine.lattice.positions()).round().long()
-    values = fine.values.reshape(-1, 3)
-    sums, counts = _bin(places, values, coarse.shape)
-    return (sums / counts.clamp_min(1.0)).view(*coarse.shape, 3).to(values)
+    voxels = fine.lattice.on_voxels(partial(_voxel_of, coarse), fine.values)
+    sums, counts = _bin(voxels.view(-1), fine.values.reshape(-1, 3), coarse.shape)
+    return (sums / counts.clamp_min(1.0)).view(*coarse.shape, 3).to(fine.values)
 
 
 def _coarse_difference(
@@ -123,9 +119,9 @@ def _coarse_difference(
     low = smoke.ijk.amin(0)
     shape = tuple(int(n) for n in smoke.ijk.amax(0) - low + 1)
     lattice = Lattice(low.cpu().numpy(), shape, smoke.index_to_stage)  # type: ignore[arg-type]
-    places = lattice.index_of(painted.positions).round().long()
+    voxels = _voxel_of(lattice, painted.positions)
     weighted = torch.cat([carried, torch.ones_like(carried[:, :1])], 1) * painted.density[:, None]
-    sums, _ = _bin(places, weighted, lattice.shape)
+    sums, _ = _bin(voxels, weighted, lattice.shape)
     own = (smoke.ijk - low).T
     found = sums.view(*shape, 4)[tuple(own)]
     there = found[:, 3] > 0
@@ -134,13 +130,20 @@ def _coarse_difference(
     return sample_colours(smoke, difference, painted.positions)[0]
 
 
-def _bin(places: Tensor, values: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Sums [V C] float64 and counts [V 1] of values [N C] by voxel; outside ones are dropped."""
-    limit = torch.tensor(shape, device=places.device)
-    inside = ((places >= 0) & (places < limit)).all(dim=1)
-    places, values = places[inside], values[inside].double()
+def _voxel_of(lattice: Lattice, positions: Tensor) -> Tensor:
+    """The number of the voxel, in C order, that each place [N 3] lies in; -1 outside, [N] int64."""
+    places, shape = lattice.index_of(positions).round().long(), lattice.shape
+    inside = ((places >= 0) & (places < torch.tensor(shape, device=places.device))).all(dim=1)
     flat = (places[:, 0] * shape[1] + places[:, 1]) * shape[2] + places[:, 2]
-    n_voxels = shape[0] * shape[1] * shape[2]
-    sums = [torch.bincount(flat, channel, minlength=n_voxels) for channel in values.T.contiguous()]
-    counts = torch.bincount(flat, minlength=n_voxels)
+    return torch.where(inside, flat, -1)
+
+
+def _bin(voxels: Tensor, values: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Sums [V C] float64 and counts [V 1] of values [N C] by voxel; outside ones are dropped."""
+    n_voxels, inside = math.prod(shape), voxels >= 0
+    voxels = voxels[inside]
+    sums = [
+        torch.bincount(voxels, channel[inside].double(), minlength=n_voxels) for channel in values.T
+    ]
+    counts = torch.bincount(voxels, minlength=n_voxels)
     return torch.stack(sums, 1), counts[:, None].double()

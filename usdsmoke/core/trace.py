@@ -33,7 +33,7 @@ def choose_substeps(velocity: Tensor, dt: float, cfl: float = 1.0, limit: int = 
             f"cannot choose sub-steps for dt = {dt} and cfl = {cfl}; "
             "wanted finite numbers, cfl above 0"
         )
-    fastest = float(velocity.detach().abs().max()) if velocity.numel() else 0.0
+    fastest = max(map(abs, map(float, velocity.detach().aminmax()))) if velocity.numel() else 0.0
     needed = fastest * abs(dt) / cfl
     if needed > limit:
         raise PlanError(

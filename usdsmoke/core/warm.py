@@ -1,15 +1,19 @@
 """Starting a frame from its neighbour's result, carried along by the smoke's own velocity."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.core.noise import white_noise
+from usdsmoke.core.pieces import PIECE, cut
+from usdsmoke.core.sample import sample_linear
 from usdsmoke.core.smoke import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.trace import backtrace, choose_substeps
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["carry_colours", "departure_points", "fill_colours"]
+__all__ = ["carry_colours", "departure_points", "fill_colours", "trace_back"]
 
 FILL_LEVELS = 4  # halvings over which smoke that was not there before takes its neighbours' colour
 
@@ -24,23 +28,49 @@ def departure_points(frame: VolumeFrame, positions: Tensor, seconds: float) -> T
         positions: [N 3] float64, stage space.
         seconds: how long ago; negative looks ahead.
     """
+    return trace_back(frame, seconds, positions.device)(positions)
+
+
+def trace_back(
+    frame: VolumeFrame, seconds: float, device: torch.device
+) -> Callable[[Tensor], Tensor]:
+    """``departure_points`` for many sets of points on one device; the velocity is made ready once.
+
+    Raises:
+        NonFiniteError: the velocity holds NaN or infinity.
+        PlanError: it is so fast that its unit must be wrong.
+    """
     velocity = frame.velocity
     if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
-        return positions
+        return lambda positions: positions
     index_to_stage = velocity.index_to_world @ np.asarray(frame.velocity_to_stage, float)
     forth, back = (
-        torch.as_tensor(matrix, device=positions.device)
+        torch.as_tensor(matrix, device=device)
         for matrix in (index_to_stage, np.linalg.inv(index_to_stage))
     )
-    # grid world units to voxels, per second
-    to_index = torch.as_tensor(np.linalg.inv(velocity.index_to_world[:3, :3]))
-    rates = torch.from_numpy(velocity.values).double() @ to_index
-    rates = rates.to(positions.device)
-    low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=positions.device)
-    place = positions @ back[:3, :3] + back[3, :3] - low
+    rates = _voxels_per_second(velocity, device)
+    low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=device)
     n_substeps = choose_substeps(rates, seconds)
-    place = backtrace(rates, place, seconds, order=2, n_substeps=n_substeps)
-    return (place + low) @ forth[:3, :3] + forth[3, :3]
+
+    def rate_at(place: Tensor, _: float) -> Tensor:
+        return sample_linear(rates, place, boundary="nearest")
+
+    def trace(positions: Tensor) -> Tensor:
+        place = positions @ back[:3, :3] + back[3, :3] - low
+        place = backtrace(rate_at, place, seconds, order=2, n_substeps=n_substeps)
+        return (place + low) @ forth[:3, :3] + forth[3, :3]
+
+    return trace
+
+
+def _voxels_per_second(velocity: DenseField, device: torch.device) -> Tensor:
+    """[I J K 3] float64 from grid world units per second; planar, because it is sampled often."""
+    to_index = torch.as_tensor(np.linalg.inv(velocity.index_to_world[:3, :3]))
+    given = torch.from_numpy(velocity.values).view(-1, 3)
+    rates = torch.empty((3, len(given)), dtype=torch.float64, device=device)
+    for part in cut(len(given), PIECE, given.device):
+        rates[:, part] = (given[part].double() @ to_index).T.to(device)
+    return rates.view(3, *velocity.values.shape[:3]).movedim(0, -1)
 
 
 def carry_colours(
