@@ -86,7 +86,10 @@ class GridsConfig:
         8.0, "address space of the process that opens a VDB file", above=0.0
     )
     time_limit_s: float = setting(
-        120.0, "seconds after which opening a VDB file is given up", above=0.0
+        120.0,
+        "seconds of the processor, or ten times as many by the clock, after which opening a VDB "
+        "file is given up",
+        above=0.0,
     )
 
 

@@ -65,7 +65,9 @@ class Lattice:
         n_voxels, found = math.prod(self.shape), None
         for part in cut(n_voxels, VOXELS_AT_ONCE, like.device):
             flat = torch.arange(part.start, part.stop, device=like.device)
-            values = at(self.positions(torch.stack(torch.unravel_index(flat, self.shape), -1)))
+            ij, k = flat // self.shape[2], flat % self.shape[2]
+            places = torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)
+            values = at(self.positions(places))
             if found is None:
                 found = values.new_empty((n_voxels, *values.shape[1:]))
             found[part] = values

@@ -58,13 +58,13 @@ def move_density(
     lattice = displacement.lattice
     box = lattice.fill(source)
     sides = box.new_tensor(lattice.spacing)
-    lengths = config.optimize.strength * lattice.from_stage(displacement.values)
-    u = lengths / sides
+    u = lattice.from_stage(displacement.values).mul_(config.optimize.strength)
+    report: dict[str, Any] = {"largest displacement": float(u.norm(dim=-1).max())}
+    u.div_(sides)
     scheme = cast(Scheme, config.shape.interpolation)
     moved = warp(box, u, scheme=scheme).clamp_min(0)
     # round-off of the spline is no smoke: it would fill the box with active voxels
     moved = torch.where(moved > FAINTEST * box.max(), moved, torch.zeros_like(moved))
-    report: dict[str, Any] = {"largest displacement": float(lengths.norm(dim=-1).max())}
     if config.shape.interpolation != "linear":
         active = torch.nonzero((box > 0) | (moved > 0))
         cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
@@ -76,15 +76,26 @@ def move_density(
     value = min(error.value, report.get("cheap scheme differs", error.value))
     seconds = time.perf_counter() - started
     report["transport error"] = {"value": value, "order": error.order, "seconds": seconds}
-    # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
-    here = box >= 0 if share is None else share > 0
-    corrected, report["mass error"] = correct_mass(moved[here], box[here])
-    result = box.clone()
-    result[here] = corrected if config.shape.mass_correction else moved[here]
+    del u
+    result, report["mass error"] = _with_mass(moved, box, config, share)
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
     return field_from_box(density, values, low), report
+
+
+def _with_mass(
+    moved: Tensor, box: Tensor, config: Config, share: Tensor | None
+) -> tuple[Tensor, float]:
+    """The moved density with the mass it had where asked for, and the error it had before."""
+    if share is None:
+        corrected, error = correct_mass(moved, box)
+        return corrected if config.shape.mass_correction else moved, error
+    # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
+    here, result = share > 0, box.clone()
+    corrected, error = correct_mass(moved[here], box[here])
+    result[here] = corrected if config.shape.mass_correction else moved[here]
+    return result, error
 
 
 def _among_the_rest(

@@ -25,8 +25,9 @@ from functools import reduce
 import torch
 from torch import Tensor
 
+from usdsmoke.core.pieces import cut
 from usdsmoke.core.spline import SPLINE_REACH, Boundary, spline_coefficients
-from usdsmoke.core.taps import iterate_cells, sum_taps
+from usdsmoke.core.taps import iterate_cells, planar, sum_taps
 from usdsmoke.errors import NonFiniteError, ShapeError
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "voxel_positions",
 ]
 
+POINTS_AT_ONCE = 2**16
 BOUNDARIES: tuple[Boundary, ...] = ("zero", "nearest", "periodic")
 
 
@@ -105,14 +107,23 @@ def sample_cubic(
     coefficients = spline_coefficients(shifted, boundary)
     positions = _wrap(positions_ijk, values, boundary)
     first = SPLINE_REACH if boundary == "zero" else 1
-    sampled = sum_taps(coefficients, positions + first, cubic=True)
-    if boundary != "zero":
-        return sampled
     lengths = torch.tensor(values.shape[:3], device=positions.device)
-    inside = (positions > 1 - first) & (positions < lengths + first - 2) | (lengths == 1)
-    keep = inside.all(dim=1).to(sampled.dtype)
-    sampled = sampled * (keep if sampled.ndim == 1 else keep[:, None])
-    return sampled + outside if outside else sampled
+
+    def sampled(positions: Tensor) -> Tensor:
+        found = sum_taps(coefficients, positions + first, cubic=True)
+        if boundary != "zero":
+            return found
+        inside = (positions > 1 - first) & (positions < lengths + first - 2) | (lengths == 1)
+        keep = inside.all(dim=1).to(found.dtype)
+        found = found * (keep if found.ndim == 1 else keep[:, None])
+        return found + outside if outside else found
+
+    if torch.is_grad_enabled() and (coefficients.requires_grad or positions.requires_grad):
+        return sampled(positions)
+    coefficients = coefficients if values.ndim == 3 else planar(coefficients)
+    parts = cut(len(positions), POINTS_AT_ONCE, positions.device)
+    nothing = values.new_empty((0, *values.shape[3:]))
+    return torch.cat([nothing, *(sampled(positions[part]) for part in parts)])
 
 
 def sample_bounds(

@@ -37,7 +37,6 @@ from usdsmoke.core.potential import (
     Displacement,
     Potential,
     carry_levels,
-    displacement_from,
     free_displacement,
     hold,
 )
@@ -86,6 +85,7 @@ class _Octave:
         self.effect = effect_on(self.density, self._share)
         self.base = None if start is None else start(self.lattice)
         self._config, self._cap, self._judge, self._seed = config, cap, judge, seed
+        self._sides = self.density.new_tensor(self.lattice.spacing)
         reached, moving = self._reached(), Nodes.where(self.effect > 0)
         self.active = torch.nonzero(reached)
         where = tuple(self.active.T)
@@ -97,7 +97,6 @@ class _Octave:
             self.lattice.spacing, n_channels,
         )  # fmt: skip
         self._base_there = None if self.base is None else self.base[where]
-        self._sides = self.density.new_tensor(self.lattice.spacing)
         self._shown = None if self._share is None else self._share[where]
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
@@ -124,10 +123,7 @@ class _Octave:
         """
         reached = (self.density > 0) | grow(self.effect > 0)
         if self.base is not None:
-            still = self.base.new_zeros(*self.lattice.shape, N_CHANNELS[self._kind])
-            u = displacement_from(
-                still, self.effect, self._kind, self._cap, self.lattice, self.base, self._share
-            )
+            u = hold(self.base, self._cap, self._share).div_(self._sides)
             reached |= grow(warp(self.density, u, scheme="linear") > 0)
         return reached
 

@@ -137,8 +137,11 @@ def warp(
     def destinations() -> Tensor:
         return _invert_displacement(displacement, arrivals, at_arrivals, boundary)
 
+    departures = arrivals - at_arrivals
+    if scheme != "maccormack":  # which alone looks where things go
+        del arrivals
     moved = _transport(
-        values, arrivals - at_arrivals, destinations, active_ijk, scheme, limiter, boundary, outside
+        values, departures, destinations, active_ijk, scheme, limiter, boundary, outside
     )
     return moved.reshape(values.shape) if active_ijk is None else moved
 

@@ -7,6 +7,7 @@ time, and hands arrays over through files in a private folder.
 
 import fcntl
 import json
+import math
 import os
 import shutil
 import signal
@@ -28,6 +29,8 @@ from usdsmoke.config import GridsConfig
 __all__ = ["ChildFailure", "run_child"]
 
 _GIB = 2**30
+_PATIENCE = 10  # seconds by the clock for each of the processor: disks and neighbours are slow
+_OUT_OF_TIME = getattr(signal, "SIGXCPU", 0)  # Windows has no such signal
 _STDERR_TAIL = 400  # bytes of the child's last words that a message quotes
 _PREFIX = "usdsmoke-"  # of folders for temporary files
 _HELD = "held"  # a file in them, locked as long as their process lives
@@ -62,7 +65,11 @@ def run_child(
         with _private_folder() as folder:
             for n, array in enumerate(arrays):
                 np.save(Path(folder) / f"in{n}.npy", array, allow_pickle=False)
-            limits = {"folder": folder, "memory_limit_bytes": int(config.memory_limit_gib * _GIB)}
+            limits = {
+                "folder": folder,
+                "memory_limit_bytes": int(config.memory_limit_gib * _GIB),
+                "cpu_limit_s": math.ceil(config.time_limit_s),
+            }
             _run(json.dumps({**request, **limits}), folder, config)
             answer = _answer(folder)
             return answer["answer"], _arrays(folder, answer["n_arrays"])
@@ -107,13 +114,17 @@ def _run(request: str, folder: str, config: GridsConfig) -> None:
                 stdout=subprocess.DEVNULL,
                 stderr=messages,
                 env=_environment(),
-                timeout=config.time_limit_s,
+                timeout=_PATIENCE * config.time_limit_s,
                 check=False,
             )
         except subprocess.TimeoutExpired:
             raise ChildFailure(
-                f"it took longer than {config.time_limit_s:.3g} s and was given up"
+                f"it took longer than {_PATIENCE * config.time_limit_s:.3g} s and was given up"
             ) from None
+        if ended.returncode == -_OUT_OF_TIME:
+            raise ChildFailure(
+                f"it took more than {config.time_limit_s:.3g} s of the processor and was given up"
+            )
         if ended.returncode != 0:
             messages.seek(0)
             raise ChildFailure(_last_words(ended.returncode, messages.read()))

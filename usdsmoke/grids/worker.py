@@ -25,7 +25,7 @@ _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, 
 def main() -> int:
     """Answer one request; 0 whenever there is an answer, be it a refusal."""
     request = json.load(sys.stdin)
-    _limit_memory(request["memory_limit_bytes"])
+    _set_limits(request["memory_limit_bytes"], request["cpu_limit_s"])
     folder = Path(request["folder"])
     try:
         content, n_arrays = _ACTIONS[request["action"]](request, folder)
@@ -42,13 +42,18 @@ def main() -> int:
     return 0
 
 
-def _limit_memory(n_bytes: int) -> None:
-    """Limit the address space, and leave no core file where there is a crash."""
+def _set_limits(n_bytes: int, cpu_seconds: int) -> None:
+    """Limit address space and processor time, and leave no core file where there is a crash."""
     try:
         import resource
     except ImportError:  # Windows has no such limits; the time limit still holds
         return
-    for kind, limit in ((resource.RLIMIT_AS, n_bytes), (resource.RLIMIT_CORE, 0)):
+    limits = (
+        (resource.RLIMIT_AS, n_bytes),
+        (resource.RLIMIT_CPU, cpu_seconds),
+        (resource.RLIMIT_CORE, 0),
+    )
+    for kind, limit in limits:
         hard = resource.getrlimit(kind)[1]
         soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
         try:
