@@ -124,7 +124,7 @@ def test_times_that_were_measured_are_met_within_a_factor_of_two(
 
 def test_memory_is_above_what_was_measured_but_not_twice() -> None:
     found = estimate_run([FrameSize(1_050_000, (111, 222, 112))], Config(), threads=2)
-    assert 2.9 < found.memory_gib < 5.8
+    assert 1.9 < found.memory_gib < 3.8  # GiB
 
 
 def test_a_slab_is_refined_in_its_plane_only() -> None:
@@ -164,3 +164,12 @@ def test_the_coarse_step_costs_less_than_the_windows_and_a_small_file_a_frame() 
     voxels = FRAME.active_voxels + math.prod(FRAME.box)
     wanted = 24 * voxels / coarse_factor(Config()) ** 3
     assert shared.bytes_written - plain.bytes_written == pytest.approx(wanted, abs=1)
+
+
+def test_memory_of_frames_that_follow_each_other_is_above_what_was_measured_too() -> None:
+    """Four frames of a plume in a box of 192^3, 6 % of it smoke: they peaked at 2.4 GiB."""
+    frames = [
+        FrameSize(417_000, (192, 192, 192), window_start=n == 0, n_copied=3) for n in range(4)
+    ]
+    found = estimate_run(frames, Config(), threads=2)
+    assert 2.4 < found.memory_gib < 4.8

@@ -36,6 +36,7 @@ from usdsmoke.core.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.shape import Start, longest_move, run_shape_step
 from usdsmoke.core.smoke import activate
 from usdsmoke.core.start import start_colours, start_displacement
+from usdsmoke.memory import give_back_memory
 from usdsmoke.volume import VolumeFrame
 
 __all__ = ["run_chain"]
@@ -124,12 +125,15 @@ def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
                 seconds = job.seconds(link, later)
                 free = average_displacement(free, later.free, link.frame, seconds, share)
             link.settled = free
+            if later is not None:  # which started from it already
+                link.free = None
             _move(link, free, job)
         yield link
 
 
 def _move(link: Link, free: Displacement, job: Job) -> None:
     """Hold the displacement below the cap and move the density by it; not at all by none."""
+    give_back_memory()
     lattice, cap = free.lattice, longest_move(link.source, link.config)
     share = shares_on(lattice, link.mask, link.source.density)
     held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))

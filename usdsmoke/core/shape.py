@@ -52,6 +52,7 @@ from usdsmoke.core.summed import sum_terms
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.core.transport import warp
 from usdsmoke.core.views import draw_views
+from usdsmoke.memory import give_back_memory
 
 __all__ = ["Start", "longest_move", "run_shape_step"]
 
@@ -205,6 +206,7 @@ def run_shape_step(
         done = (octave.lattice, octave.effect, octave.base) if smoke is source else None
         del octave  # with its views, which are most of a step's memory
     carried = None
+    give_back_memory()  # the octaves' pieces, before dense boxes are made
     if done is not None:  # the box at full resolution is there
         lattice, effect, base = done
     else:

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, puff, smoke_of
+from usdsmoke.core import lattice as lattice_module
 from usdsmoke.core.lattice import field_from_box, grow, surround
 from usdsmoke.core.smoke import ActiveSmoke, make_octaves
 from usdsmoke.errors import PlanError
@@ -105,3 +106,20 @@ def test_a_field_from_a_box_is_trimmed_and_keeps_its_place():
 
 def test_a_box_of_nothing_gives_an_empty_field():
     assert field_from_box(field(), np.zeros((3, 3, 3), np.float32), np.zeros(3)).is_empty
+
+
+@pytest.mark.parametrize("at_once", [7, 10**6])
+def test_a_function_of_places_is_taken_at_every_voxel_a_few_at_a_time(monkeypatch, at_once):
+    monkeypatch.setattr(lattice_module, "VOXELS_AT_ONCE", at_once)
+    lattice = surround(smoke_of(puff(5), affine(4)), 2)
+    sizes = []
+
+    def seen(places: torch.Tensor) -> torch.Tensor:
+        sizes.append(len(places))
+        return torch.cat([places, places.sum(1, keepdim=True)], 1)
+
+    found = lattice.on_voxels(seen, torch.zeros(1))
+    wanted = lattice.positions()
+    assert found.shape == (*lattice.shape, 4) and found.dtype == torch.float64
+    assert torch.equal(found[..., :3].reshape(-1, 3), wanted)
+    assert max(sizes) <= at_once and sum(sizes) == len(wanted)

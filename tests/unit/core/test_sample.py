@@ -7,6 +7,7 @@ from scipy import ndimage
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from usdsmoke.core import sample, taps
 from usdsmoke.core.sample import (
     BOUNDARIES,
     sample_bounds,
@@ -14,6 +15,7 @@ from usdsmoke.core.sample import (
     sample_linear,
     voxel_positions,
 )
+from usdsmoke.core.taps import planar
 from usdsmoke.errors import NonFiniteError, ShapeError
 
 SAMPLERS = (sample_linear, sample_cubic)
@@ -260,3 +262,24 @@ def test_positions_in_the_box_sample_the_same_bits_beside_some_outside():
         (slopes,) = torch.autograd.grad(sampled.sum(), positions)
         found.append((sampled, slopes[: len(inside)]))
     assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
+
+
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_cubic_look_ups_in_pieces_have_the_bits_of_those_at_once(monkeypatch, boundary, channels):
+    torch.manual_seed(3)
+    values = torch.rand(6, 7, 5, *channels)
+    positions = torch.rand(50, 3) * 9 - 2
+    # with gradients wanted all points are taken together
+    at_once = sample_cubic(values, positions.clone().requires_grad_(), 0.25, boundary).detach()
+    monkeypatch.setattr(sample, "POINTS_AT_ONCE", 8)
+    assert torch.equal(sample_cubic(values, positions, 0.25, boundary), at_once)
+
+
+def test_planar_values_are_the_same_values_and_are_not_copied_to_be_sampled():
+    values = torch.rand(4, 5, 6, 3)
+    flat = planar(values)
+    positions = torch.rand(20, 3) * 4
+    assert torch.equal(flat, values) and flat.movedim(-1, 0).is_contiguous()
+    assert torch.equal(sample_linear(flat, positions), sample_linear(values, positions))
+    assert taps._planes(taps._flatten(flat)[0]).data_ptr() == flat.data_ptr()

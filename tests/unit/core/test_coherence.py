@@ -1,0 +1,51 @@
+"""What it takes to carry one frame's displacement to the next, beside what comes out of it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from tests.smoke_fixtures import frame_of, puff, smoke_of
+from usdsmoke.core import lattice as lattice_module
+from usdsmoke.core.coherence import carry_displacement
+from usdsmoke.core.lattice import surround
+from usdsmoke.core.potential import Displacement
+from usdsmoke.volume import DenseField
+
+
+class LargeTensors(TorchDispatchMode):
+    """The operations of torch that make tensors of at least so many numbers; views do not."""
+
+    def __init__(self, least: int) -> None:
+        super().__init__()
+        self.made: list[str] = []
+        self._least = least
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None
+    ) -> Any:
+        found = func(*args, **(kwargs or {}))
+        if isinstance(found, torch.Tensor) and not func.is_view:
+            if found.numel() >= self._least:
+                self.made.append(str(func))
+        return found
+
+
+def test_a_carried_displacement_takes_no_box_of_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Velocity and displacement once each, channel by channel, and the result."""
+    monkeypatch.setattr(lattice_module, "VOXELS_AT_ONCE", 500)
+    density = puff(28)
+    box = surround(smoke_of(density), 2)
+    speed = np.full((32, 32, 32, 3), 30.0, np.float32)
+    velocity = DenseField("v", speed, (-2, -2, -2), np.eye(4), (0.0, 0.0, 0.0))
+    frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+    before = Displacement(torch.rand(*box.shape, 3), box)
+    with LargeTensors(3 * int(np.prod(box.shape))) as large:
+        carried = carry_displacement(before, frame, box, 1 / 24)
+    assert carried.shape == (*box.shape, 3)
+    # for the velocity, the displacement channel by channel, the result
+    assert len(large.made) == 3, large.made
