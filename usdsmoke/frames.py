@@ -178,7 +178,8 @@ def read_frame(
         frame: its files at one timeCode, and its controls.
         config: limits of reading, and the velocity's unit.
         velocity: from ``find_frame_velocity``; None reads no velocity.
-        time_codes_per_second: turns velocities per frame into velocities per second.
+        time_codes_per_second: turns velocities per frame, that is per timeCode, into
+            velocities per second; how fast a player shows frames does not count.
         mask: from ``find_frame_mask``; None reads no mask.
 
     Raises:

@@ -11,13 +11,15 @@ from usdsmoke.core.schedule import octave_iterations
 from usdsmoke.estimate import n_different_views
 from usdsmoke.loss_needs import losses_omitted
 from usdsmoke.naming import colour_names
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.time_codes import format_time_code, format_time_codes
 from usdsmoke.volume import StageSource
 
 if TYPE_CHECKING:
     from usdsmoke.plan import FramePlan, VolumePlan
 
 __all__ = ["Omission", "list_needed", "list_omitted"]
+
+_FEW_CUTS = 8
 
 
 @dataclass(frozen=True)
@@ -257,6 +259,8 @@ def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
                 "only density, velocity and mask are used; they stay as they are on the stage",
             )
         )
+    if volume.cuts and volume.config.windows.size > 1:
+        omitted.append(_omitted_over_cuts(volume.cuts, where))
     empty = [frame.source.time_code for frame in volume.frames if frame.is_empty]
     if empty:
         omitted.append(
@@ -280,3 +284,13 @@ def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
             )
         )
     return omitted
+
+
+def _omitted_over_cuts(cuts: Sequence[tuple[float, float]], where: str) -> Omission:
+    places = [" and ".join(map(format_time_code, cut)) for cut in cuts[:_FEW_CUTS]]
+    more = [f"{len(cuts) - _FEW_CUTS} more places"] if len(cuts) > _FEW_CUTS else []
+    return Omission(
+        f"coherence over cuts {where}",
+        f"the sequence is cut between timeCodes {', '.join([*places, *more])}: these steps are "
+        "longer than two frames and than twice the usual step",
+    )

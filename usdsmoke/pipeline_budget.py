@@ -1,13 +1,11 @@
 """The error budget of a run: its frames' figures, and why an entry has none or not all of them."""
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 from usdsmoke.error_budget import ErrorBudget, make_budget
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.windows import split_windows
 
 __all__ = ["run_budget"]
 
@@ -148,10 +146,9 @@ def _ways(volumes: Sequence[VolumePlan]) -> list[str]:
 
 def _neighbours(volume: VolumePlan) -> Iterator[tuple[FramePlan, FramePlan]]:
     """Frames that follow each other without a cut, whatever windows they are in."""
-    frames = {frame.source.time_code: frame for frame in volume.frames}
-    whole = dataclasses.replace(volume.config.windows, size=max(len(frames), 2))
-    for run in split_windows(list(frames), whole):
-        yield from pairwise(frames[code] for code in run.time_codes)
+    for pair in pairwise(volume.frames):
+        if tuple(frame.source.time_code for frame in pair) not in volume.cuts:
+            yield pair
 
 
 def _at_border(volume: VolumePlan, frame: FramePlan) -> bool:

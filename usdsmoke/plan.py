@@ -36,7 +36,7 @@ from usdsmoke.needs import Omission, list_needed, list_omitted
 from usdsmoke.plan_record import describe_plan
 from usdsmoke.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.volume_settings import VolumeSettings
-from usdsmoke.windows import Window, coarse_runs, split_windows
+from usdsmoke.windows import Window, coarse_runs, find_cuts, split_windows
 
 __all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan", "result_file_names"]
 
@@ -72,6 +72,7 @@ class VolumePlan:
     config: Config  # its own: the run's with what the prim asks for
     styles: tuple[int, ...]  # places of its images among the run's
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes with a coarse step in common
+    cuts: tuple[tuple[float, float], ...] = ()  # timeCodes that nothing is carried between
 
     @property
     def coarse_frames(self) -> tuple[FramePlan, ...]:
@@ -130,7 +131,7 @@ def make_plan(
     volumes: list[VolumePlan] = []
     for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
         first_index = sum(len(earlier.windows) for earlier in volumes)
-        volumes.append(_plan_volume(volume, stem, own, headers, first_index))
+        volumes.append(_plan_volume(volume, stem, own, headers, first_index, source.frame_length))
     return Plan(
         source=source,
         config=config,
@@ -200,11 +201,12 @@ def _plan_volume(
     own: VolumeSettings,
     headers: dict[str, FileHeader],
     first_index: int,
+    frame_length: float,
 ) -> VolumePlan:
     config = own.config
     check_controls(volume, config, len(own.styles))
     time_codes = [frame.time_code for frame in volume.frames]
-    windows = split_windows(time_codes, config.windows, first_index)
+    windows = split_windows(time_codes, config.windows, first_index, frame_length)
     computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
     if not any(computed):  # the source is given back: there is nothing to carry or to blend
         windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
@@ -216,7 +218,8 @@ def _plan_volume(
         window, name = window_of[frame.time_code], names[frame.time_code]
         frames.append(_plan_frame(volume, frame, window, name, config, headers, to_do))
     runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
-    return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs)
+    cuts = find_cuts(time_codes, frame_length)
+    return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts)
 
 
 def _plan_frame(

@@ -50,7 +50,10 @@ class StageConfig:
         "", "relationship or grid name of the velocity; empty means the usual names"
     )
     velocity_unit: str = setting(
-        "second", "grid-world units per second or per frame", choices=("second", "frame")
+        "second",
+        "grid-world units per second, or per frame of the simulation, which is one timeCode "
+        "whatever framesPerSecond says",
+        choices=("second", "frame"),
     )
     motion: str = setting(
         "velocity",

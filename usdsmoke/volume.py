@@ -134,6 +134,12 @@ class StageSource:
     volumes: tuple[VolumeSource, ...] = ()
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
 
+    @property
+    def frame_length(self) -> float:
+        """TimeCodes in a frame; 1 where the stage's rates make no sense."""
+        rates = (self.time_codes_per_second, self.frames_per_second)
+        return rates[0] / rates[1] if min(rates) > 0 else 1.0
+
 
 @dataclass(frozen=True)
 class EarlierLooks:

@@ -14,9 +14,9 @@ from itertools import pairwise
 from usdsmoke.config import WindowsConfig
 from usdsmoke.errors import ShapeError
 
-__all__ = ["Window", "coarse_runs", "split_windows"]
+__all__ = ["Window", "coarse_runs", "find_cuts", "split_windows"]
 
-_GAP = 2.0  # a step this many times the usual one is a cut: nothing is carried over it
+_GAP = 2.0  # a step of more than so many usual ones is a cut: nothing is carried over it
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,45 @@ class Window:
     joined: bool = False  # to the window before: the smoke goes on without a cut
 
 
-def split_windows(
-    time_codes: Sequence[float], config: WindowsConfig, first_index: int = 0
-) -> tuple[Window, ...]:
-    """Windows of at most ``config.size`` frames, in order; a gap in the sequence ends one early.
+def find_cuts(
+    time_codes: Sequence[float], frame_length: float = 1.0
+) -> tuple[tuple[float, float], ...]:
+    """Neighbouring timeCodes with a gap between them: two shots in one volume, or frames left out.
 
-    A gap is a step of more than twice the median step: two shots in one volume, or frames left out.
+    A gap is a step of more than twice the median step, and of more than two frames, so that whole
+    frames beside some with samples in between are none.
+
+    >>> find_cuts([1, 2, 3, 10, 11])
+    ((3, 10),)
+    >>> find_cuts([1, 2, 2.25, 2.5, 2.75, 3, 4])
+    ()
+
+    Args:
+        time_codes: ascending, each once.
+        frame_length: timeCodes in a frame, that is timeCodes per second over frames per second.
+
+    Raises:
+        ShapeError: the timeCodes do not rise.
+    """
+    steps = [later - earlier for earlier, later in pairwise(time_codes)]
+    if any(not step > 0 for step in steps):
+        raise ShapeError(f"timeCodes are {list(time_codes)}; wanted them ascending, each once")
+    if not steps:
+        return ()
+    longest = _GAP * max(statistics.median(steps), frame_length)
+    return tuple(
+        pair for pair, step in zip(pairwise(time_codes), steps, strict=True) if step > longest
+    )
+
+
+def split_windows(
+    time_codes: Sequence[float],
+    config: WindowsConfig,
+    first_index: int = 0,
+    frame_length: float = 1.0,
+) -> tuple[Window, ...]:
+    """Windows of at most ``config.size`` frames, in order; a cut (``find_cuts``) ends one early.
+
     Windows of one frame stand alone: nothing is carried between them, and none overlaps another.
 
     >>> [window.time_codes for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
@@ -46,17 +79,15 @@ def split_windows(
         time_codes: ascending, each once.
         config: section ``windows``.
         first_index: of the first window.
+        frame_length: timeCodes in a frame, see ``find_cuts``.
 
     Raises:
         ShapeError: the timeCodes do not rise.
     """
-    steps = [later - earlier for earlier, later in pairwise(time_codes)]
-    if any(not step > 0 for step in steps):
-        raise ShapeError(f"timeCodes are {list(time_codes)}; wanted them ascending, each once")
-    longest = _GAP * statistics.median(steps) if steps else 0.0
+    cuts = {later for _, later in find_cuts(time_codes, frame_length)}
     windows: list[Window] = []
     for number, time_code in enumerate(time_codes):
-        is_cut = number == 0 or steps[number - 1] > longest
+        is_cut = number == 0 or time_code in cuts
         if is_cut or len(windows[-1].time_codes) == config.size:
             joined = not is_cut and config.size > 1
             windows.append(Window(first_index + len(windows), (time_code,), joined=joined))

@@ -127,6 +127,25 @@ def test_fields_and_empty_space_and_thin_volumes_are_named(tmp_path: Path) -> No
     assert "these voxels are empty" in reason_for(plan, "98% of the boxes")
 
 
+def test_every_cut_of_a_sequence_is_named_with_its_time_codes(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, 12)
+    plan = plan_of(shot.stage, "stage.frames=1-4,8-9,12", "windows.size=8")
+    assert [window.time_codes for window in plan.volumes[0].windows] == [
+        (1, 2, 3, 4), (8, 9), (12,),
+    ]  # fmt: skip
+    assert "cut between timeCodes 4 and 8, 9 and 12: " in reason_for(plan, "coherence over cuts")
+    assert not reason_for(plan_of(shot.stage), "coherence over cuts")
+
+
+def test_two_frames_by_the_stages_rates_are_no_cut(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, 9)
+    selected = "stage.frames=1-4,8-9"
+    assert plan_of(shot.stage, selected).volumes[0].cuts == ((4, 8),)
+    text = shot.stage.read_text().replace("framesPerSecond = 25", "framesPerSecond = 12.5")
+    shot.stage.write_text(text)
+    assert plan_of(shot.stage, selected).volumes[0].cuts == ()  # 2 timeCodes make a frame
+
+
 def test_an_empty_frame_is_known_from_its_header(tmp_path: Path) -> None:
     stage = plume_stage(tmp_path)
     openvdb = find_binding()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from usdsmoke.config import WindowsConfig
 from usdsmoke.errors import ShapeError
-from usdsmoke.windows import coarse_runs, split_windows
+from usdsmoke.windows import coarse_runs, find_cuts, split_windows
 
 TIME_CODES = st.lists(st.integers(-1000, 1000), unique=True, max_size=40).map(
     lambda numbers: [number / 4 for number in sorted(numbers)]
@@ -79,6 +79,22 @@ def test_a_regular_step_of_two_is_no_cut() -> None:
     windows = split_windows([1.0, 3.0, 5.0, 7.0], WindowsConfig(size=8))
     assert len(windows) == 1
     assert all(later - earlier == 2 for earlier, later in pairwise(windows[0].time_codes))
+
+
+@pytest.mark.parametrize("rate", [1.0, 1000 / 24, 1 / 24], ids=["frames", "ms", "seconds"])
+def test_samples_between_some_frames_are_no_cut(rate: float) -> None:
+    time_codes = [rate * t for t in (1, 2, 3, 4, 5, 5.25, 5.5, 5.75, 6, 6.25, 6.5, 6.75, 7, 8)]
+    (window,) = split_windows(time_codes, WindowsConfig(size=20), frame_length=rate)
+    assert len(window.time_codes) == len(time_codes)
+
+
+def test_a_gap_of_more_than_two_frames_is_a_cut_also_beside_samples_between_frames() -> None:
+    assert find_cuts([1, 2, 2.25, 2.5, 2.75, 3, 6, 7]) == ((3, 6),)
+
+
+def test_a_gap_of_frames_is_no_cut_where_the_usual_step_is_as_long() -> None:
+    assert find_cuts([0, 5, 10, 20, 25], frame_length=1) == ()
+    assert find_cuts([0, 5, 10, 21, 26], frame_length=1) == ((10, 21),)
 
 
 def test_no_frames_are_no_windows() -> None:
