@@ -6,7 +6,7 @@ so, names both and calls the ratio between them what it is: about so much.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from usdsmoke.report.fit import Crossing, crossing, fitted_order
 from usdsmoke.report.records import Plan, Point, SweepResult
@@ -15,18 +15,27 @@ __all__ = ["conclude", "times"]
 
 _EQUAL = 1.02  # ratio of errors up to which they count as equal
 _CLOSE = 1.05  # ratio of costs up to which two points cost the same
+_CLOSE_OF_TWO = 1.15  # the same of points of two runs or one, whose spread says little
 _ABOVE = 3.0  # times the reference's own error, from which on an order is fitted to an error
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """What points are compared in."""
+
+    noun: str  # of the cost
+    uncertain: float  # errors that differ by less are not told apart by the reference
 
 
 def conclude(result: SweepResult) -> SweepResult:
     """The same sweep with its sentences."""
     chosen = next((point for point in result.points if point.configured), None)
-    noun = "size" if "byte" in result.plan.y_label else "time"
+    unit = _Unit("size" if "byte" in result.plan.y_label else "time", result.plan.uncertain)
     sentences = {
-        curve: f"{_of_curve(points, chosen, noun)}{_order(points, result.plan)}"
+        curve: f"{_of_curve(points, chosen, unit)}{_order(points, result.plan)}"
         for curve, points in result.curves.items()
     }
-    verdict = _verdict(result, chosen, noun)
+    verdict = _verdict(result, chosen, unit)
     return replace(result, sentences=sentences, verdict=verdict)
 
 
@@ -40,36 +49,38 @@ def times(ratio: float) -> str:
     return f"{ratio:.2g}x" if digits == 2 else f"{round(ratio, digits):.0f}x"
 
 
-def _verdict(result: SweepResult, chosen: Point | None, noun: str) -> str:
+def _verdict(result: SweepResult, chosen: Point | None, unit: _Unit) -> str:
     if chosen is None:
         return "What is configured is not among these points."
     points, name = result.points, f"The configured point ({chosen.curve}, {chosen.label})"
     if len(points) == 1:
         return f"{name} is the only one that was measured."
-    good = [p for p in points if p is chosen or _as_good(p, chosen)]
+    good = [p for p in points if p is chosen or _as_good(p, chosen, unit)]
     best = min(good, key=lambda p: p.cost.median)
     if best is chosen or not _costs_more(chosen, best):
-        rest = _cheaper_between(result, chosen, noun)
+        rest = _cheaper_between(result, chosen, unit)
         return f"{name} is the cheapest of those measured at its error{rest}."
     ratio = chosen.cost.median / best.cost.median
     other = f"{best.curve}, {best.label}{_as_far(best, chosen)}"
     if ratio < 2:
         return f"{name} is within {times(ratio)} of the cheapest at its error: {other}."
-    return f"{name} could be had in {times(1 / ratio)} of its {noun}: {other}."
+    return f"{name} could be had in {times(1 / ratio)} of its {unit.noun}: {other}."
 
 
 def _as_far(point: Point, chosen: Point) -> str:
-    """A point that is as good by the spread of the runs alone is named so."""
+    """A point that is as good by the spread of the runs or of the references is named so."""
     if point.error.median <= chosen.error.median * _EQUAL:
         return ""
-    return " (as far as the runs can tell: their errors overlap)"
+    if chosen.error.high > chosen.error.low and point.error.overlaps(chosen.error):
+        return " (as far as the runs can tell: their errors overlap)"
+    return " (as far as the references can tell: they differ by more)"
 
 
-def _cheaper_between(result: SweepResult, chosen: Point, noun: str) -> str:
+def _cheaper_between(result: SweepResult, chosen: Point, unit: _Unit) -> str:
     """Curves that pass the configured error for less, between points of other errors."""
     found = {curve: _passes(points, chosen) for curve, points in result.curves.items()}
     cheaper = [
-        f"{curve} reaches it at about {times(at.cost / chosen.cost.median)} its {noun}"
+        f"{curve} reaches it at about {times(at.cost / chosen.cost.median)} its {unit.noun}"
         for curve, at in found.items()
         if at is not None and at.cost * _CLOSE < chosen.cost.median
     ]
@@ -86,84 +97,91 @@ def _passes(points: Sequence[Point], chosen: Point) -> Crossing | None:
     return crossing(chosen.error.median, errors, costs)
 
 
-def _of_curve(points: Sequence[Point], chosen: Point | None, noun: str) -> str:
+def _of_curve(points: Sequence[Point], chosen: Point | None, unit: _Unit) -> str:
     if chosen is None:
         best = min(points, key=lambda p: p.error.median)
         return f"The least error is that of {best.label}."
     if any(point is chosen for point in points):
-        return _around(points, chosen, noun)
+        return _around(points, chosen, unit)
     at = _passes(points, chosen)
     if at is not None:
         fine, rough = points[at.finer], points[at.rougher]
         return (
             f"It reaches the configured error at about {times(at.cost / chosen.cost.median)} the "
-            f"{noun}, between {fine.label} ({_ratio(fine, chosen)}, {_change(fine, chosen)}) and "
-            f"{rough.label} ({_ratio(rough, chosen)}, {_change(rough, chosen)})."
+            f"{unit.noun}, between {fine.label} ({_ratio(fine, chosen)}, "
+            f"{_change(fine, chosen, unit)}) and {rough.label} ({_ratio(rough, chosen)}, "
+            f"{_change(rough, chosen, unit)})."
         )
-    return _against(points, chosen, noun)
+    return _against(points, chosen, unit)
 
 
-def _around(points: Sequence[Point], chosen: Point, noun: str) -> str:
-    """What the neighbours of the configured point gain and lose."""
-    dearer = [p for p in points if _costs_more(p, chosen)]
-    cheaper = [p for p in points if _costs_more(chosen, p)]
-    texts = []
-    if dearer:
-        other = min(dearer, key=lambda p: p.cost.median)
-        texts.append(f"{other.label} takes {_ratio(other, chosen)} the {noun} and "
-                     f"{_change(other, chosen)}")  # fmt: skip
-    if cheaper:
-        other = max(cheaper, key=lambda p: p.cost.median)
-        texts.append(f"{other.label} takes {_ratio(other, chosen)} the {noun} and "
-                     f"{_change(other, chosen)}")  # fmt: skip
+def _around(points: Sequence[Point], chosen: Point, unit: _Unit) -> str:
+    """What the neighbours of the configured point gain and lose, and points of its own cost."""
     if len(points) == 1:
         return "Nothing but what is configured was measured on this curve."
-    if not texts:
-        return "Nothing else on this curve costs more or less, beyond the spread of the runs."
+    others = [p for p in points if p is not chosen]
+    dearer = [p for p in others if _costs_more(p, chosen)]
+    cheaper = [p for p in others if _costs_more(chosen, p)]
+    equal = [p for p in others if p not in dearer and p not in cheaper]
+    named = []
+    if dearer:
+        named.append(min(dearer, key=lambda p: p.cost.median))
+    if cheaper:
+        named.append(max(cheaper, key=lambda p: p.cost.median))
+    if equal:
+        named.append(max(equal, key=lambda p: p.error.median))
+        named.append(min(equal, key=lambda p: p.error.median))
+    texts = [
+        f"{point.label} {_takes(point, chosen, unit)} and {_change(point, chosen, unit)}"
+        for number, point in enumerate(named)
+        if point not in named[:number]
+    ]
     return f"Beside what is configured, {'; '.join(texts)}."
 
 
-def _against(points: Sequence[Point], chosen: Point, noun: str) -> str:
+def _against(points: Sequence[Point], chosen: Point, unit: _Unit) -> str:
     """A curve that the configured point is not on, by its measured points."""
-    good = [point for point in points if _as_good(point, chosen)]
+    good = [point for point in points if _as_good(point, chosen, unit)]
     if not good:
-        return _never(points, chosen, noun)
+        return _never(points, chosen, unit)
     best = min(good, key=lambda p: p.cost.median)
-    text = f"{best.label} {_takes(best, chosen, noun)} and {_change(best, chosen)}"
+    text = f"{best.label} {_takes(best, chosen, unit)} and {_change(best, chosen, unit)}"
     finest = min(points, key=lambda p: p.error.median)
     if finest is best or not finest.error.median < chosen.error.median:
         return f"{text}."
-    return f"{text}; {finest.label} takes {_ratio(finest, chosen)} and {_change(finest, chosen)}."
+    change = _change(finest, chosen, unit)
+    return f"{text}; {finest.label} takes {_ratio(finest, chosen)} and {change}."
 
 
-def _never(points: Sequence[Point], chosen: Point, noun: str) -> str:
+def _never(points: Sequence[Point], chosen: Point, unit: _Unit) -> str:
     best = min(points, key=lambda p: p.error.median)
     if chosen.error.median > 0:
         return (
             f"It does not come down to the configured error: {best.label} has "
             f"{times(best.error.median / chosen.error.median)} the error at "
-            f"{_ratio(best, chosen)} the {noun}."
+            f"{_ratio(best, chosen)} the {unit.noun}."
         )
     return (
         f"It is not exact as what is configured is; {best.label} has an error of "
-        f"{best.error.median:.2g} at {_ratio(best, chosen)} the {noun}."
+        f"{best.error.median:.2g} at {_ratio(best, chosen)} the {unit.noun}."
     )
 
 
-def _takes(point: Point, chosen: Point, noun: str) -> str:
+def _takes(point: Point, chosen: Point, unit: _Unit) -> str:
     if _costs_more(point, chosen) or _costs_more(chosen, point):
-        return f"takes {_ratio(point, chosen)} the {noun}"
-    return f"takes the same {noun} within the runs' spread"
+        return f"takes {_ratio(point, chosen)} the {unit.noun}"
+    return f"takes the same {unit.noun} within the runs' spread"
 
 
 def _costs_more(point: Point, other: Point) -> bool:
-    if point.cost.median <= other.cost.median * _CLOSE:
+    close = _CLOSE_OF_TWO if 1 < min(point.n_runs, other.n_runs) <= 2 else _CLOSE
+    if point.cost.median <= other.cost.median * close:
         return False
     return point.cost.low > other.cost.high or point.n_runs == 1
 
 
-def _as_good(point: Point, chosen: Point) -> bool:
-    if point.error.median <= chosen.error.median * _EQUAL:
+def _as_good(point: Point, chosen: Point, unit: _Unit) -> bool:
+    if point.error.median <= chosen.error.median * _EQUAL + unit.uncertain:
         return True
     return chosen.error.high > chosen.error.low and point.error.overlaps(chosen.error)
 
@@ -172,13 +190,15 @@ def _ratio(point: Point, chosen: Point) -> str:
     return times(point.cost.median / chosen.cost.median)
 
 
-def _change(point: Point, chosen: Point) -> str:
+def _change(point: Point, chosen: Point, unit: _Unit) -> str:
     """What becomes of the error when another point is taken."""
     found, wanted = point.error, chosen.error
     if found.median == wanted.median:
         return "leaves the error as it is"
     if found.high > found.low and found.overlaps(wanted):
         return "changes the error by no more than the runs differ"
+    if abs(found.median - wanted.median) <= unit.uncertain:
+        return "changes the error by no more than the references differ"
     if found.median == 0:
         return "is exact"
     if wanted.median == 0:

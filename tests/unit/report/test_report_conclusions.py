@@ -159,3 +159,48 @@ def test_no_order_is_fitted_to_the_error_of_the_reference() -> None:
     ]
     found = conclude(result_of(points, setting="the step", uncertain=0.003))
     assert found.sentences["ours"].endswith("Fitted order in the step: 2.0, from 3 points.")
+
+
+def test_points_of_the_configured_cost_are_told_by_their_errors() -> None:
+    points = [
+        point("pool", "12", 0.01, 1.0, configured=True),
+        point("pool", "1", 0.2, 1.01),
+        point("pool", "4", 0.03, 0.98),
+        point("pool", "64", 0.005, 1.02),
+    ]
+    assert conclude(result_of(points)).sentences["pool"] == (
+        "Beside what is configured, 1 takes the same time within the runs' spread and raises the "
+        "error to 20x; 64 takes the same time within the runs' spread and lowers the error by "
+        "50.0%."
+    )
+
+
+def test_two_runs_tell_no_difference_of_a_tenth_in_time() -> None:
+    points = [
+        point("rule", "2e-3", 0.1, 1.12, configured=True),
+        point("rule", "5e-4", 0.1, 1.0),
+    ]
+    of_two = [replace(p, n_runs=2) for p in points]
+    assert "is the cheapest of those measured" in conclude(result_of(of_two)).verdict
+    assert (
+        "takes the same time within the runs' spread and leaves the error as it is"
+        in (conclude(result_of(of_two)).sentences["rule"])
+    )
+    assert "is within 1.1x of the cheapest" in conclude(result_of(points)).verdict
+
+
+def test_errors_that_differ_by_less_than_the_references_are_not_told_apart() -> None:
+    points = [
+        point("number", "360", 0.010, 2.0, configured=True),
+        point("number", "180", 0.012, 1.0),
+        point("number", "90", 0.020, 0.5),
+    ]
+    found = conclude(result_of(points, uncertain=0.003))
+    assert found.verdict == (
+        "The configured point (number, 360) could be had in 0.5x of its time: number, 180 (as far "
+        "as the references can tell: they differ by more)."
+    )
+    assert found.sentences["number"].endswith(
+        "180 takes 0.5x the time and changes the error by no more than the references differ."
+    )
+    assert "is the cheapest" in conclude(result_of(points, uncertain=0.001)).verdict
