@@ -1,16 +1,22 @@
 """The report's own machinery finds the orders that are known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from tests.smoke_fixtures import puff
+from usdsmoke.core.march import march
+from usdsmoke.core.media import make_media
+from usdsmoke.core.views import orbit_view
 from usdsmoke.report.fit import crossing, fitted_order
+from usdsmoke.report.footprint import column_depths, footprint
 from usdsmoke.report.quadrature import RULES, integrate
 from usdsmoke.report.sweep_interpolation import Turn
 from usdsmoke.report.sweep_projection import tent_mean
+from usdsmoke.volume import DenseField
 
 
 def light(rule: str, n: int, k: float) -> float:
@@ -79,3 +85,39 @@ def test_a_tent_keeps_the_sum_and_is_what_a_splat_leaves() -> None:
     y, x = 8.5 / 5 - 0.5, 10.5 / 5 - 0.5
     assert coarse[1, 1] == pytest.approx((2 - y) * (2 - x))
     assert coarse[2, 2] == 0 or coarse[2, 2] == pytest.approx((y - 1) * (x - 1))
+
+
+def test_a_voxel_s_footprint_is_the_tent_of_tents_that_it_is_along_an_axis() -> None:
+    table, size = footprint(np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]))
+    n = len(table) // size  # entries a pixel
+    assert table.sum() / n**2 == pytest.approx(1, rel=1e-12)
+    spline = [2 / 3, 1 / 6, 0.0]  # a hat with a hat is the cubic B-spline
+    found = [[table[y * n, x * n] for x in range(3)] for y in range(3)]
+    assert np.allclose(found, np.outer(spline, spline), atol=1e-6)
+
+
+def test_a_footprint_ends_where_voxel_and_pixel_do() -> None:
+    edges = np.array([[0.9, 0.1], [-0.2, 0.8], [0.3, -0.4]])
+    table, size = footprint(edges)
+    offset = np.fft.fftfreq(len(table), 1 / size)
+    far = np.abs(offset) > 1 + np.abs(edges).sum(axis=0).max()
+    assert np.abs(table[far]).max() < 1e-6 * table.max() and table.min() > -1e-6 * table.max()
+
+
+def test_columns_agree_with_rays_through_the_same_smoke_as_these_grow_many() -> None:
+    density = puff(8, 3)
+    field = DenseField("density", density, (0, 0, 0), np.eye(4))
+    view = replace(orbit_view(25, 35, "Y", np.full(3, 3.5), 20, 20, 1.0), shift=(0.3, -0.2))
+    positions = np.stack(np.nonzero(density), axis=-1).astype(float)
+    exact = column_depths(positions, density[density != 0].astype(float), np.eye(3), view)
+    assert exact.sum() == pytest.approx(density.sum(dtype=float), rel=1e-5)
+    media = make_media(field, None, np.eye(4), None, 1.0, 1.0)
+    errors = []
+    for n in (4, 8, 16):
+        fine = replace(
+            view, height=20 * n, width=20 * n, pixel_size=1 / n, shift=(0.3 * n, -0.2 * n)
+        )
+        found = tent_mean(march(media, fine, rays=1).depth.astype(float), n)
+        errors.append(float(np.sqrt(((found - exact) ** 2).mean() / (exact**2).mean())))
+    assert fitted_order([1 / 4, 1 / 8, 1 / 16], errors) == pytest.approx(2, abs=0.2)
+    assert errors[-1] < 2e-4
