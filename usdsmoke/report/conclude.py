@@ -56,15 +56,27 @@ def _verdict(result: SweepResult, chosen: Point | None, unit: _Unit) -> str:
     if len(points) == 1:
         return f"{name} is the only one that was measured."
     good = [p for p in points if p is chosen or _as_good(p, chosen, unit)]
-    best = min(good, key=lambda p: p.cost.median)
+    best = min((p for p in good if p.offered or p is chosen), key=lambda p: p.cost.median)
     if best is chosen or not _costs_more(chosen, best):
-        rest = _cheaper_between(result, chosen, unit)
+        rest = _without_setting(good, chosen, unit) or _cheaper_between(result, chosen, unit)
         return f"{name} is the cheapest of those measured at its error{rest}."
     ratio = chosen.cost.median / best.cost.median
     other = f"{best.curve}, {best.label}{_as_far(best, chosen)}"
     if ratio < 2:
         return f"{name} is within {times(ratio)} of the cheapest at its error: {other}."
     return f"{name} could be had in {times(1 / ratio)} of its {unit.noun}: {other}."
+
+
+def _without_setting(good: Sequence[Point], chosen: Point, unit: _Unit) -> str:
+    """What would be cheaper, but that no setting leads there."""
+    best = min(good, key=lambda p: p.cost.median)
+    if best is chosen or best.offered or not _costs_more(chosen, best):
+        return ""
+    far = _as_far(best, chosen)
+    return (
+        f" that a setting leads to; {best.curve}, {best.label}{far} would take "
+        f"{_ratio(best, chosen)} the {unit.noun}, and no setting leads there"
+    )
 
 
 def _as_far(point: Point, chosen: Point) -> str:

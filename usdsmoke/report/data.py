@@ -63,6 +63,7 @@ def _sweep(result: SweepResult) -> dict[str, Any]:
                 "label": point.label,
                 "setting": point.setting,
                 "configured": point.configured,
+                "offered": point.offered,
                 "runs": point.n_runs,
                 **{name: asdict(getattr(point, name)) for name in ("error", "cost", "cpu", "wall")},
             }

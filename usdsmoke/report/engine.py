@@ -240,7 +240,7 @@ def _points(item: _UnderWay, on_gpu: bool) -> tuple[Point, ...]:
         points.append(
             Point(
                 task.curve, label, task.configured, task.setting, found.error, cost, found.cpu,
-                found.wall, item.plan.n_runs,
+                found.wall, item.plan.n_runs, task.offered,
             )
         )  # fmt: skip
     return tuple(points)

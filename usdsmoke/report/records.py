@@ -51,6 +51,7 @@ class Task:
     effort: float = 1.0  # expected time, in any unit that all tasks of a sweep share
     size: Callable[[Any], float] | None = None  # cost of a result that is no time, such as bytes
     prepare: Callable[[], None] = lambda: None  # what is done once, before time is taken
+    offered: bool = True  # whether a setting of usdsmoke leads there
     key: Hashable = None  # tasks of one key, in any sweep, are one work: done and timed once
     note: Callable[[Any], str] | None = None  # of a result: what the label does not know before
     trace: Callable[[Any], Hashable] | None = None  # of a result: equal where the work was the same
@@ -86,6 +87,7 @@ class Point:
     cpu: Spread  # seconds, of this process and its children
     wall: Spread  # seconds
     n_runs: int
+    offered: bool = True  # whether a setting of usdsmoke leads there
 
 
 @dataclass(frozen=True)

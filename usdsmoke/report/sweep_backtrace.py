@@ -61,6 +61,7 @@ def _plan(case: Case) -> Plan:
             1 / n,
             order == 2 and n == chosen,
             float(order * n),
+            offered=order == 2 and n == chosen,
         )
         for n in sorted({*_SUBSTEPS, chosen}, key=lambda n: (n != chosen, n))
         for order, name in sorted(_ORDERS.items(), key=lambda item: item[0] != 2)
@@ -75,6 +76,7 @@ def _plan(case: Case) -> Plan:
         f"order 4 in {_REFERENCE_SUBSTEPS} sub-steps; order 2 in {4 * _REFERENCE_SUBSTEPS} differs "
         f"from it by {error(second):.1e} voxels.",
         setting="the sub-step",
+        uncertain=error(second),
         n_runs=5,
         warm_up=True,
     )

@@ -60,6 +60,7 @@ def _plan(case: Case) -> Plan:
             error,
             1 / n,
             effort=20.0 * n**2,
+            offered=False,
         )
         for n in _RAYS
     ]

@@ -204,3 +204,15 @@ def test_errors_that_differ_by_less_than_the_references_are_not_told_apart() -> 
         "180 takes 0.5x the time and changes the error by no more than the references differ."
     )
     assert "is the cheapest" in conclude(result_of(points, uncertain=0.001)).verdict
+
+
+def test_what_no_setting_leads_to_is_not_recommended() -> None:
+    points = [
+        point("float32", "as they come", 0.1, 2.0, configured=True),
+        point("float32", "channels last", 0.1, 1.0, offered=False),
+    ]
+    assert conclude(result_of(points)).verdict == (
+        "The configured point (float32, as they come) is the cheapest of those measured at its "
+        "error that a setting leads to; float32, channels last would take 0.5x the time, and no "
+        "setting leads there."
+    )
