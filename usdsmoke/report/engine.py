@@ -129,7 +129,10 @@ def run_sweeps(
             reason = f"{item.failure or _no_time(budget)}: {'; '.join(missing)}"
             omitted.append(Omission(f"Points of “{sweep.title}”", reason))
         points = _points(item, case.on_gpu)
-        results.append(conclude(SweepResult(sweep.name, sweep.title, item.plan, points, missing)))
+        plan = item.plan
+        if plan.chance is not None:
+            plan = replace(plan, uncertain=plan.chance())
+        results.append(conclude(SweepResult(sweep.name, sweep.title, plan, points, missing)))
     return results, omitted
 
 

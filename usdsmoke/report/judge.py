@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Judge", "Outcome"]
 
-_N_VIEWS = 8  # that nobody used, and at most as many that were
+_N_VIEWS = 16  # that nobody used, and at most as many that were
 _SEED = 20_011  # far from any run's
 
 
@@ -54,6 +54,7 @@ class Judge:
             case.styles, case.small_scene, config, case.device
         )
         self._prepared: dict[Hashable, Sequence[ColourView]] = {}  # by place
+        self._chances: list[float] = []  # standard errors of gaps
 
     def loss(self, outcome: Outcome) -> float:
         """The configured loss of a result, the mean over the unused views."""
@@ -71,9 +72,19 @@ class Judge:
         seed = config.optimize.seed + outcome.n_octaves - 1  # of the last octave's pool
         pool = frame_views(outcome.smoke, config, self._scene, seed)
         used = pool[:: max(1, len(pool) // _N_VIEWS)][:_N_VIEWS]
-        ours = float(np.mean([style for style, _ in self._losses(outcome, used)]))
-        others = float(np.mean([style for style, _ in self._unseen(outcome)]))
-        return abs(others - ours) / ours if ours > 0 else 0.0
+        ours = [style for style, _ in self._losses(outcome, used)]
+        others = [style for style, _ in self._unseen(outcome)]
+        mean = float(np.mean(ours))
+        if mean <= 0:
+            return 0.0
+        squares = float(np.var(others)) / len(others) + float(np.var(ours)) / len(ours)
+        self._chances.append(squares**0.5 / mean)
+        return abs(float(np.mean(others)) - mean) / mean
+
+    def chance(self) -> float:
+        """What the gap of results that look alike from everywhere would be, as single views differ:
+        its standard error, the least of all gaps that were looked at."""
+        return float(min(self._chances, default=0.0))
 
     def start(self, smoke: "ActiveSmoke", density: Any, place: Hashable) -> float:
         """The loss before the step: of noise, or of density that was not moved."""

@@ -68,6 +68,7 @@ class Plan:
     y_label: str = CPU_TIME
     setting: str = ""  # what the numbers along a curve are, where an order can be fitted to them
     uncertain: float = 0.0  # how far the reference itself may be off, where a second one tells
+    chance: Callable[[], float] | None = None  # the same, where it is only known after the points
     n_runs: int = 3
     warm_up: bool = False
     rate: float = 0.0  # seconds that a unit of effort is expected to take; 0: not known before

@@ -49,8 +49,10 @@ def _plan_pool(case: Case) -> Plan:
         f"The {step} step on {copy_text(case)} with {sum(base)} iterations, as "
         "configured. Few views to draw from fit their own pictures, and others less: the error is "
         "what a run tells as “unseen views” at its end, over more views.",
-        "0, a result that looks as good from everywhere. A pool of 64 views, where it was "
-        "measured, tells how near to 0 the measure comes.",
+        "0, a result that looks as good from everywhere. Views differ among themselves, so the "
+        "measure does not come to 0: a pool of 64 views, where it was measured, tells how near it "
+        "does, and the standard error over the views counts as its uncertainty.",
+        chance=trial.judge.chance,
         n_runs=N_RUNS,
         rate=seconds,
     )

@@ -70,9 +70,12 @@ def test_errors_fall_with_the_iterations(tmp_path: Path) -> None:
 
 def test_a_single_view_is_told_to_fit_no_other(tmp_path: Path) -> None:
     case = timeless(case_of(make_scene(tmp_path, n_frames=1), "colour.iterations=[0, 60]"))
-    tasks = {task.label: task for task in _BY_NAME["views"].plan(case).tasks}
+    plan = _BY_NAME["views"].plan(case)
+    tasks = {task.label: task for task in plan.tasks}
     one, many = (tasks[f"views.pool={n}"] for n in (1, 64))
-    assert one.error(one.work(0)) > 3 * many.error(many.work(0))
+    alone = one.error(one.work(0))
+    assert alone > 3 * many.error(many.work(0))
+    assert plan.chance is not None and 0 < plan.chance() < alone / 3
 
 
 def test_a_rule_that_stops_early_is_told_with_what_was_done(tmp_path: Path) -> None:
