@@ -152,7 +152,8 @@ def _add_submit(commands: Any) -> None:
         dest="program",
         default="usdsmoke",
         metavar="PROGRAM",
-        help="what the machines of the queue start; default: usdsmoke",
+        help="what the machines of the queue start: one program, by name or path, without "
+        "arguments; default: usdsmoke",
     )
 
 

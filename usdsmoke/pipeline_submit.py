@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.config import Config, config_to_yaml
-from usdsmoke.errors import OutputExists
+from usdsmoke.errors import ConfigError, OutputExists
 from usdsmoke.openjd_template import (
     FIRST_LINE,
     asset_references,
@@ -67,9 +67,11 @@ def submit(
 
     Raises:
         UsdSmokeError: what ``plan_stylize`` raises.
+        ConfigError: the command is no single program.
         OutputExists: a file of another origin stands where one of the bundle goes.
         WriteFailed: the operating system refused.
     """
+    _check_program(command)
     styles = style_paths(style)
     resolved, explicit = resolve_settings(config, settings)
     resolved = _with_network_file(resolved)
@@ -100,6 +102,16 @@ def submit(
     }
     _publish_texts(texts)
     return JobBundle(target, tuple(beside.values()), parameters, n_windows)
+
+
+def _check_program(command: str) -> None:
+    """A queue starts a program and hands it arguments; it takes no line of a shell apart."""
+    if len(command.split()) > 1 and not Path(command).is_file():
+        raise ConfigError(
+            f"the command {command!r} is no single program; wanted one program, by name or path, "
+            "without arguments: write them into an executable script, such as\n"
+            f'  #!/bin/sh\n  exec {command} "$@"\nand give --command its path'
+        )
 
 
 def _with_network_file(config: Config) -> Config:

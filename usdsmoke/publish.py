@@ -10,6 +10,7 @@ import errno
 import os
 import re
 import socket
+import time
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,6 +33,12 @@ _ADVICE = {
     errno.EISDIR: "choose another name; there is a folder of this name",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
+
+# What tells a machine from others, beside its name: containers may share that, and number their
+# processes by themselves.
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_PROCESS_SPACE = Path("/proc/self/ns/pid")
+_STALE_S = 24 * 3600.0  # after which a temporary of somewhere else is nobody's any more
 
 # Answers of file systems that cannot sync a folder; the rename itself has succeeded by then.
 _FOLDER_SYNC_UNSUPPORTED = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
@@ -134,9 +141,10 @@ def remove_empty(folders: Sequence[Path]) -> None:
 
 
 def remove_leftovers(folder: Path) -> list[Path]:
-    """Remove the temporaries of processes of this machine that are no longer running.
+    """Remove the temporaries of processes that are no longer running.
 
-    Temporaries of other machines are left alone: whether their process lives cannot be known here.
+    Whether a process of another machine or container lives cannot be known here: its temporaries
+    are left alone for a day, far longer than anything takes to be written.
 
     Args:
         folder: the folder to look in, not below it; a folder that does not exist has none.
@@ -151,10 +159,9 @@ def remove_leftovers(folder: Path) -> list[Path]:
         return []
     for name in names:
         match = _LEFTOVER.fullmatch(name)
-        if match and match[1] == _host_mark() and not _is_running(int(match[2])):
-            leftover = Path(folder) / name
-            if _remove_quietly(leftover):
-                removed.append(leftover)
+        leftover = Path(folder) / name
+        if match and _is_abandoned(leftover, match[1], int(match[2])) and _remove_quietly(leftover):
+            removed.append(leftover)
     return removed
 
 
@@ -164,8 +171,22 @@ def _temporary_path(target: Path) -> Path:
 
 
 def _host_mark() -> str:
-    """Eight hexadecimal digits for this machine: process ids mean nothing on another one."""
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+    """Eight hexadecimal digits for the space in which process ids mean something: this machine
+    since it was started, or a container on it."""
+    try:
+        boot, space = _BOOT.read_text(encoding="utf-8"), _PROCESS_SPACE.stat().st_ino
+    except OSError:  # not Linux
+        boot, space = "", 0
+    return f"{zlib.crc32(f'{socket.gethostname()} {space} {boot}'.encode()):08x}"
+
+
+def _is_abandoned(leftover: Path, mark: str, process_id: int) -> bool:
+    if mark == _host_mark():
+        return not _is_running(process_id)
+    try:
+        return time.time() - leftover.stat().st_mtime > _STALE_S
+    except OSError:
+        return False  # gone meanwhile
 
 
 def _is_running(process_id: int) -> bool:

@@ -114,6 +114,18 @@ def test_a_command_that_no_queue_can_run_is_refused(command: str) -> None:
         job_template("shot", 1, 1, 1.0, command)
 
 
+@pytest.mark.usefixtures("core")
+def test_a_line_of_a_shell_is_refused_and_a_program_with_a_space_in_its_path_is_not(
+    shot: Shot,
+) -> None:
+    with pytest.raises(ConfigError, match=r'no single program(.|\n)*exec python -m usdsmoke "\$@"'):
+        submit(shot.stage, shot.style, shot.output, command="python -m usdsmoke")
+    assert not shot.output.exists()
+    program = shot.folder / "my tools"
+    program.touch()
+    submit(shot.stage, shot.style, shot.output, command=str(program))
+
+
 def test_more_styles_than_a_template_can_name_are_refused() -> None:
     decoded(job_template("shot", 1, 45, 1.0))
     with pytest.raises(PlanError, match="46 style images make 51 job parameters"):

@@ -185,6 +185,22 @@ def test_leftovers_of_other_machines_and_other_files_are_left_alone(tmp_path: Pa
     assert len(os.listdir(tmp_path)) == 4
 
 
+def test_containers_of_one_name_leave_each_others_temporaries_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = publish._temporary_path(tmp_path / "a.vdb")
+    theirs.write_text("x")
+    monkeypatch.setattr(publish, "_is_running", lambda process_id: False)
+    space = tmp_path / "pid"
+    space.touch()
+    monkeypatch.setattr(publish, "_PROCESS_SPACE", space)
+    assert publish._temporary_path(tmp_path / "a.vdb") != theirs
+    assert remove_leftovers(tmp_path) == []
+    days_ago = time.time() - 2 * 24 * 3600
+    os.utime(theirs, (days_ago, days_ago))
+    assert remove_leftovers(tmp_path) == [theirs]
+
+
 def test_folder_that_does_not_exist_has_no_leftovers(tmp_path: Path) -> None:
     assert remove_leftovers(tmp_path / "none") == []
 

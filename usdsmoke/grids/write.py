@@ -31,6 +31,7 @@ _VECTOR_TYPES = (
 )
 _OWN_KEYS = ("class", "is_saved_as_half_float", "name", "value_type", "vector_type")
 _TRANSFORM_TOLERANCE = 1e-9  # of the largest scale; OpenVDB makes nearly equal scales equal
+_DISK_TRIAL = 1 << 16  # bytes, to see whether the disk takes any more
 _LEAST_SHEAR = 1e-10  # of the largest scale; OpenVDB drops shears around it, depending on the size
 
 
@@ -46,7 +47,8 @@ def write_frame(
     Voxels equal to the background become inactive. Names, classes, transforms and the fields'
     metadata are kept; vectors are ``invariant`` (right for colour) unless the metadata says
     otherwise. OpenVDB reports neither a full disk nor a short write, so the file is read back by
-    another process and compared before it takes the place of an older one.
+    another process and compared before it takes the place of an older one; where it differs, the
+    disk is tried out, so that a full one is called so.
 
     Args:
         file_path: where the file shall stand; its folder must exist. An old file is replaced.
@@ -79,9 +81,11 @@ def write_frame(
 
     def write(temporary: Path) -> None:
         arrays = [field.values for field in stored]
+        temporary.write_bytes(b"")  # what the system refuses is told in its own words
         try:
             run_child({**request, "file_path": str(temporary)}, arrays, config)
         except ChildFailure as failure:
+            _try_disk(temporary)
             raise WriteFailed(
                 f"cannot write {target.name} in {target.parent}: {failure}; check the output "
                 "folder and its disk, and whether grids.memory_limit_gib is large enough"
@@ -213,10 +217,24 @@ def _check_written(
             found = f"other values or places in {', '.join(different)}"
     except GridError as error:
         found = f"an unreadable file ({error})"
+    _try_disk(temporary)
     raise WriteFailed(
         f"{target.name} did not come back from disk as it was written: found {found}; look whether "
-        f"the disk of {target.parent} is full, and run again"
+        f"the disk of {target.parent} was full, and run again"
     )
+
+
+def _try_disk(temporary: Path) -> None:
+    """Raise the system's own error where the disk takes no more: OpenVDB says nothing of it.
+
+    Raises:
+        OSError: the disk is full, a quota is used up, or the folder may not be written to.
+    """
+    with open(temporary, "ab", buffering=0) as stream:
+        left = _DISK_TRIAL
+        while left > 0:
+            left -= stream.write(bytes(left))
+        os.fsync(stream.fileno())
 
 
 def _is_same(written: DenseField, read: DenseField) -> bool:

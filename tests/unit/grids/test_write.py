@@ -1,6 +1,8 @@
 """Writing a frame: what is refused, what is left out, and that a short write is found out."""
 
 import dataclasses
+import errno
+import io
 import os
 import signal
 import subprocess
@@ -15,6 +17,7 @@ import pytest
 from tests.grids_fixtures import TIGHT, make_field, make_vectors
 from usdsmoke.errors import NonFiniteError, WriteFailed
 from usdsmoke.grids import write
+from usdsmoke.grids.child import ChildFailure
 from usdsmoke.grids.header import read_header
 from usdsmoke.grids.read import GridRequest, read_grids
 from usdsmoke.grids.write import clean_metadata, write_frame
@@ -119,6 +122,41 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
     assert "full" in done.stdout
     assert target.read_bytes() == before
     assert os.listdir(tmp_path) == ["smoke.0001.vdb"]
+
+
+class FullDisk(io.BytesIO):
+    """A file that takes nothing any more."""
+
+    def write(self, data: Any) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("is_crash", [False, True])
+def test_a_full_disk_is_called_so_and_not_a_damaged_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_crash: bool
+) -> None:
+    def write_nothing(*arguments: object) -> None:
+        if is_crash:
+            raise ChildFailure("OpenVDB ended with SIGSEGV")
+
+    monkeypatch.setattr(write, "run_child", write_nothing)
+    monkeypatch.setattr(write, "open", lambda *_, **__: FullDisk(), raising=False)
+    message = r"cannot write a\.vdb in .*: No space left on device; free some space"
+    with pytest.raises(WriteFailed, match=message):
+        write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_may_not_be_written_to_is_named_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(write, "run_child", lambda *_: pytest.fail("OpenVDB was started"))
+    with pytest.raises(WriteFailed, match="Read-only file system; choose an output folder"):
+        write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
 
 
 @pytest.mark.parametrize(
