@@ -66,8 +66,7 @@ def submit(
         command: the program that the queue's machines start.
 
     Raises:
-        UsdSmokeError: what ``plan_stylize`` raises.
-        ConfigError: the command is no single program.
+        UsdSmokeError: what ``plan_stylize`` raises; the command is no single program.
         OutputExists: a file of another origin stands where one of the bundle goes.
         WriteFailed: the operating system refused.
     """
