@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
+from usdsmoke.error_bounds import Tolerance, judge
+
 __all__ = ["ErrorBudget", "ErrorEstimate", "make_budget"]
 
 _Value = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # report -> value, seconds it took
@@ -43,6 +45,7 @@ class ErrorBudget:
     left_out: Mapping[str, str]  # why, by name
     seconds: Mapping[str, float]  # of the steps, and of the estimates
     notes: Mapping[str, str] = field(default_factory=dict)  # what an estimate does not hold
+    tolerance: Tolerance | None = None  # how it was kept; None where none was asked for
 
     def __getitem__(self, name: str) -> ErrorEstimate:
         """The estimate of this name; KeyError if it was left out."""
@@ -55,13 +58,17 @@ class ErrorBudget:
             "left_out": dict(self.left_out),
             "seconds": dict(self.seconds),
             "notes": dict(self.notes),
+            "tolerance": None if self.tolerance is None else self.tolerance.to_dict(),
         }
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> "ErrorBudget":
         """The budget that ``to_dict`` gave."""
         estimates = tuple(ErrorEstimate(**values) for values in found["estimates"])
-        return cls(estimates, found["left_out"], found["seconds"], found.get("notes", {}))
+        kept = found.get("tolerance")
+        tolerance = None if kept is None else Tolerance.from_dict(kept)
+        notes = found.get("notes", {})
+        return cls(estimates, found["left_out"], found["seconds"], notes, tolerance)
 
     @property
     def texts(self) -> list[str]:
@@ -71,7 +78,8 @@ class ErrorBudget:
             for estimate in self.estimates
             for note in [self.notes.get(estimate.name, "")]
         ]
-        return found + [f"{name}=left out: {why}" for name, why in self.left_out.items()]
+        found += [f"{name}=left out: {why}" for name, why in self.left_out.items()]
+        return found if self.tolerance is None else [*found, f"tolerance={self.tolerance}"]
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,7 @@ def make_budget(
     reports: Iterable[Mapping[str, Any]],
     reasons: Mapping[str, str] | None = None,
     notes: Mapping[str, str] | None = None,
+    target: float | None = None,
 ) -> ErrorBudget:
     """The budget of frames whose reports are given, in the order of the result's files.
 
@@ -94,6 +103,8 @@ def make_budget(
         reports: of the frames; empty ones do not count.
         reasons: why no frame has an entry, by its name, where that is known.
         notes: what an entry does not hold, by its name.
+        target: a tolerance that the settings were chosen for; each entry that it bounds is judged
+            by its largest value.
     """
     reports = [report for report in reports if report]
     estimates, left_out = [], {}
@@ -117,7 +128,11 @@ def make_budget(
             seconds[step] = math.fsum(value for value in spent if _is(value))
     seconds["estimates"] = math.fsum(estimate.seconds for estimate in estimates)
     known = {name: note for name, note in (notes or {}).items() if name not in left_out}
-    return ErrorBudget(tuple(estimates), left_out, seconds, known)
+    tolerance = None
+    if target is not None:
+        largest = {estimate.name: estimate.largest for estimate in estimates}
+        tolerance = judge(target, largest, left_out)
+    return ErrorBudget(tuple(estimates), left_out, seconds, known, tolerance)
 
 
 def _part(report: Mapping[str, Any], name: str) -> Mapping[str, Any]:

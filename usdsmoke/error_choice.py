@@ -1,14 +1,8 @@
 """The cheapest settings whose estimated errors stay below a tolerance, from a calibration.
 
-The tolerance E bounds three things, each by itself:
-
-- what discretisation does to the picture and the grids: half of E goes to the resolution, a quarter
-  to the transport, an eighth each to 16-bit floats and to pruning. An estimate may be wrong by a
-  factor, so each has to stay below half of its part;
-- the decrease of the loss that the optimiser leaves, as a share of the whole fall;
-- the standard error of the loss over the pool of views, relative to the loss.
-
-It says nothing of errors between frames.
+``error_bounds`` says which part of a tolerance each error may have. An estimate may be wrong by a
+factor, so each has to stay below half of its part. Whatever cannot be chosen, or cannot be kept, is
+told in a sentence too.
 """
 
 import math
@@ -16,12 +10,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from usdsmoke.error_bounds import SAFETY, part_of
+
 __all__ = ["Choice", "choose_settings", "user_values"]
 
-SAFETY = 2.0
 FEWEST_VIEWS, MOST_VIEWS = 4, 64
-FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 4.0
+FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
 HARDLY_FALLEN = 0.9  # share of its fall that a pilot has before it, beyond which it tells nothing
+LEAST_MOVE = 0.05  # voxels, below which a pilot has not moved its smoke
 
 
 @dataclass(frozen=True)
@@ -63,71 +59,115 @@ def choose_settings(
         set_by_user: settings by dotted name that win over the choice.
     """
     choices = _Choices(set_by_user)
-    if measured:
-        _choose_picture(choices, measured, target / 2)
-        _choose_transport(choices, measured, target / 4)
-        _choose_storage(choices, measured, target / 8)
-        for step, found in measured["steps"].items():
-            _choose_iterations(choices, step, found, target, iterations[step])
-        _choose_views(choices, measured["view_deviation"], target)
+    if not measured:
+        why = "the calibrated frame has nothing to stylize: all settings stay as they are"
+        return Choice({}, (why,))
+    _choose_picture(choices, measured, target)
+    _choose_transport(choices, measured["transport"], part_of("transport", target))
+    _choose_storage(choices, measured, part_of("storage, density", target) / 2)
+    for step, planned in iterations.items():
+        part = part_of(f"optimiser, {step}", target)
+        _choose_iterations(choices, step, measured["steps"].get(step), part, planned)
+    _choose_views(choices, measured, target)
     return Choice(choices.settings, tuple(choices.notes))
 
 
-def _choose_picture(choices: _Choices, measured: Mapping[str, Any], part: float) -> None:
-    sizes = measured["image_sizes"]
+def _choose_picture(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
+    sizes, part = measured["image_sizes"], part_of("resolution", target)
     if sizes:
         fits = [pair for pair in sizes if SAFETY * pair[1] <= part]
         size, error = fits[0] if fits else sizes[-1]
         choices.take("views.image_size", int(size), _judged("resolution", error, part))
-    quadrature = measured["quadrature"]
-    choices.notes.append(
-        f"{_judged('quadrature', quadrature, part)}; its step is the voxel, which is no choice"
-    )
+    else:
+        choices.notes.append(
+            "views.image_size stays: no whole number of voxels a pixel gives 16 to 2048 pixels"
+        )
+    quadrature = _judged("quadrature", measured["quadrature"], part_of("quadrature", target))
+    choices.notes.append(f"{quadrature}; its step is the voxel, which is no choice")
 
 
-def _choose_transport(choices: _Choices, measured: Mapping[str, Any], part: float) -> None:
-    errors = measured["transport"]
-    if "shape" in measured["steps"]:
-        scheme = "linear" if SAFETY * errors["linear"] <= part else "cubic"
-        choices.take("shape.interpolation", scheme, _judged("transport", errors[scheme], part))
+def _choose_transport(choices: _Choices, errors: Mapping[str, float] | None, part: float) -> None:
+    if errors is None:
+        choices.notes.append("shape.interpolation stays: there is no shape step")
+        return
+    scheme = "linear" if SAFETY * errors["linear"] <= part else "cubic"
+    why = _judged("transport", errors[scheme], part)
+    if errors["moved"] < LEAST_MOVE:
+        why += "; the pilot hardly moved the smoke, so this is of a shift by half a voxel"
+    choices.take("shape.interpolation", scheme, why)
 
 
 def _choose_storage(choices: _Choices, measured: Mapping[str, Any], part: float) -> None:
     half = SAFETY * measured["half"] <= part
-    choices.take("grids.half", half, _judged("16-bit floats", measured["half"], part))
+    error = measured["half"] if half else 0.0
+    why = _judged("16-bit floats", error, part) if half else (
+        f"16-bit floats would lose {measured['half']:.2g}, too much for {part:.2g}"
+    )  # fmt: skip
+    choices.take("grids.half", half, why)
     fits = [pair for pair in measured["prune"] if SAFETY * pair[0] <= part]
     lost, level = fits[-1] if fits else (0.0, 0.0)
     choices.take("grids.prune", level, _judged("pruning", lost, part))
 
 
 def _choose_iterations(
-    choices: _Choices, step: str, found: Mapping[str, float], target: float, planned: Sequence[int]
+    choices: _Choices,
+    step: str,
+    found: Mapping[str, Any] | None,
+    part: float,
+    planned: Sequence[int],
 ) -> None:
-    """The pilot's tail goes on like an exponential: share(n) = remaining^(n / pilot)."""
+    """What remains of the last octave's fall F goes as F / (1 + n / a), with both from the pilot.
+
+    It is bounded relative to the final loss, which is what remains and the loss without end.
+    """
+    name = f"{step}.iterations"
+    if found is None:
+        choices.notes.append(f"{name} stay: there is no {step} step")
+        return
     if "optimize.iterations" in choices.user:
-        choices.notes.append(f"{step}.iterations follow from optimize.iterations, which is set")
+        choices.notes.append(f"{name} follow from optimize.iterations, which is set")
         return
-    share = found["remaining"]
-    if share > HARDLY_FALLEN:
-        choices.notes.append(f"{step}.iterations stay: the pilot's loss did not fall")
+    share = found.get("remaining", 1.0)
+    if "why" in found or share > HARDLY_FALLEN:
+        why = found.get("why", "the pilot's loss hardly fell")
+        choices.notes.append(f"{name} stay, and nothing is known of what they leave: {why}")
         return
-    factor = min(math.log(SAFETY / target) / -math.log(share), LARGEST_FACTOR) if target < 1 else 0
-    wanted = [max(math.ceil(n * factor - 1e-9), FEWEST_ITERATIONS) if n else 0 for n in planned]
-    left = share**factor
-    why = f"the loss would then have {left:.2g} of its fall left (wanted {target / SAFETY:.2g})"
-    choices.take(f"{step}.iterations", wanted, why)
+    half = found["iterations"] * share / (1 - share)
+    finest = next((n for n in reversed(planned) if n), 0)
+    wanted = min(part / SAFETY, 0.5)
+    enough = half * (found["fall"] * (1 - wanted) / wanted - 1)
+    needed = min(max(enough, FEWEST_ITERATIONS), LARGEST_FACTOR * finest)
+    left = found["fall"] / (1 + needed / half)
+    numbers = [
+        max(math.ceil(n * needed / finest - 1e-9), FEWEST_ITERATIONS) if n else 0 for n in planned
+    ]
+    what = f"share of the {step} step's loss that would still go"
+    choices.take(name, numbers, _judged(what, left / (1 + left), part))
 
 
-def _choose_views(choices: _Choices, deviation: float, target: float) -> None:
-    wanted = math.ceil((deviation / target) ** 2)
-    pool = min(max(wanted, FEWEST_VIEWS), MOST_VIEWS)
-    error = deviation / math.sqrt(pool)
-    choices.take("views.pool", pool, _judged("view sampling", error, target))
+def _choose_views(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
+    """Standard errors of means fall as 1 / sqrt(pool), those of views beside it as 1 / pool."""
+    deviation, unseen = measured["view_deviation"], measured["unseen_views"]
+    sampling, beside = part_of("view sampling", target), part_of("unseen views", target)
+    wanted = (SAFETY * deviation / sampling) ** 2
+    summed = 0.0 if unseen is None else unseen[0] * unseen[1]
+    wanted = max(wanted, SAFETY * summed / beside)
+    pool = min(max(math.ceil(min(wanted, MOST_VIEWS)), FEWEST_VIEWS), MOST_VIEWS)
+    notes = [_judged("view sampling", deviation / math.sqrt(pool), sampling)]
+    if unseen is not None:
+        notes.append(_judged("unseen views", summed / pool, beside))
+    choices.take("views.pool", pool, "; ".join(notes))
 
 
 def _judged(what: str, error: float, part: float) -> str:
-    kept = "of" if SAFETY * error <= part or what == "view sampling" else "more than its part,"
-    return f"{what} {error:.2g}, {kept} {part:.2g}"
+    """What an estimate comes to; a thousandth above its half is a rounded number of iterations."""
+    if SAFETY * error <= 1.001 * part:
+        return f"{what} {error:.2g}, of {part:.2g}"
+    if error <= part:
+        return f"may not be kept: {what} {error:.2g} at the tightest, of {part:.2g}"
+    return (
+        f"cannot be kept: {what} estimated at {error:.2g} with the tightest settings, of {part:.2g}"
+    )
 
 
 def user_values(

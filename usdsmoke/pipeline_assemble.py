@@ -138,16 +138,18 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         more: further warnings.
     """
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
+    budget = run_budget(job.plan, run.reports)
+    broken = budget.tolerance.warnings if budget.tolerance is not None else ()
     return StylizeResult(
         root_stage=job.targets.root_stage,
         look_layer=job.targets.look_layer,
         frames=tuple(run.folder / name for name in names),
         contact_sheets=tuple(sheet for sheet in _sheets(job) if sheet.is_file()),
         plan=job.plan,
-        warnings=(*job.earlier.notes, *_warnings(job.plan, run), *more),
+        warnings=(*job.earlier.notes, *_warnings(job.plan, run), *broken, *more),
         temporal_error=_temporal_error(run),
         overlap_difference=_overlap_difference(run),
-        error_budget=run_budget(job.plan, run.reports),
+        error_budget=budget,
     )
 
 

@@ -26,7 +26,8 @@ def run_budget(plan: Plan, reports: _Reports) -> ErrorBudget:
     reasons = {name: _joined(each[name] for each in found) for name in (found[0] if found else ())}
     # In the order of names: a sum's last bits must not depend on who ran which window.
     ordered = [reports[name] for name in sorted(reports)]
-    return make_budget(ordered, reasons, _notes(volumes, reports))
+    target = plan.config.optimize.target_error
+    return make_budget(ordered, reasons, _notes(volumes, reports), target)
 
 
 def _of(volume: VolumePlan, reports: _Reports) -> list[Mapping[str, Any]]:

@@ -1,8 +1,8 @@
-"""What a scene's errors are before a run: measured on one frame, at a quarter of its resolution.
+"""What a scene's errors are before a run: measured on one frame, stylized in short.
 
-A pilot frame is stylized with the coarsest octave alone, which costs a small part of a frame, and
-its own error estimates are kept with what pictures, files and iterations of other settings would
-lose. ``error_choice`` chooses from these.
+The pilot is the run's own pipeline at full resolution, with some of its iterations: a small part of
+a shot's time, and a displacement, strokes and losses such as a run has them. ``error_choice``
+chooses from these figures.
 """
 
 import math
@@ -13,20 +13,29 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from usdsmoke.config import Config, GridsConfig
-from usdsmoke.core.picture_errors import Painted, fit_blocks, resolution_error
+from usdsmoke.core.chain import run_chain
+from usdsmoke.core.error_estimates import painted_frame
+from usdsmoke.core.link import Link
+from usdsmoke.core.picture_errors import fit_blocks, resolution_error
 from usdsmoke.core.scene import Scene, frame_views, measure_scene
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.stylize import StylizedFrame, make_job, open_frame, stylize_window
+from usdsmoke.core.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.transport import Scheme, warp
+from usdsmoke.core.transport_error import warp_error
 from usdsmoke.storage_error import storage_errors
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.volume import DenseField, VolumeFrame
 
 __all__ = ["calibrate"]
 
 MOST_VOXELS = 8  # a pixel's side
 SHARES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # of the mass, to be pruned
-LEAST_SHARE = 1e-4  # of a fall that a pilot's tail can tell
+FINEST_ITERATIONS = 32  # of the pilot's last octave: fewer tell little of a tail
+COARSE_ITERATIONS = 20  # at most, of those before
+LEAST_MOVE = 0.05  # voxels; a pilot that moved less tells nothing of the transport
+LEAST_SHARE = 1e-3  # of a fall that a pilot's tail can tell
+LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
 
 
 def calibrate(
@@ -42,40 +51,45 @@ def calibrate(
 
     Returns:
         ``image_sizes``: pairs of a picture's size and its resolution error, the smallest first;
-        ``transport``: error by scheme; ``quadrature``; ``half``: of 16-bit floats; ``prune``: pairs
-        of the mass that is lost and the density at or below which it lies; ``steps``: by name
-        ``octave`` (iterations of the pilot) and ``remaining`` (share of the fall left after them);
-        ``view_deviation``: of one view's loss, relative; ``seconds``. A frame in which nothing is
+        ``transport``: see ``_transport``, None without a shape step; ``quadrature``; ``half``: of
+        16-bit floats; ``prune``: pairs of the mass that is lost and the density at or below which
+        it lies; ``steps``: by name ``iterations`` (of the pilot's last octave), ``remaining``
+        (share of that octave's fall left after them) and ``fall`` (of the whole octave, relative to
+        the loss at its very end), or ``why`` there is none;
+        ``view_deviation``: of one view's loss, relative; ``unseen_views``: their error, and the
+        pool's size it was found with, None for one view; ``seconds``. A frame in which nothing is
         done gives an empty mapping.
 
     Raises:
         NonFiniteError, FeatureError: see ``stylize.stylize_window``.
     """
     started = time.perf_counter()
-    scene = measure_scene([frame], config, up_axis)
-    link = open_frame(frame, make_job(styles, scene, config, None, 24.0, None, 1))
+    pilot = _pilot_config(config)
+    scene = measure_scene([frame], pilot, up_axis)
+    job = make_job(styles, scene, pilot, None, 24.0, None, 1)
+    (link,) = run_chain([frame], job, open_frame)
     if link.left_out:
         return {}
-    (pilot,) = stylize_window([frame], styles, scene, _pilot_config(config))
-    shape, errors = pilot.report.get("shape", {}), pilot.report["errors"]
+    done = finished_frame(link, job)
+    errors = done.report.get("errors", {})
+    fields = [field for field in (done.density, done.emission) if field is not None]
+    unseen = errors.get("unseen views")
     return {
         "time_code": frame.time_code,
-        "image_sizes": _image_sizes(link.source, scene, config),
-        "transport": {
-            "linear": shape.get("cheap scheme differs", 0.0),
-            "cubic": shape.get("transport error", {}).get("value", 0.0),
-        },
+        "image_sizes": _image_sizes(link, scene, pilot),
+        "transport": _transport(link),
         "quadrature": errors.get("quadrature", {}).get("value", 0.0),
-        "half": max(entry["value"] for entry in _half(pilot).values()),
-        "prune": _prune_levels(pilot.density.values),
-        "steps": _steps(pilot.report, config),
-        "view_deviation": _view_deviation(pilot.report, config),
+        "half": _half(fields),
+        "prune": _prune_levels(done.density.values),
+        "steps": {step: _step(done.report[step]) for step in pilot.optimize.steps},
+        "view_deviation": _view_deviation(done.report, pilot),
+        "unseen_views": None if unseen is None else [pilot.views.pool, unseen["value"]],
         "seconds": time.perf_counter() - started,
     }
 
 
 def _pilot_config(config: Config) -> Config:
-    """One octave, of a quarter of the resolution, and what tells most about it."""
+    """All octaves with some of the iterations, and what tells most about them."""
     shape = replace(
         config.shape, iterations=_pilot_iterations(config.shape.iterations), interpolation="cubic"
     )
@@ -88,13 +102,17 @@ def _pilot_config(config: Config) -> Config:
 
 
 def _pilot_iterations(per_octave: Sequence[int]) -> list[int]:
-    return [max(per_octave), *[0] * max(len(per_octave) - 1, 2)]
+    finest = max((place for place, n in enumerate(per_octave) if n), default=None)
+    return [
+        FINEST_ITERATIONS if place == finest else min(n, COARSE_ITERATIONS)
+        for place, n in enumerate(per_octave)
+    ]
 
 
-def _image_sizes(smoke: ActiveSmoke, scene: Scene, config: Config) -> list[list[float]]:
-    """Pictures of the source with pixels of 8, 4, 2 and 1 voxels."""
-    colour = "colour" in config.optimize.steps
-    gamma_w = scene.gamma_w if colour else scene.gamma_w_shape
+def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
+    """Pictures of the stylized frame with pixels of 8, 4, 2 and 1 voxels."""
+    painted, smoke = painted_frame(link), link.smoke
+    gamma_w = link.scene.gamma_w_shape if painted.colours is None else link.scene.gamma_w
     longest, found = scene.image_size * scene.pixel_size, []
     views = replace(config, views=replace(config.views, pool=1))
     per_voxel = MOST_VOXELS
@@ -102,17 +120,50 @@ def _image_sizes(smoke: ActiveSmoke, scene: Scene, config: Config) -> list[list[
         pixel = per_voxel * smoke.voxel_size
         size = math.ceil(longest / pixel - 1e-6)
         if 16 <= size <= 2048:
-            near = replace(scene, pixel_size=pixel)
+            near = replace(link.scene, pixel_size=pixel)
             view = fit_blocks(frame_views(smoke, views, near, config.optimize.seed)[0])
             with torch.no_grad():
-                found.append([size, resolution_error(Painted(smoke, None), view, gamma_w).value])
+                found.append([size, resolution_error(painted, view, gamma_w).value])
         per_voxel //= 2
     return found
 
 
-def _half(pilot: StylizedFrame) -> dict[str, dict[str, float]]:
-    fields = [field for field in (pilot.density, pilot.emission) if field is not None]
-    return storage_errors(fields, GridsConfig(half=True))
+def _transport(link: Link) -> dict[str, float] | None:
+    """``linear`` and ``cubic``: errors of the density moved by the pilot's displacement.
+
+    Two displacements are tried, and the larger error counts: the pilot's own, and its pattern
+    scaled to the length that no displacement exceeds. A pilot that hardly moved its smoke
+    (``moved`` is its longest way, voxels) has no pattern, and a shift by half a voxel along each
+    axis, which is where interpolation is worst, takes its place.
+    """
+    if link.displacement is None:
+        return None
+    lattice = link.displacement.lattice
+    box = lattice.fill(link.source)
+    u = lattice.from_stage(link.displacement.values) / box.new_tensor(lattice.spacing)
+    longest = float(u.norm(dim=-1).max())
+    if longest < LEAST_MOVE:
+        tried = [torch.full_like(u, 0.5)]
+    else:
+        cap = link.report["shape"]["cap"] / max(lattice.spacing)
+        tried = [u, u * (cap / longest)]
+    pairs = [_warp_errors(box, way) for way in tried]
+    linear, cubic = (max(pair[place] for pair in pairs) for place in (0, 1))
+    return {"linear": linear, "cubic": cubic, "moved": longest}
+
+
+def _warp_errors(box: Tensor, u: Tensor) -> tuple[float, float]:
+    """Of the linear and the cubic scheme, as a run's report has them."""
+    schemes: tuple[Scheme, Scheme] = ("linear", "cubic")
+    cheap, accurate = (warp(box, u, scheme=scheme).clamp_min(0) for scheme in schemes)
+    differs = float((cheap - accurate).abs().sum() / accurate.sum().clamp_min(1e-30))
+    linear = warp_error(box, u, cheap, "linear").value
+    return max(linear, differs), min(warp_error(box, u, accurate, "cubic").value, differs)
+
+
+def _half(fields: Sequence[DenseField]) -> float:
+    errors = storage_errors(fields, GridsConfig(half=True))
+    return max(entry["value"] for entry in errors.values())
 
 
 def _prune_levels(density: np.ndarray) -> list[list[float]]:
@@ -129,15 +180,21 @@ def _prune_levels(density: np.ndarray) -> list[list[float]]:
     ]
 
 
-def _steps(report: dict[str, Any], config: Config) -> dict[str, dict[str, float]]:
-    steps = {}
-    for name, part in (("shape", config.shape), ("colour", config.colour)):
-        found = report.get(name, {})
-        fallen, remaining = found.get("fallen", 0.0), found.get("remaining", 0.0)
-        if name in report and fallen + remaining > 0:
-            share = max(remaining / (fallen + remaining), LEAST_SHARE)
-            steps[name] = {"octave": float(max(part.iterations)), "remaining": share}
-    return steps
+def _step(report: dict[str, Any]) -> dict[str, Any]:
+    """What the losses of a step's last octave tell, or why they tell nothing."""
+    fallen, left = report.get("fallen in the last octave"), report.get("remaining")
+    if fallen is None or left is None:
+        return {"why": "the pilot had no iterations to tell from"}
+    loss, spread = report["loss"][-1], report.get("view spread", 0.0)
+    if fallen <= 3 * spread * loss or fallen <= 0:
+        return {"why": "the pilot's loss did not fall by more than views differ"}
+    share = max(left / (fallen + left), LEAST_SHARE)
+    lowest = max(loss - left, LEAST_LOSS * loss)
+    return {
+        "iterations": float(report["iterations"][-1]),
+        "remaining": share,
+        "fall": (fallen + left) / lowest,
+    }
 
 
 def _view_deviation(report: dict[str, Any], config: Config) -> float:

@@ -25,7 +25,7 @@ from usdsmoke.core.scene import frame_views
 from usdsmoke.core.style import decode_srgb
 from usdsmoke.core.views import View
 
-__all__ = ["frame_errors", "tail_figures"]
+__all__ = ["frame_errors", "painted_frame", "tail_figures"]
 
 N_VIEWS = 2  # that were not optimised, and as many that were
 OTHER_SEED = 0x0DD5EED  # of their angles
@@ -46,7 +46,7 @@ def frame_errors(link: Link) -> dict[str, dict[str, float]]:
     optimize = link.config.optimize
     if not (link.in_effect and optimize.error_budget) or len(link.smoke.ijk) == 0:
         return {}
-    painted, found = _painted(link), {}
+    painted, found = painted_frame(link), {}
     view = fit_blocks(_views(link, 1, optimize.seed)[0])
     gamma_w, step = link.scene.gamma_w, link.smoke.voxel_size
     if link.paint is None:
@@ -86,7 +86,7 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
-def _painted(link: Link) -> Painted:
+def painted_frame(link: Link) -> Painted:
     """The frame as it is written: colours times strength and mask; grey without any."""
     smoke, paint = link.smoke, link.paint
     if paint is None:

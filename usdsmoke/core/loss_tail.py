@@ -11,16 +11,19 @@ import numpy as np
 __all__ = ["FEWEST", "remaining_decrease", "spread_of_mean"]
 
 FEWEST = 10  # iterations from which a tail can be fitted
-_DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the second half's way
+_DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
+_HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
 _SHORTEST = 8  # iterations whose spread can be told from a slope
 
 
 def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float:
     """How far the loss would still fall if its optimisation went on for ever, in its unit.
 
-    Tails L + A exp(-s / T) with A >= 0 are fitted by least squares to the second half of the
-    history for several T, where s is the length of all steps so far: the optimiser's rate falls
-    towards the end, and counted in iterations any loss would seem to converge. What each tail
+    Tails L + A exp(-s / T) and L + A / (1 + s / a) with A >= 0 are fitted by least squares to all
+    but the first third of the history for several T and a, where s is the length of all steps so
+    far: the optimiser's rate falls towards the end, and counted in iterations any loss would seem
+    to converge. A quadratic bowl falls like an exponential; style losses fall like the other one,
+    whose long tail an exponential does not see. What each tail
     leaves above L at the end is averaged with the weights exp(-(S - S_least) / 2 v), S the sum of
     squares and v = S_least / (n - 3): a clean history is taken at its word, and a noisy one gets
     the mean of all tails that it allows.
@@ -35,9 +38,11 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     values, ways = np.asarray(losses, float), np.cumsum(np.asarray(rates, float))
     if len(values) < FEWEST or not np.isfinite(values).all():
         return math.nan
-    first = len(values) // 2
-    left, tail = (ways[-1] - ways[first:]) / (ways[-1] - ways[first]), values[first:]
-    shapes = [np.exp(left / decay) for decay in _DECAYS]
+    ways = np.concatenate([[0.0], ways[:-1]])  # before each of the losses
+    first = len(values) // 3
+    here, whole, tail = ways[first:], ways[-1], values[first:]
+    shapes = [np.exp((whole - here) / ((whole - here[0]) * decay)) for decay in _DECAYS]
+    shapes += [(1 + 1 / half) / (1 + here / (half * whole)) for half in _HALVINGS]
     found = [_fit(shape, tail) for shape in shapes]
     least = min(squares for _, squares in found)
     variance = max(least / max(len(tail) - 3, 1), (1e-12 * float(np.abs(tail).max())) ** 2)

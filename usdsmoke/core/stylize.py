@@ -28,7 +28,7 @@ from usdsmoke.core.targets import StyleTargets
 from usdsmoke.errors import NonFiniteError
 from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["StylizedFrame", "make_job", "open_frame", "stylize_window"]
+__all__ = ["StylizedFrame", "finished_frame", "make_job", "open_frame", "stylize_window"]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def stylize_window(
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     job = make_job(styles, scene, config, progress, time_codes_per_second, starts, n_frames)
     for link in run_chain(frames, job, open_frame):
-        yield _stylized(link, job)
+        yield finished_frame(link, job)
 
 
 def make_job(
@@ -161,7 +161,8 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
     )  # fmt: skip
 
 
-def _stylized(link: Link, job: Job) -> StylizedFrame:
+def finished_frame(link: Link, job: Job) -> StylizedFrame:
+    """What is written of a frame at the end of its chain, with its errors in the report."""
     emission = None
     if "colour" in job.config.optimize.steps:
         emission = _empty_emission(link.density)
