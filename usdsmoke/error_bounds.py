@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["PARTS", "SAFETY", "Tolerance", "Verdict", "judge", "part_of"]
+__all__ = ["PARTS", "PICTURE_SAFETY", "SAFETY", "Tolerance", "Verdict", "judge", "part_of"]
 
 SAFETY = 2.0  # between an estimate before the run and its bound
+PICTURE_SAFETY = 4.0  # of the resolution: strokes get finer while the optimiser goes on
 PARTS: Mapping[str, float] = {
     "quadrature": 1
     / 2,  # slabs are among what the resolution's estimate changes: no part of its own

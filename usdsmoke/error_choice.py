@@ -10,13 +10,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from usdsmoke.error_bounds import SAFETY, part_of
+from usdsmoke.error_bounds import PICTURE_SAFETY, SAFETY, part_of
 
 __all__ = ["Choice", "choose_settings", "user_values"]
 
 FEWEST_VIEWS, MOST_VIEWS = 4, 64
 FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
+USUAL_HALF = 15.0  # iterations, the "a" below; plumes that were measured have 10 to 20
 HARDLY_FALLEN = 0.9  # share of its fall that a pilot has before it, beyond which it tells nothing
+LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
 LEAST_MOVE = 0.05  # voxels, below which a pilot has not moved its smoke
 
 
@@ -75,9 +77,10 @@ def choose_settings(
 def _choose_picture(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
     sizes, part = measured["image_sizes"], part_of("resolution", target)
     if sizes:
-        fits = [pair for pair in sizes if SAFETY * pair[1] <= part]
+        fits = [pair for pair in sizes if PICTURE_SAFETY * pair[1] <= part]
         size, error = fits[0] if fits else sizes[-1]
-        choices.take("views.image_size", int(size), _judged("resolution", error, part))
+        why = _judged("resolution", error, part, PICTURE_SAFETY)
+        choices.take("views.image_size", int(size), why)
     else:
         choices.notes.append(
             "views.image_size stays: no whole number of voxels a pixel gives 16 to 2048 pixels"
@@ -116,9 +119,10 @@ def _choose_iterations(
     part: float,
     planned: Sequence[int],
 ) -> None:
-    """What remains of the last octave's fall F goes as F / (1 + n / a), with both from the pilot.
+    """What remains of the last octave's fall F goes as F / (1 + n / a).
 
-    It is bounded relative to the final loss, which is what remains and the loss without end.
+    The pilot's noisy tail tells ``a`` within a factor of three, and so does what plumes have: the
+    geometric mean of both is taken. What remains is bounded relative to the final loss.
     """
     name = f"{step}.iterations"
     if found is None:
@@ -132,17 +136,40 @@ def _choose_iterations(
         why = found.get("why", "the pilot's loss hardly fell")
         choices.notes.append(f"{name} stay, and nothing is known of what they leave: {why}")
         return
-    half = found["iterations"] * share / (1 - share)
+    half, fall = _tail(found)
     finest = next((n for n in reversed(planned) if n), 0)
-    wanted = min(part / SAFETY, 0.5)
-    enough = half * (found["fall"] * (1 - wanted) / wanted - 1)
-    needed = min(max(enough, FEWEST_ITERATIONS), LARGEST_FACTOR * finest)
-    left = found["fall"] / (1 + needed / half)
-    numbers = [
-        max(math.ceil(n * needed / finest - 1e-9), FEWEST_ITERATIONS) if n else 0 for n in planned
+    wanted = part / SAFETY
+    enough = half * (fall * (1 - wanted) / wanted - 1)
+    needed = math.ceil(min(max(enough, FEWEST_ITERATIONS), LARGEST_FACTOR * finest))
+    left = fall / (1 + needed / half)
+    choices.take(
+        name,
+        _scaled(planned, needed),
+        _judged(f"share of the {step} step's loss that would still go", left / (1 + left), part),
+    )
+
+
+def _tail(found: Mapping[str, float]) -> tuple[float, float]:
+    """``a``, and the whole fall F relative to the loss that no iterations go below.
+
+    After the pilot's n iterations F / (1 + n / a) is left, and F is that and what has fallen.
+    """
+    n, share = found["iterations"], found["remaining"]
+    half = math.sqrt(USUAL_HALF * n * share / (1 - share))
+    left = found["fallen"] * half / n
+    return half, (found["fallen"] + left) / max(1 - left, LEAST_LOSS)
+
+
+def _scaled(planned: Sequence[int], finest: int) -> list[int]:
+    """The last octave with so many iterations, coarser ones in proportion, but not with more."""
+    last = max((place for place, n in enumerate(planned) if n), default=None)
+    if last is None:
+        return list(planned)
+    share = min(finest / planned[last], 1.0)
+    return [
+        finest if place == last else max(math.ceil(n * share), min(n, FEWEST_ITERATIONS))
+        for place, n in enumerate(planned)
     ]
-    what = f"share of the {step} step's loss that would still go"
-    choices.take(name, numbers, _judged(what, left / (1 + left), part))
 
 
 def _choose_views(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
@@ -159,9 +186,8 @@ def _choose_views(choices: _Choices, measured: Mapping[str, Any], target: float)
     choices.take("views.pool", pool, "; ".join(notes))
 
 
-def _judged(what: str, error: float, part: float) -> str:
-    """What an estimate comes to; a thousandth above its half is a rounded number of iterations."""
-    if SAFETY * error <= 1.001 * part:
+def _judged(what: str, error: float, part: float, safety: float = SAFETY) -> str:
+    if safety * error <= 1.001 * part:  # rounding apart
         return f"{what} {error:.2g}, of {part:.2g}"
     if error <= part:
         return f"may not be kept: {what} {error:.2g} at the tightest, of {part:.2g}"

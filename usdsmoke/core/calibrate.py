@@ -35,7 +35,6 @@ FINEST_ITERATIONS = 32  # of the pilot's last octave: fewer tell little of a tai
 COARSE_ITERATIONS = 20  # at most, of those before
 LEAST_MOVE = 0.05  # voxels; a pilot that moved less tells nothing of the transport
 LEAST_SHARE = 1e-3  # of a fall that a pilot's tail can tell
-LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
 
 
 def calibrate(
@@ -54,8 +53,8 @@ def calibrate(
         ``transport``: see ``_transport``, None without a shape step; ``quadrature``; ``half``: of
         16-bit floats; ``prune``: pairs of the mass that is lost and the density at or below which
         it lies; ``steps``: by name ``iterations`` (of the pilot's last octave), ``remaining``
-        (share of that octave's fall left after them) and ``fall`` (of the whole octave, relative to
-        the loss at its very end), or ``why`` there is none;
+        (share of that octave's fall left after them) and ``fallen`` (how far it fell, relative to
+        its end), or ``why`` there is none;
         ``view_deviation``: of one view's loss, relative; ``unseen_views``: their error, and the
         pool's size it was found with, None for one view; ``seconds``. A frame in which nothing is
         done gives an empty mapping.
@@ -189,11 +188,10 @@ def _step(report: dict[str, Any]) -> dict[str, Any]:
     if fallen <= 3 * spread * loss or fallen <= 0:
         return {"why": "the pilot's loss did not fall by more than views differ"}
     share = max(left / (fallen + left), LEAST_SHARE)
-    lowest = max(loss - left, LEAST_LOSS * loss)
     return {
         "iterations": float(report["iterations"][-1]),
         "remaining": share,
-        "fall": (fallen + left) / lowest,
+        "fallen": fallen / loss,
     }
 
 

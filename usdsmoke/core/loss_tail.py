@@ -81,6 +81,8 @@ def _fit(shape: np.ndarray, tail: np.ndarray) -> tuple[float, float]:
     """The tail's height above its limit at the end, and the sum of squares that is left."""
     centred, around = shape - shape.mean(), tail - tail.mean()
     height = max(float(centred @ around / (centred @ centred)), 0.0)
+    if tail.mean() > 0:
+        height = min(height, float(tail.mean() / shape.mean()))  # no style loss falls below 0
     return height * float(shape[-1]), float(((around - height * centred) ** 2).sum())
 
 
