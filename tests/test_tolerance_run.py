@@ -10,6 +10,7 @@ from tests.pipeline_fixtures import Shot, make_shot
 from tests.unit.test_error_choice import MEASURED
 from usdsmoke import pipeline_tolerance
 from usdsmoke.cli import main
+from usdsmoke.errors import PlanError
 from usdsmoke.pipeline import assemble, plan_stylize, run_window, stylize
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_rerun import rerun
@@ -124,14 +125,14 @@ def test_a_report_is_on_the_settings_that_were_chosen(
 
     def stop(job: Job, *more: Any) -> None:
         opened.append(job)
-        raise KeyboardInterrupt
+        raise PlanError("seen enough")
 
     monkeypatch.setattr("usdsmoke.report.run.open_case", stop)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(PlanError, match="seen enough"):
         make_report(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
     assert opened[0].config.views.image_size == 80 and len(measurements) == 1
     assert choice_notes(opened[0].plan)[0] == "settings for a tolerance of 0.3"
-    assert not shot.output.exists()
+    assert not (shot.output / "vdb").exists()
 
 
 def test_the_option_of_the_command(

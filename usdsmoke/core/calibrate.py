@@ -141,12 +141,13 @@ def _transport(link: Link) -> dict[str, float] | None:
     box = lattice.fill(link.source)
     u = lattice.from_stage(link.displacement.values) / box.new_tensor(lattice.spacing)
     longest = float(u.norm(dim=-1).max())
+    pairs = []
     if longest < LEAST_MOVE:
-        tried = [torch.full_like(u, 0.5)]
+        u.fill_(0.5)
     else:
-        cap = link.report["shape"]["cap"] / max(lattice.spacing)
-        tried = [u, u * (cap / longest)]
-    pairs = [_warp_errors(box, way) for way in tried]
+        pairs.append(_warp_errors(box, u))
+        u.mul_(link.report["shape"]["cap"] / max(lattice.spacing) / longest)
+    pairs.append(_warp_errors(box, u))
     linear, cubic = (max(pair[place] for pair in pairs) for place in (0, 1))
     return {"linear": linear, "cubic": cubic, "moved": longest}
 
