@@ -37,7 +37,19 @@ def test_the_same_budget_stands_in_result_record_and_layer(
     assert record.texts("errorBudget") == budget.texts
     assert main(["provenance", str(result.look_layer)]) == 0
     assert "temporal, colour: mean 0.5" in capsys.readouterr().out
-    assert assemble(shot.output).error_budget == budget
+    again = assemble(shot.output)
+    assert again.error_budget == budget and again.seconds == result.seconds
+
+
+@pytest.mark.usefixtures("core")
+def test_the_parts_of_a_run_s_time_add_up(shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(shot.arguments("--json", "--set", "windows.size=2")) == 0
+    seconds = json.loads(capsys.readouterr().out)["seconds"]
+    (kept,) = shot.output.glob("vdb/*/run.json")
+    assert json.loads(kept.read_text())["seconds"] == seconds
+    whole = seconds.pop("all")
+    assert sum(seconds.values()) == pytest.approx(whole)
+    assert set(seconds) >= {"reading", "coarse step", "writing", "assembling", "the rest"}
 
 
 @pytest.mark.usefixtures("core")

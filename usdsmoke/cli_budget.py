@@ -1,5 +1,6 @@
 """What the command line prints about errors: the budget at the end of a run."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from usdsmoke.cli_text import columns
@@ -8,12 +9,23 @@ from usdsmoke.progress import format_seconds
 if TYPE_CHECKING:
     from usdsmoke.error_bounds import Verdict
     from usdsmoke.error_budget import ErrorBudget
+    from usdsmoke.needs import Omission
 
 __all__ = ["budget_text"]
 
 
-def budget_text(budget: "ErrorBudget") -> str:
-    """The error budget as a table, with what was left out and the time that the parts took."""
+def budget_text(
+    budget: "ErrorBudget",
+    seconds: Mapping[str, float] | None = None,
+    omitted: Sequence["Omission"] = (),
+) -> str:
+    """The error budget as a table, with what was left out and the time that the parts took.
+
+    Args:
+        budget: of the run.
+        seconds: of all parts of the run; None or empty takes the budget's.
+        omitted: what the plan left out; the reasons stand there.
+    """
     rows: list[tuple[str, ...]] = [("error", "mean", "largest", "of", "frames", "took")]
     rows += [
         (
@@ -33,8 +45,22 @@ def budget_text(budget: "ErrorBudget") -> str:
         verdict = [f"tolerance of {budget.tolerance}"]
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
     left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
-    took = [f"{name} {format_seconds(seconds)}" for name, seconds in budget.seconds.items()]
-    return "\n".join([*columns(rows), *notes, *left_out, f"time: {', '.join(took)}", *verdict])
+    parts = dict(seconds or budget.seconds)
+    whole = parts.pop("all", None)
+    took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())
+    time = f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
+    rest = [_left_out(omitted)] if omitted else []
+    return "\n".join([*columns(rows), *notes, *left_out, *rest, time, *verdict])
+
+
+def _short(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60 else format_seconds(seconds)
+
+
+def _left_out(omitted: Sequence["Omission"]) -> str:
+    """What was not read, computed or written, without the reasons."""
+    names = "; ".join(dict.fromkeys(item.what for item in omitted))
+    return f"left out, for reasons that the plan and the provenance tell: {names}"
 
 
 def _bound(item: "Verdict") -> str:

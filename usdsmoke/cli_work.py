@@ -131,7 +131,7 @@ def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None
     else:
         print(result_text(result))
         if result.error_budget is not None:
-            print(f"\n{budget_text(result.error_budget)}")
+            print(f"\n{budget_text(result.error_budget, result.seconds, result.plan.omitted)}")
 
 
 def _step_as_dict(step: "StepResult") -> dict[str, Any]:
@@ -150,5 +150,6 @@ def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
         "temporal_error": result.temporal_error,
         "overlap_difference": result.overlap_difference,
         "error_budget": result.error_budget.to_dict() if result.error_budget else None,
+        "seconds": result.seconds,
         "plan": result.plan.to_dict(),
     }

@@ -29,6 +29,7 @@ from usdsmoke.pipeline_settings import (
     resolve_settings,
     style_paths,
 )
+from usdsmoke.pipeline_times import ELSEWHERE, PartClock
 from usdsmoke.pipeline_tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
@@ -122,6 +123,7 @@ def stylize(
         UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished windows.
         Interrupted: by Ctrl-C.
     """
+    clock = PartClock()
     job = _prepare(stage, style, output, config, settings, planned)
     tell = progress or _tell_nobody
     with lock_output(job.output) as lock:
@@ -139,11 +141,11 @@ def stylize(
         ]
         with tidy_end(run, lock, lambda: how_far(run, job.plan)):
             reader = FrameReader(job.plan)
-            hashes = check_frames(reader, to_do, tell)
+            hashes = clock.timed("reading", check_frames, reader, to_do, tell)
             begin_run(job, run, reader)
-            run_coarse_step(job, run, reader, tell)
-            stylize_windows(job, run, reader, to_do, hashes, tell, again=True)
-            return assemble_run(job, run, reader, tell)
+            clock.timed(ELSEWHERE, run_coarse_step, job, run, reader, tell)
+            clock.timed(ELSEWHERE, stylize_windows, job, run, reader, to_do, hashes, tell, True)
+            return assemble_run(job, run, reader, tell, clock)
 
 
 def run_coarse(
@@ -251,7 +253,7 @@ def assemble(
         UsdSmokeError: see ``usdsmoke.errors``.
         Interrupted: by Ctrl-C.
     """
-    output = Path(output).absolute()
+    output, clock = Path(output).absolute(), PartClock()
     if not output.is_dir():
         raise LayerError(f"there is no folder {output}; give the one that windows were written to")
     with lock_output(output):
@@ -261,7 +263,7 @@ def assemble(
         if run.complete and run.run_id in published_runs(job) and is_whole(run, job):
             return summarize_result(job, run)
         try:
-            return assemble_run(job, run, FrameReader(job.plan), progress or _tell_nobody)
+            return assemble_run(job, run, FrameReader(job.plan), progress or _tell_nobody, clock)
         except KeyboardInterrupt:
             raise Interrupted("stopped; run the same command again to continue") from None
 

@@ -1,6 +1,6 @@
 """From finished windows to a result: frames blended, layer authored, sheets drawn."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -26,11 +26,19 @@ from usdsmoke.pipeline_outputs import (
 )
 from usdsmoke.pipeline_pictures import write_contact_sheet
 from usdsmoke.pipeline_records import frame_metadata, make_provenance
+from usdsmoke.pipeline_times import PartClock, run_seconds
 from usdsmoke.pipeline_windows import list_tasks
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.run_figures import mean_entries, mixed_errors
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.run_progress import RunProgress, RunProgressCallback
-from usdsmoke.run_windows import WindowRecord, finished_window, part_file_name, remove_locks
+from usdsmoke.run_windows import (
+    WindowRecord,
+    finished_coarse,
+    finished_window,
+    part_file_name,
+    remove_locks,
+)
 from usdsmoke.schema import late_note
 from usdsmoke.time_codes import format_time_codes
 from usdsmoke.volume import DenseField
@@ -55,6 +63,7 @@ class StylizeResult:
     # their size: mean over all such frames, for "density" and "emission"; None where there is none.
     overlap_difference: Mapping[str, float] | None = None
     error_budget: ErrorBudget | None = None  # what is left of which error
+    seconds: Mapping[str, float] | None = None  # by part of the work, and of "all"
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,7 @@ def collect_windows(run: RunFolder, plan: Plan) -> list[WindowRecord]:
 
 
 def assemble_run(
-    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
+    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback, clock: PartClock
 ) -> StylizeResult:
     """Blend what two windows have computed, author the layer, which makes all of it the result, and
     draw the sheets.
@@ -106,12 +115,27 @@ def assemble_run(
         run: begun for this job; this process is alone in the output folder.
         reader: of the source's frames.
         tell: hears of every frame that is blended, and of every sheet.
+        clock: of the call.
 
     Raises:
         LayerError: a window is not finished, or the result cannot be written.
         GridError: a file cannot be read.
     """
     windows = collect_windows(run, job.plan)
+    files, failures = clock.timed("assembling", _assemble, job, run, windows, reader, tell)
+    run.seconds = run_seconds(windows, finished_coarse(run).seconds, clock)
+    run.finish([*files, *_sheets(job)])
+    return summarize_result(job, run, failures)
+
+
+def _assemble(
+    job: Job,
+    run: RunFolder,
+    windows: Sequence[WindowRecord],
+    reader: FrameReader,
+    tell: RunProgressCallback,
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """All of it but the run's record: the layers' files, and what went wrong with the sheets."""
     _collect_frames(job, run, windows, tell)
     volumes = [
         collect_volume(run, volume, scene["gamma_w"], job.styles)
@@ -125,8 +149,7 @@ def assemble_run(
     failures = _draw_sheets(job, run, reader, tell)
     run.request = describe_request(job)  # the mode may be another one than it was begun with
     remove_locks(run)  # before the record says that nothing is left to do
-    run.finish([*files.written, *_sheets(job)])
-    return summarize_result(job, run, failures)
+    return files.written, failures
 
 
 def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> StylizeResult:
@@ -150,6 +173,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         temporal_error=_temporal_error(run),
         overlap_difference=_overlap_difference(run),
         error_budget=budget,
+        seconds=dict(run.seconds),
     )
 
 
@@ -202,7 +226,7 @@ def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
     fields = result_fields(blended, volume, frame, gamma_w, config)
     hashes = reports[1]["source_hashes"]
     report = dict(reports[1]["report"])
-    errors = _blend_errors([item["report"] for item in reports], pair.weight)
+    errors = mixed_errors([item["report"] for item in reports], pair.weight)
     if errors:
         report["temporal error"] = errors
     report = with_storage(report, blended, config.grids)
@@ -228,19 +252,6 @@ def _read_part(run: RunFolder, pair: _Versions, window: WindowRecord) -> list[De
     return read_grids(part, [GridRequest(name) for name in names], config.grids)
 
 
-def _blend_errors(reports: Sequence[Mapping[str, Any]], weight: float) -> dict[str, float]:
-    """The temporal errors of both versions, mixed; one's alone where the other has none."""
-    tail, head = (report.get("temporal error") or {} for report in reports)
-    mixed = {}
-    for kind in (*tail, *(kind for kind in head if kind not in tail)):
-        values = [errors[kind] for errors in (tail, head) if errors.get(kind) is not None]
-        if len(values) == 2:
-            mixed[kind] = weight * values[0] + (1 - weight) * values[1]
-        elif values:
-            mixed[kind] = values[0]
-    return mixed
-
-
 def _draw_sheets(
     job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
 ) -> tuple[str, ...]:
@@ -264,23 +275,13 @@ def _sheets(job: Job) -> tuple[Path, ...]:
 
 
 def _temporal_error(run: RunFolder) -> dict[str, float] | None:
-    return _means(report.get("temporal error") for report in run.reports.values())
+    return mean_entries(report.get("temporal error") for report in run.reports.values())
 
 
 def _overlap_difference(run: RunFolder) -> dict[str, float] | None:
-    return _means(
+    return mean_entries(
         (report.get("overlap") or {}).get("difference") for report in run.reports.values()
     )
-
-
-def _means(found: Iterable[Mapping[str, Any] | None]) -> dict[str, float] | None:
-    """The mean of every entry, over the mappings that have it; None where there is none."""
-    values: dict[str, list[float]] = {}
-    for numbers in found:
-        for name, value in (numbers or {}).items():
-            if value is not None:
-                values.setdefault(name, []).append(float(value))
-    return {name: sum(values[name]) / len(values[name]) for name in sorted(values)} or None
 
 
 def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """The work itself: every frame checked, every window stylized, every frame written."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from usdsmoke.pipeline_coarse import coarse_starts, read_scene
 from usdsmoke.pipeline_frames import FrameReader, hash_sources
 from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_outputs import write_result
+from usdsmoke.pipeline_times import PartClock, timed_items
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.run_folder import RunFolder
 from usdsmoke.run_progress import RunProgress, RunProgressCallback, WorkMeter
@@ -185,10 +185,10 @@ def _stylize_window(
 ) -> None:
     from usdsmoke.core.stylize import stylize_window
 
-    config, started = task.volume.config, time.monotonic()
+    config, clock = task.volume.config, PartClock()
     gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
     results = stylize_window(
-        (reader.read(task.volume, frame) for frame in task.frames),
+        timed_items(clock, "reading", (reader.read(task.volume, frame) for frame in task.frames)),
         job.pictures(task.volume),
         read_scene(run, task.volume_number),
         config,
@@ -200,9 +200,10 @@ def _stylize_window(
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
         progress.writing(frame.source.time_code, place)
         name, hashes = task.file_name(frame), source_hashes[frame.file_name]
-        records[name] = write_result(
-            run, name, task.volume, frame, stylized, gamma_w, config, hashes
-        )
+        records[name] = clock.timed(
+            "writing", write_result,
+            run, name, task.volume, frame, stylized, gamma_w, config, hashes,
+        )  # fmt: skip
         give_back_memory()
     window = WindowRecord(
         run_id=run.run_id,
@@ -211,6 +212,7 @@ def _stylize_window(
         time_codes=list(task.window.time_codes),
         beyond=list(task.window.beyond),
         frames=records,
-        seconds=time.monotonic() - started,
+        seconds=clock.total,
+        timings=clock.parts,
     )
     finish_window(run, window)

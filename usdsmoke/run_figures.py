@@ -6,11 +6,19 @@ transport scheme was off, and the errors between frames and between windows.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["STEPS", "Figure", "figures_of", "step_seconds", "summarize_figures"]
+__all__ = [
+    "STEPS",
+    "Figure",
+    "figures_of",
+    "mean_entries",
+    "mixed_errors",
+    "step_seconds",
+    "summarize_figures",
+]
 
 STEPS = ("shape", "colour")
 _OF_A_STEP = ("seconds", "largest displacement", "mass error", "cheap scheme differs")
@@ -78,3 +86,26 @@ def step_seconds(reports: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 def _last(losses: Any) -> Any:
     """The loss at the end of the last octave."""
     return losses[-1] if isinstance(losses, list) and losses else losses
+
+
+def mean_entries(found: Iterable[Mapping[str, Any] | None]) -> dict[str, float] | None:
+    """The mean of every entry, over the mappings that have it; None where there is none."""
+    values: dict[str, list[float]] = {}
+    for numbers in found:
+        for name, value in (numbers or {}).items():
+            if value is not None:
+                values.setdefault(name, []).append(float(value))
+    return {name: sum(values[name]) / len(values[name]) for name in sorted(values)} or None
+
+
+def mixed_errors(reports: Sequence[Mapping[str, Any]], weight: float) -> dict[str, float]:
+    """The temporal errors of both versions, mixed; one's alone where the other has none."""
+    tail, head = (report.get("temporal error") or {} for report in reports)
+    mixed = {}
+    for kind in (*tail, *(kind for kind in head if kind not in tail)):
+        values = [errors[kind] for errors in (tail, head) if errors.get(kind) is not None]
+        if len(values) == 2:
+            mixed[kind] = weight * values[0] + (1 - weight) * values[1]
+        elif values:
+            mixed[kind] = values[0]
+    return mixed

@@ -36,7 +36,7 @@ __all__ = ["RunFolder", "find_runs", "open_run", "write_json"]
 
 _RECORD = "run.json"
 _KEPT = ("run_id", "created", "description", "frames", "files", "complete", "plan")
-_KEPT_TOO = ("request", "scenes", "error_budget")
+_KEPT_TOO = ("request", "scenes", "error_budget", "seconds")
 _KEY_LENGTH = 12
 
 
@@ -55,6 +55,7 @@ class RunFolder:
     request: Mapping[str, Any] = field(default_factory=dict)  # what it takes to make the job again
     scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume
     error_budget: Mapping[str, Any] = field(default_factory=dict)  # when complete
+    seconds: Mapping[str, float] = field(default_factory=dict)  # by part of the work, likewise
     _made: list[Path] = field(default_factory=list)
     _digests: dict[tuple[str, int, int, int], str] = field(default_factory=dict)
 

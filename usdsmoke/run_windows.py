@@ -7,7 +7,7 @@ the work counts as not done. It names its run, so that what a removed run left b
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ class WindowRecord:
     beyond: list[float]  # those of the next window that it computes too
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder; see write_result
     seconds: float
+    timings: dict[str, float] = field(default_factory=dict)  # of these: reading, writing
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def test_the_table_and_the_record_name_every_entry() -> None:
     for name in (*[estimate.name for estimate in budget.estimates], *budget.left_out):
         assert name in text
         assert any(entry.startswith(f"{name}=") for entry in budget.texts)
-    assert "0.20%" in text and "time: shape 2 s, colour 4 s" in text
+    assert "0.20%" in text and "time: shape 2.0 s, colour 4.0 s" in text
 
 
 def fields() -> list[DenseField]:

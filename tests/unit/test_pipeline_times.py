@@ -1,0 +1,80 @@
+"""The parts of a run's time add up to all of it, whoever took the windows and when."""
+
+import pytest
+
+from usdsmoke.cli_budget import budget_text
+from usdsmoke.error_budget import make_budget
+from usdsmoke.needs import Omission
+from usdsmoke.pipeline_times import ELSEWHERE, PartClock, run_seconds, timed_items
+from usdsmoke.run_windows import WindowRecord
+
+
+class FakeTime:
+    def __init__(self) -> None:
+        self.now = 50.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def spend(self, seconds: float) -> float:
+        self.now += seconds
+        return seconds
+
+
+def window(seconds: float) -> WindowRecord:
+    report = {
+        "shape": {"seconds": 2.0, "transport error": {"value": 0.1, "seconds": 0.25}},
+        "colour": {"seconds": 3.0},
+        "errors": {
+            "resolution": {"value": 0.1, "seconds": 0.5},
+            "storage density": {"value": 0.0, "seconds": 0.25},
+        },
+    }
+    frames = {"a.vdb": {"report": report}, "parts/b.vdb": {"report": {"left out": "empty frame"}}}
+    timings = {"reading": 1.0, "writing": 1.25}
+    return WindowRecord("run", 0, "/smoke", [1.0], [2.0], frames, seconds, timings)
+
+
+def test_the_parts_add_up_to_what_all_processes_took() -> None:
+    time = FakeTime()
+    clock = PartClock(time)
+    time.spend(0.5)  # the stage is opened
+    clock.timed("reading", time.spend, 4.0)
+    clock.timed(ELSEWHERE, time.spend, 9.0)  # one of the windows
+    clock.timed("assembling", time.spend, 2.0)
+    found = run_seconds([window(9.0), window(10.0)], 6.0, clock)
+    assert found["all"] == 0.5 + 4 + 2 + 9 + 10 + 6
+    assert sum(value for name, value in found.items() if name != "all") == pytest.approx(31.5)
+    assert (found["reading"], found["coarse step"], found["assembling"]) == (6.0, 6.0, 2.0)
+    assert (found["shape"], found["colour"], found["estimates"]) == (4.0, 6.0, 2.0)
+    assert found["writing"] == 2.0  # without looking at what the files lose
+    assert found["the rest"] == pytest.approx(3.5)
+
+
+def test_the_time_that_items_take_to_come_is_theirs_and_not_that_between() -> None:
+    time = FakeTime()
+    clock = PartClock(time)
+    for _ in timed_items(clock, "reading", (time.spend(1.0) for _ in range(3))):
+        time.spend(10.0)
+    assert clock.parts == {"reading": 3.0} and clock.total == 33.0
+
+
+def test_time_counts_where_work_fails() -> None:
+    time = FakeTime()
+    clock = PartClock(time)
+
+    def fail() -> None:
+        time.spend(2.0)
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        clock.timed("reading", fail)
+    assert clock.parts == {"reading": 2.0}
+
+
+def test_the_table_tells_every_part_and_what_the_plan_left_out() -> None:
+    seconds = {"reading": 1.25, "shape": 75.0, "all": 76.25}
+    omitted = [Omission("mask field", "none is named"), Omission("the shot's camera", "likewise")]
+    text = budget_text(make_budget([]), seconds, omitted)
+    assert text.endswith("time: reading 1.2 s, shape 1 min 15 s; 1 min 16 s in all")
+    assert "mask field; the shot's camera" in text and "none is named" not in text
