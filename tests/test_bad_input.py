@@ -19,7 +19,9 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
+from usdsmoke import assemble
 from usdsmoke.cli import main
+from usdsmoke.errors import LayerError
 
 Spoil = Callable[[Shot], list[str]]  # makes a shot bad; further arguments of the command
 
@@ -124,6 +126,14 @@ def output_lies_in_a_file(shot: Shot) -> list[str]:
     return ["-o", str(write_text(shot.folder / "in/notes.txt", "mine") / "q/r")]
 
 
+def frames_folder_is_a_file(shot: Shot) -> list[str]:
+    return ["-o", str(write_text(shot.folder / "in/mine/vdb", "mine").parent)]
+
+
+def layer_is_a_folder(shot: Shot) -> list[str]:
+    return ["-o", str(write_text(shot.folder / "in/mine/look.usda/notes.txt", "mine").parents[1])]
+
+
 def with_arguments(*more: str) -> Spoil:
     return lambda shot: list(more)
 
@@ -161,6 +171,8 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
         "GridTooLarge", "0.0 GiB are allowed"),
     "output is a file": (output_is_a_file, "LayerError", "notes.txt is a file; wanted a folder"),
     "output in a file": (output_lies_in_a_file, "LayerError", "notes.txt, which is a file"),
+    "frames' folder is a file": (frames_folder_is_a_file, "LayerError", "vdb is a file, and"),
+    "layer is a folder": (layer_is_a_folder, "LayerError", "look.usda is a folder and stands"),
     "no weights": (with_arguments("--set", "features.network=vgg19", "--set",
         "features.vgg19_file=/none.pth"), "FeatureError", "no VGG-19 weights at /none.pth"),
     "wrong layer": (with_arguments("--set", "features.layers=[nope]"), "ConfigError",
@@ -188,6 +200,22 @@ def test_bad_input_is_refused_by_name_and_leaves_nothing_behind(
     assert file_hashes(shot.folder) == before
     assert not shot.output.exists()
     assert core.stylized == []
+
+
+@pytest.mark.parametrize("is_above", [False, True])
+def test_an_output_folder_that_may_not_be_read_is_named(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch, is_above: bool
+) -> None:
+    def access(*arguments: object) -> bool:
+        if is_above:
+            raise PermissionError
+        return False
+
+    shot.output.mkdir()
+    monkeypatch.setattr("os.access", access)
+    for call in (lambda: run(shot), lambda: assemble(shot.output)):
+        with pytest.raises(LayerError, match="may not be looked into; change its permissions"):
+            call()
 
 
 SEEN_LATER = ("NaN", "cut off", "too little for a grid")

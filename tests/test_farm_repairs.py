@@ -10,7 +10,7 @@ import pytest
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
 from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, run, run_until
 from tests.usd_fixtures import write_vdb
-from usdsmoke import assemble, run_coarse, run_window
+from usdsmoke import assemble, locks, run_coarse, run_window
 from usdsmoke.cli import main
 from usdsmoke.errors import ConfigError, LayerError, OutputExists
 
@@ -219,8 +219,10 @@ def test_windows_replace_an_older_result_when_they_are_assembled(farm: Shot) -> 
 
 
 def test_a_whole_run_and_an_assembly_keep_out_of_a_worker_at_work(
-    farm: Shot, core: FakeCore
+    farm: Shot, core: FakeCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(locks, "_LONG_PATIENCE", 0.0)
+
     def intrude(time_code: float) -> None:
         core.before_frame = lambda time_code: None
         with pytest.raises(OutputExists, match="another usdsmoke is writing"):

@@ -8,7 +8,7 @@ equal bits, so that only time is lost.
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,6 +23,7 @@ except ImportError:  # Windows: nothing keeps a second process out there
 __all__ = ["OutputLock", "hold_file", "lock_output"]
 
 _PATIENCE = 1.0  # seconds: another process may hold the folder just to tidy up when it ends
+_LONG_PATIENCE = 300.0  # of tasks of a queue, which may be started twice, or a little early
 
 
 class OutputLock:
@@ -47,19 +48,22 @@ class OutputLock:
 
 
 @contextmanager
-def lock_output(output: Path, alone: bool = True) -> Iterator[OutputLock]:
+def lock_output(
+    output: Path, alone: bool = True, waits: Callable[[], None] | None = None
+) -> Iterator[OutputLock]:
     """Hold an output folder; it is made if missing, and removed if left empty.
 
     Args:
         output: the folder.
         alone: keep every other process out; otherwise those that do not want it alone may enter.
+        waits: for a process that waits some minutes for others; called once when it begins to.
 
     Raises:
         OutputExists: another process is writing there.
-        WriteFailed: the folder cannot be made.
+        WriteFailed: the folder cannot be made or opened.
     """
     made = make_folders(output)
-    handle = _open_and_take(output, alone)
+    handle = _open_and_take(output, alone, waits)
     lock = OutputLock(handle, alone)
     try:
         yield lock
@@ -97,19 +101,32 @@ def hold_file(lock_path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _open_and_take(output: Path, alone: bool) -> int:
+def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) -> int:
     """The open folder, held."""
-    until = time.monotonic() + (0.0 if alone else _PATIENCE)
+    patience = _LONG_PATIENCE if waits is not None else 0.0 if alone else _PATIENCE
+    began, told = time.monotonic(), False
     while True:
         make_folders(output)  # one that ends may have removed it, as it left it empty
-        handle = os.open(output, os.O_RDONLY)
+        try:
+            handle = os.open(output, os.O_RDONLY)
+        except FileNotFoundError:
+            continue  # it was removed this very moment
+        except OSError as error:
+            raise WriteFailed(
+                f"cannot open the folder {output}: {error.strerror or error}; change its "
+                "permissions (read, write and search), or choose another output folder"
+            ) from None
         if _take(handle, alone) and _is_same(handle, output):
             return handle
         os.close(handle)
-        if time.monotonic() >= until:
+        waited = time.monotonic() - began
+        if waited >= patience:
             raise OutputExists(
                 f"another usdsmoke is writing to {output}; wait for it or choose another folder"
             )
+        if waits is not None and waited >= _PATIENCE and not told:
+            waits()
+            told = True
         time.sleep(0.05)
 
 

@@ -12,6 +12,7 @@ from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_re
 from usdsmoke.pipeline_coarse import run_coarse_step
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, prepare_job, published_runs, requested_job
+from usdsmoke.pipeline_originals import settle_output
 from usdsmoke.pipeline_runs import (
     begin_run,
     check_same,
@@ -33,7 +34,7 @@ from usdsmoke.pipeline_times import ELSEWHERE, PartClock
 from usdsmoke.pipeline_tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
 from usdsmoke.plan import Plan
-from usdsmoke.run_progress import RunProgress, RunProgressCallback
+from usdsmoke.run_progress import WAITING, RunProgress, RunProgressCallback
 from usdsmoke.run_windows import finished_window, manifest_path
 from usdsmoke.torch_environment import prepare_torch_environment
 
@@ -238,7 +239,8 @@ def assemble(
     """Make the result of a run whose windows are all finished: the last step of a queue.
 
     Called once more on a result it changes nothing, unless another ``mode`` is asked for: the same
-    frames are then put on the stage in that way.
+    frames are then put on the stage in that way. Other processes at work in the folder are waited
+    for, some minutes long.
 
     Args:
         output: the folder that the windows were written to.
@@ -253,17 +255,18 @@ def assemble(
         UsdSmokeError: see ``usdsmoke.errors``.
         Interrupted: by Ctrl-C.
     """
-    output, clock = Path(output).absolute(), PartClock()
+    output, clock = settle_output(output), PartClock()
     if not output.is_dir():
         raise LayerError(f"there is no folder {output}; give the one that windows were written to")
-    with lock_output(output):
+    tell = progress or _tell_nobody
+    with lock_output(output, waits=lambda: tell(WAITING)):
         run = run_to_assemble(output, look)
         job = requested_job(output, run.request, mode)
         check_same(run, job)
         if run.complete and run.run_id in published_runs(job) and is_whole(run, job):
             return summarize_result(job, run)
         try:
-            return assemble_run(job, run, FrameReader(job.plan), progress or _tell_nobody, clock)
+            return assemble_run(job, run, FrameReader(job.plan), tell, clock)
         except KeyboardInterrupt:
             raise Interrupted("stopped; run the same command again to continue") from None
 

@@ -23,7 +23,7 @@ from usdsmoke.layer import LookFiles, check_asset, look_files
 from usdsmoke.naming import colour_names
 from usdsmoke.needs import Omission
 from usdsmoke.pipeline_features import check_features
-from usdsmoke.pipeline_originals import check_look_name, check_originals, check_output_folder
+from usdsmoke.pipeline_originals import check_originals, check_output_folder, settle_output
 from usdsmoke.pipeline_settings import portable_settings, settle_files
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
 from usdsmoke.provenance import hash_file
@@ -96,7 +96,7 @@ def prepare_job(
     Raises:
         UsdSmokeError: everything that can be wrong without a voxel being read.
     """
-    output = Path(output).absolute()
+    output = settle_output(output)
     style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
     if style_files:  # then no Volume's own images or weights count
         style_shares(config.style, len(style_files))
@@ -120,8 +120,7 @@ def prepare_job(
     sheets = sheet_files([volume.stem for volume in plan.volumes], output, config.layer.look)
     inputs = _input_files(stage, source, resolved.style_files)
     inputs += [Path(file_path) for file_path in earlier.layers]
-    check_look_name(output, config.layer.look)
-    check_output_folder(output, inputs, [*targets.written, *sheets])
+    check_output_folder(output, config.layer.look, inputs, [*targets.written, *sheets])
     if fits:
         check_plan(plan, output)
     return Job(stage, plan, styles, style_files, output, targets, earlier, frozenset(explicit))

@@ -1,4 +1,4 @@
-"""Results start from original smoke, and nothing that is read is written over."""
+"""Results start from original smoke, go where they can, and write over nothing that is read."""
 
 import os
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from usdsmoke.errors import LayerError, StageError
 from usdsmoke.grids.header import read_header
 from usdsmoke.volume import StageSource
 
-__all__ = ["check_look_name", "check_originals", "check_output_folder"]
+__all__ = ["check_originals", "check_output_folder", "settle_output"]
 
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
@@ -44,28 +44,60 @@ def check_originals(stage: Usd.Stage, source: StageSource) -> None:
                 )
 
 
-def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[Path]) -> None:
+def settle_output(output: str | os.PathLike[str]) -> Path:
+    """The output folder itself, absolute and without links.
+
+    Paths in a result's files start there, whichever way led to it.
+
+    Raises:
+        LayerError: it is a file or would lie in one, or may not be looked into.
+    """
+    folder = Path(os.path.realpath(output))
+    frames = folder / "vdb"
+    try:
+        for place in (folder, *folder.parents):
+            if place.exists() and not place.is_dir():
+                found = "is" if place == folder else f"would lie in {place}, which is"
+                raise LayerError(f"the output {output} {found} a file; wanted a folder, new or old")
+        if frames.exists() and not frames.is_dir():
+            raise LayerError(
+                f"{frames} is a file, and the result's frames go into a folder of this name; move "
+                "it away, or choose another output folder"
+            )
+        is_open = not folder.exists() or os.access(folder, os.R_OK | os.X_OK)
+    except PermissionError:  # of a folder above it, or its own
+        is_open = False
+    if not is_open:
+        raise LayerError(
+            f"the folder {output} may not be looked into; change its permissions (read, write and "
+            "search), or choose another output folder"
+        )
+    return folder
+
+
+def check_output_folder(
+    output: Path, look: str, inputs: Sequence[Path], targets: Sequence[Path]
+) -> None:
     """Refuse an output folder in which the run would write over, or clear away, what it reads.
 
     Args:
-        output: the output folder; need not exist.
+        output: the output folder, settled; need not exist.
+        look: the name of the look that is to be written.
         inputs: absolute.
         targets: files that will be written outside the folder of frames.
 
     Raises:
-        LayerError: the folder is a file or would lie in one, an input stands where the result
-            goes, or a file's name would be too long: what would come out only when everything is
-            computed.
+        LayerError: an input or a folder stands where the result goes, a file's name would be too
+            long, or the look's differs from another's in upper and lower case alone: what would
+            come out only when everything is computed.
     """
-    if output.exists() and not output.is_dir():
-        raise LayerError(f"the output {output} is a file; wanted a folder, new or old")
-    for parent in output.parents:
-        if parent.exists() and not parent.is_dir():
-            raise LayerError(
-                f"the output {output} would lie in {parent}, which is a file; wanted a folder, new "
-                "or old"
-            )
+    _check_look_name(output, look)
     for target in targets:
+        if target.is_dir():
+            raise LayerError(
+                f"{target} is a folder and stands where a file of the result goes; move it away, "
+                "or choose another output folder or look"
+            )
         length = len(os.fsencode(target.name))
         if length > _LONGEST_NAME:
             raise LayerError(
@@ -84,17 +116,10 @@ def check_output_folder(output: Path, inputs: Sequence[Path], targets: Sequence[
             )
 
 
-def check_look_name(output: Path, look: str) -> None:
+def _check_look_name(output: Path, look: str) -> None:
     """Refuse a name that differs from another look's in upper and lower case alone.
 
     Many file systems take the two for one file.
-
-    Args:
-        output: the output folder; need not exist.
-        look: the name of the look that is to be written.
-
-    Raises:
-        LayerError: names the other look.
     """
     for file_path in sorted(output.glob("look_*.usd[ac]")):
         other = file_path.stem.removeprefix("look_")

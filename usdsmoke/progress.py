@@ -56,6 +56,9 @@ class ConsoleProgress:
 
     def __call__(self, report: RunProgress) -> None:
         """Shows one record of a run."""
+        if report.step == "wait":
+            self.say("waiting for another usdsmoke, which is writing to the output folder")
+            return
         now = self._clock()
         noun = "" if report.step == "window" else " frame"
         where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"

@@ -7,7 +7,7 @@ from usdsmoke.config import Config
 from usdsmoke.core.progress import Progress
 from usdsmoke.core.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
-__all__ = ["RunProgress", "RunProgressCallback", "WorkMeter"]
+__all__ = ["WAITING", "RunProgress", "RunProgressCallback", "WorkMeter"]
 
 _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 
@@ -16,7 +16,9 @@ _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 class RunProgress:
     """What is being done just now, and how much of the whole run is done."""
 
-    step: str  # "check", "shape", "colour", "write", "picture", ...; "window": a whole one
+    # "check", "shape", "colour", "write", "picture", ...; "window": a whole one; "wait": another
+    # process is at work in the output folder
+    step: str
     time_code: float
     frame: int  # 0-based, among the frames to do; of a window, among those
     n_frames: int  # that were not finished by an earlier run
@@ -27,6 +29,8 @@ class RunProgress:
 
 
 RunProgressCallback = Callable[[RunProgress], None]
+
+WAITING = RunProgress("wait", 0.0, 0, 0, 0.0)
 
 
 class WorkMeter:

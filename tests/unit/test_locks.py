@@ -24,6 +24,28 @@ def test_one_that_is_alone_keeps_everybody_out(
         pass
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_one_that_waits_comes_in_when_the_other_has_left(tmp_path: Path, alone: bool) -> None:
+    first = lock_output(tmp_path)
+    first.__enter__()
+    with lock_output(tmp_path, alone, waits=lambda: first.__exit__(None, None, None)):
+        with pytest.raises(OutputExists):
+            with lock_output(tmp_path):
+                pass
+
+
+def test_one_that_waits_gives_up_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(locks, "_PATIENCE", 0.0)
+    monkeypatch.setattr(locks, "_LONG_PATIENCE", 0.2)
+    waited: list[bool] = []
+    with lock_output(tmp_path), pytest.raises(OutputExists, match="another usdsmoke"):
+        with lock_output(tmp_path, waits=lambda: waited.append(True)):
+            pass
+    assert waited == [True]
+
+
 def test_several_may_share_and_keep_out_one_that_wants_to_be_alone(tmp_path: Path) -> None:
     with lock_output(tmp_path, alone=False) as first:
         with lock_output(tmp_path, alone=False):
