@@ -149,7 +149,7 @@ class _Engine:
             end = budget.until([later.weight for later in wanted[number:]])
             found[sweep.name] = self._begun(sweep, end, max(end, budget.spent + budget.left / 2))
         for sweep in wanted:  # with what is left
-            if isinstance(found[sweep.name], str):
+            if isinstance(found[sweep.name], str) and budget.left > 0:
                 found[sweep.name] = self._begun(sweep, budget.seconds, budget.seconds)
         begun = [item for item in found.values() if isinstance(item, _UnderWay)]
         for item in sorted(begun, key=lambda item: item.missing == 0):
@@ -221,13 +221,16 @@ def _missing(item: _UnderWay) -> tuple[str, ...]:
     """A curve each, with the names of its points and what they would take."""
     by_curve: dict[str, list[str]] = {}
     for task in item.pending:
-        about = f"{task.label}: about {item.expected(task):.2g} s"
-        by_curve.setdefault(task.curve, []).append(about)
+        seconds = item.expected(task)
+        about = f": about {seconds:.2g} s" if seconds > 0 else ""
+        by_curve.setdefault(task.curve, []).append(f"{task.label}{about}")
     return tuple(f"{curve} ({', '.join(labels)})" for curve, labels in by_curve.items())
 
 
 def _too_few(item: _UnderWay) -> str:
     seconds = sum(item.expected(task) for task in item.needed)
+    if seconds == 0:
+        return _NO_TIME
     return f"the first points of it would take about {seconds:.2g} s more than was left"
 
 

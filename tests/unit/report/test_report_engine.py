@@ -122,6 +122,14 @@ def test_a_sweep_that_says_that_it_does_not_fit_is_asked_again_at_the_end() -> N
     assert not results and omitted[0].reason.endswith("was given: too dear")
 
 
+def test_the_first_reason_stays_where_no_time_is_left_to_ask_again() -> None:
+    time = FakeTime()
+    sweep = sweep_of(time, "a", [1, 1, 1], 1.0)
+    greedy = sweep_of(time, "b", [20], 1.0)
+    _, omitted, _ = run([replace(sweep, plan=_refusing), greedy], time, 40.0)
+    assert omitted[0].reason.endswith("was given: too dear")
+
+
 def _refusing(case: Any) -> Plan:
     raise LeftOut("too dear")
 
