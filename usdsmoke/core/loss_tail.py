@@ -12,6 +12,7 @@ __all__ = ["FEWEST", "remaining_decrease", "spread_of_mean"]
 
 FEWEST = 10  # iterations from which a tail can be fitted
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
+_BOWL = 0.1  # weight of an exponential beside a tail of the other kind
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
 _SHORTEST = 8  # iterations whose spread can be told from a slope
 
@@ -19,14 +20,14 @@ _SHORTEST = 8  # iterations whose spread can be told from a slope
 def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float:
     """How far the loss would still fall if its optimisation went on for ever, in its unit.
 
-    Tails L + A exp(-s / T) and L + A / (1 + s / a) with A >= 0 are fitted by least squares to all
-    but the first third of the history for several T and a, where s is the length of all steps so
-    far: the optimiser's rate falls towards the end, and counted in iterations any loss would seem
-    to converge. A quadratic bowl falls like an exponential; style losses fall like the other one,
-    whose long tail an exponential does not see. What each tail
-    leaves above L at the end is averaged with the weights exp(-(S - S_least) / 2 v), S the sum of
-    squares and v = S_least / (n - 3): a clean history is taken at its word, and a noisy one gets
-    the mean of all tails that it allows.
+    Tails L + A / (1 + s / a) + B r and L + A exp(-s / T) + B r with A, B >= 0 are fitted by least
+    squares to all but the first third of the history for several a and T. Here s is the length of
+    all steps so far: the optimiser's rate r falls towards the end, and counted in iterations any
+    loss would seem to converge. B r is what the steps themselves add to the loss by their size.
+    Style losses fall like the first kind, a quadratic bowl like the second. What each tail
+    leaves above L at the end is averaged with the weights w exp(-(S - S_least) / 2 v), S the sum of
+    squares, v = S_least / (n - 3), w = 1 for the first kind and 0.1 for the second: a clean history
+    is taken at its word, and a noisy one gets the mean of all tails that it allows.
 
     Args:
         losses: one an iteration, in order.
@@ -41,14 +42,16 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     ways = np.concatenate([[0.0], ways[:-1]])  # before each of the losses
     first = len(values) // 3
     here, whole, tail = ways[first:], ways[-1], values[first:]
-    shapes = [np.exp((whole - here) / ((whole - here[0]) * decay)) for decay in _DECAYS]
-    shapes += [(1 + 1 / half) / (1 + here / (half * whole)) for half in _HALVINGS]
-    found = [_fit(shape, tail) for shape in shapes]
+    shapes = [(1 + 1 / half) / (1 + here / (half * whole)) for half in _HALVINGS]
+    shapes += [np.exp((whole - here) / ((whole - here[0]) * decay)) for decay in _DECAYS]
+    prior = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
+    sizes = np.asarray(rates, float)[first:]
+    found = [_fit(shape, tail, sizes / sizes.max()) for shape in shapes]
     least = min(squares for _, squares in found)
     variance = max(least / max(len(tail) - 3, 1), (1e-12 * float(np.abs(tail).max())) ** 2)
     if variance == 0:
         return 0.0
-    weights = np.exp([(least - squares) / (2 * variance) for _, squares in found])
+    weights = prior * np.exp([(least - squares) / (2 * variance) for _, squares in found])
     return float(weights @ [height for height, _ in found] / weights.sum())
 
 
@@ -77,13 +80,23 @@ def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
     return deviation / math.sqrt(views) / abs(float(passage.mean()))
 
 
-def _fit(shape: np.ndarray, tail: np.ndarray) -> tuple[float, float]:
-    """The tail's height above its limit at the end, and the sum of squares that is left."""
-    centred, around = shape - shape.mean(), tail - tail.mean()
-    height = max(float(centred @ around / (centred @ centred)), 0.0)
+def _fit(shape: np.ndarray, tail: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
+    """The tail's height above its limit at the end, and the sum of squares that is left.
+
+    Of the fits with the shape alone, with the steps' sizes alone and with both the best one without
+    a negative factor is taken.
+    """
+    centred, steps, around = (values - values.mean() for values in (shape, sizes, tail))
+    height, squares = 0.0, float(around @ around)
+    for columns in ([centred], [steps], [centred, steps]):
+        matrix = np.stack(columns, axis=1)
+        factors = np.linalg.lstsq(matrix, around, rcond=None)[0]
+        rest = float(((around - matrix @ factors) ** 2).sum())
+        if (factors >= 0).all() and rest < squares:
+            height, squares = (float(factors[0]) if columns[0] is centred else 0.0), rest
     if tail.mean() > 0:
         height = min(height, float(tail.mean() / shape.mean()))  # no style loss falls below 0
-    return height * float(shape[-1]), float(((around - height * centred) ** 2).sum())
+    return height * float(shape[-1]), squares
 
 
 def _detrended(values: np.ndarray) -> float:
