@@ -20,6 +20,7 @@ from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ConfigError
 from usdsmoke.images import StyleImage, read_style_image
 from usdsmoke.layer import LookFiles, check_asset, look_files
+from usdsmoke.layer.anchoring import relative_asset_path
 from usdsmoke.naming import colour_names
 from usdsmoke.needs import Omission
 from usdsmoke.pipeline_features import check_features
@@ -237,7 +238,7 @@ def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
 def describe_request(job: Job) -> dict[str, Any]:
     """What it takes to make the job again, as JSON values; files relative to the output folder."""
     files = [Path(job.plan.source.file_path), *job.style_files]
-    stage, *styles = [os.path.relpath(file_path, job.output) for file_path in files]
+    stage, *styles = [relative_asset_path(file_path, job.output) for file_path in files]
     return {
         "stage": stage,
         "styles": styles,

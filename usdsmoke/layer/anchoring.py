@@ -14,16 +14,20 @@ _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is
 def relative_asset_path(file_path: str | Path, folder: Path) -> str:
     """``file_path`` as seen from ``folder``, with / and a leading dot; absolute across drives.
 
-    The leading dot tells USD to look beside the layer and nowhere else.
+    The leading dot tells USD to look beside the layer and nowhere else. Where links lead to the
+    file's folder, the shorter way counts, with the links as they are or followed: it stays right
+    from wherever a tree that holds both is reached.
 
     >>> relative_asset_path("/shot/look/vdb/smoke.0001.vdb", Path("/shot/look"))
     './vdb/smoke.0001.vdb'
     """
-    target = os.path.abspath(file_path)
+    target, start = os.path.abspath(file_path), os.path.abspath(folder)
+    followed = os.path.join(os.path.realpath(os.path.dirname(target)), os.path.basename(target))
     try:
-        relative = os.path.relpath(target, os.path.abspath(folder)).replace(os.sep, "/")
+        ways = [os.path.relpath(place, start).replace(os.sep, "/") for place in (target, followed)]
     except ValueError:  # there is no relative way from one Windows drive to another
         return target.replace(os.sep, "/")
+    relative = min(ways, key=lambda way: way.count("/"))
     return relative if relative.startswith("../") else f"./{relative}"
 
 
