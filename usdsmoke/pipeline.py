@@ -125,7 +125,7 @@ def stylize(
         Interrupted: by Ctrl-C.
     """
     clock = PartClock()
-    job = _prepare(stage, style, output, config, settings, planned)
+    job = clock.timed("preparing", _prepare, stage, style, output, config, settings, planned)
     tell = progress or _tell_nobody
     with lock_output(job.output) as lock:
         job, run, redone = open_or_redo(

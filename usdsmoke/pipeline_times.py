@@ -72,12 +72,13 @@ def run_seconds(
     Args:
         windows: the manifests of all windows.
         coarse: of the coarse step.
-        clock: of this call, with ``reading`` and ``assembling``.
+        clock: of this call, with ``preparing``, ``reading`` and ``assembling``.
     """
     reports = [frame["report"] for window in windows for frame in window.frames.values()]
     storage = math.fsum(_estimates(report, "storage") for report in reports)
     own = clock.parts
     parts = {
+        "preparing": own.get("preparing", 0.0),
         "reading": own.get("reading", 0.0) + _of(windows, "reading"),
         "coarse step": coarse,
         **{step: math.fsum(_seconds(report.get(step)) for report in reports) for step in _STEPS},

@@ -93,10 +93,15 @@ def _cheaper_between(result: SweepResult, chosen: Point, unit: _Unit) -> str:
     found = {curve: _passes(points, chosen) for curve, points in result.curves.items()}
     cheaper = [
         f"{curve} reaches it at about {times(at.cost / chosen.cost.median)} its {unit.noun}"
+        f"{_unset(result.curves[curve])}"
         for curve, at in found.items()
         if at is not None and at.cost * _CLOSE < chosen.cost.median
     ]
     return f"; between two measured points {', '.join(cheaper)}" if cheaper else ""
+
+
+def _unset(points: Sequence[Point]) -> str:
+    return "" if any(point.offered for point in points) else ", to which no setting leads"
 
 
 def _passes(points: Sequence[Point], chosen: Point) -> Crossing | None:

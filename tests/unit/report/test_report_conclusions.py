@@ -114,6 +114,8 @@ def test_a_ratio_between_points_is_called_what_it_is_and_both_points_are_named()
         "The configured point (cubic, whole) is the cheapest of those measured at its error; "
         "between two measured points linear reaches it at about 0.79x its time."
     )
+    unset = [points[0], *(replace(p, offered=False) for p in points[1:])]
+    assert conclude(result_of(unset)).verdict.endswith("0.79x its time, to which no setting leads.")
 
 
 def test_a_dearer_curve_does_not_stand_against_the_verdict() -> None:
