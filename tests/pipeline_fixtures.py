@@ -4,6 +4,7 @@ The stand-ins can be put in place of the real modules before those are imported,
 that is only there to be killed starts without torch.
 """
 
+import os
 import shutil
 import subprocess
 import sys
@@ -106,8 +107,15 @@ class FakeCore:
         self.stylized: list[float] = []  # timeCodes, in the order in which they were done
         self.velocities: list[bool] = []
         self.masks: list[bool] = []
+        self.processor = "stand-in"
+        self.threads: list[int] = []  # that windows were computed with
         self.before_frame: Callable[[float], None] = lambda time_code: None
         self.before_coarse: Callable[[float], None] = lambda time_code: None
+
+    def describe_machine(self, config: Any) -> types.SimpleNamespace:
+        threads = config.threads or len(os.sched_getaffinity(0))
+        device = "cpu" if config.device == "auto" else config.device
+        return types.SimpleNamespace(threads=threads, device=device, processor=self.processor)
 
     def measure_scene(self, frames: Sequence[VolumeFrame], config: Any, up_axis: str) -> FakeScene:
         return FakeScene(up_axis=up_axis)
@@ -123,6 +131,7 @@ class FakeCore:
         starts: Callable[[float], FakeStart | None] | None = None,
     ) -> Iterator[FakeStylized]:
         carried = 0.0
+        self.threads.append(config.optimize.threads)
         for number, frame in enumerate(frames):
             start = starts(frame.time_code) if starts is not None else None
             if start is not None:
@@ -202,6 +211,7 @@ class FakeCore:
         homes = {
             "usdsmoke.core.stylize": ("stylize_window",),
             "usdsmoke.core.coarse": ("coarse_frames", "save_start", "load_start"),
+            "usdsmoke.core.device": ("describe_machine",),
             "usdsmoke.core.scene": ("measure_scene",),
             "usdsmoke.core.render": ("render_view", "display_picture", "grey_picture"),
         }
@@ -272,13 +282,8 @@ def copied(shot: Shot, name: str) -> Shot:
 
 def run_until(step: int, *arguments: str) -> tuple[int, list[str]]:
     """A command with stand-ins, killed at a step; its exit code and, when it lives, its steps."""
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.run_to_be_killed", str(step), *arguments],
-        cwd=PROJECT,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    command = [sys.executable, "-m", "tests.run_to_be_killed", str(step), *arguments]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=60)
     return done.returncode, done.stderr.splitlines()[-1].split() if done.returncode == 0 else []
 
 

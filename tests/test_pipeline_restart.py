@@ -37,8 +37,14 @@ def stop_no_more(core: FakeCore) -> None:
 def test_a_result_is_not_overwritten_without_force(shot: Shot) -> None:
     run(shot)
     before = file_hashes(shot.output)
-    for settings in ((), ("optimize.seed=1",)):
-        with pytest.raises(OutputExists, match=r"there is a result in .*out already.*--force"):
+    for settings, message in (
+        ((), r"there is a result in .*out already.*--force"),
+        (
+            ("optimize.seed=1",),
+            r"other settings .*: settings\.optimize\.seed was 0, now 1.*--force",
+        ),
+    ):
+        with pytest.raises(OutputExists, match=message):
             run(shot, *settings)
     assert file_hashes(shot.output) == before
 
@@ -113,7 +119,7 @@ def test_a_finished_frame_that_was_damaged_since_is_done_again(shot: Shot, core:
     [
         ("setting", r"settings\.optimize\.seed was 0, now 5"),
         ("input", r"files\.cache/smoke\.0002\.vdb was .*, now "),
-        ("style", r"styles was .*, now "),
+        ("style", r'styles\[0\] was "style.png \w{12}\.\.\.", now "style.png \w{12}\.\.\."'),
     ],
 )
 def test_an_unfinished_run_of_other_settings_or_inputs_is_not_mixed_with_this_one(
@@ -142,7 +148,7 @@ def test_settings_that_do_not_change_the_result_do_not_hinder_going_on(
     with pytest.raises(Interrupted):
         run(shot, "windows.size=1")
     stop_no_more(core)
-    run(shot, "windows.size=1", "optimize.threads=1", "grids.time_limit_s=77")
+    run(shot, "windows.size=1", "optimize.memory_limit_gib=77", "grids.time_limit_s=77")
     assert core.stylized == [3.0]
 
 

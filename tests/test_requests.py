@@ -186,7 +186,7 @@ def test_a_changed_request_is_another_run_and_a_moved_shot_is_not(
 def test_another_image_under_the_same_name_is_another_run(two: Path, tmp_path: Path) -> None:
     run_window(two, None, tmp_path / "out", 0)
     flat_style(tmp_path / "sub/blue.png", (0, 255, 0))
-    with pytest.raises(OutputExists, match=r"requests\./World/wild.styles was"):
+    with pytest.raises(OutputExists, match=r"requests\./World/wild.styles\[0\] was"):
         run_window(two, None, tmp_path / "out", 1)
 
 

@@ -27,7 +27,7 @@ def provenance_text(record: "LookRecord") -> str:
         ("record", str(record.file)),
         ("made with", f"usdsmoke {values.get('version', '?')}"),
         ("upon", ", ".join(packages)),
-        ("on", str(values.get("platform", ""))),
+        ("on", ", ".join([str(values.get("platform", "")), *record.texts("machine")])),
         ("begun", str(values.get("created", ""))),
         ("finished", str(values.get("finished", ""))),
         ("run", str(values.get("run", ""))),

@@ -136,7 +136,12 @@ def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None
 
 def _step_as_dict(step: "StepResult") -> dict[str, Any]:
     manifest = str(step.manifest) if step.manifest.is_file() else None
-    return {"folder": str(step.folder), "manifest": manifest, "was_done": step.was_done}
+    return {
+        "folder": str(step.folder),
+        "manifest": manifest,
+        "was_done": step.was_done,
+        "warnings": list(step.warnings),
+    }
 
 
 def result_as_dict(result: "StylizeResult") -> dict[str, Any]:

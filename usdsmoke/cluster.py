@@ -31,6 +31,7 @@ from usdsmoke.pipeline import (
     run_coarse,
     run_window,
 )
+from usdsmoke.pipeline_machine import settle_threads
 from usdsmoke.pipeline_settings import (
     FilePath,
     Settings,
@@ -84,7 +85,7 @@ def stylize_on_cluster(
 
     The coarse step is one task, then every window is one; the result is assembled here. Workers
     need the same usdsmoke and see the inputs and the output folder under the same paths. A task
-    uses ``optimize.threads`` threads, or as many as its worker was started with.
+    uses ``optimize.threads`` threads, or as many as the run was begun with, or as a plain run here.
 
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.
@@ -112,7 +113,7 @@ def stylize_on_cluster(
         stage=str(Path(stage).absolute()),
         styles=tuple(str(Path(image).absolute()) for image in styles),
         output=str(Path(output).absolute()),
-        config=resolved,
+        config=settle_threads(Path(output), resolved, force),  # as here
         explicit=explicit,
         force=force,
     )
@@ -219,11 +220,7 @@ def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgre
 
 def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
     """On a worker: one window, or the coarse step; the error that no other try would mend."""
-    from distributed import get_worker
-
     config = request.config
-    threads = config.optimize.threads or get_worker().state.nthreads
-    config = replace(config, optimize=replace(config.optimize, threads=threads))
     settings = explicit_values(config, request.explicit)
     files = (request.stage, request.styles, request.output)
     with _one_at_a_time:

@@ -236,7 +236,11 @@ class OptimizeConfig:
     )
     seed: int = setting(0, "seed of every random draw", low=0, high=2**63 - 1)
     device: str = setting("auto", "auto, cpu or cuda")
-    threads: int = setting(0, "CPU threads; 0 means all", low=0)
+    threads: int = setting(
+        0,
+        "CPU threads, the same for the whole run; 0 takes all there are when it is begun",
+        low=0,
+    )
     memory_limit_gib: float | None = setting(
         None, "refuse plans that need more; unset means the machine's", above=0.0
     )

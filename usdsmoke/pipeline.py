@@ -1,7 +1,6 @@
 """The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,17 @@ from usdsmoke.errors import Interrupted, LayerError
 from usdsmoke.locks import lock_output
 from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_result
 from usdsmoke.pipeline_coarse import run_coarse_step
+from usdsmoke.pipeline_finished import StepResult, check_same, is_whole, run_to_assemble
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, prepare_job, published_runs, requested_job
+from usdsmoke.pipeline_machine import machine_of, processor_note
 from usdsmoke.pipeline_originals import settle_output
 from usdsmoke.pipeline_runs import (
     begin_run,
-    check_same,
     how_far,
-    is_whole,
     joined_run,
     open_or_redo,
-    run_to_assemble,
+    settle_scenes,
     tidy_end,
 )
 from usdsmoke.pipeline_settings import (
@@ -47,16 +46,6 @@ __all__ = [
     "run_window",
     "stylize",
 ]
-
-
-@dataclass(frozen=True)
-class StepResult:
-    """What a part of a run left behind: one window, or the coarse step."""
-
-    folder: Path  # of the run
-    manifest: Path  # what was written, for machines; a run without a coarse step has none
-    was_done: bool  # nothing was left to do
-    plan: Plan
 
 
 def plan_stylize(
@@ -143,7 +132,8 @@ def stylize(
         with tidy_end(run, lock, lambda: how_far(run, job.plan)):
             reader = FrameReader(job.plan)
             hashes = clock.timed("reading", check_frames, reader, to_do, tell)
-            begin_run(job, run, reader)
+            begin_run(job, run)
+            settle_scenes(job, run, reader)
             clock.timed(ELSEWHERE, run_coarse_step, job, run, reader, tell)
             clock.timed(ELSEWHERE, stylize_windows, job, run, reader, to_do, hashes, tell, True)
             return assemble_run(job, run, reader, tell, clock)
@@ -169,16 +159,16 @@ def run_coarse(
     """
     job = _prepare(stage, style, output, config, settings, planned)
     tell = progress or _tell_nobody
-    with joined_run(job, force) as (run, lock):
+    with joined_run(job, force) as (job, run, lock):
         with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
             reader = FrameReader(job.plan)
-            had_begun = bool(run.scenes)
-            if not had_begun:
+            had_scenes = bool(run.scenes)
+            if not had_scenes:
                 check_frames(reader, list_tasks(job.plan), tell)
-                begin_run(job, run, reader)
-            did_coarse = run_coarse_step(job, run, reader, tell)
-    was_done = had_begun and not did_coarse
-    return StepResult(run.folder, run.folder / "coarse.json", was_done, job.plan)
+                settle_scenes(job, run, reader)
+            was_done = not run_coarse_step(job, run, reader, tell) and had_scenes
+            notes = () if was_done else processor_note(run, machine_of(job).processor)
+    return StepResult(run.folder, run.folder / "coarse.json", was_done, job.plan, notes)
 
 
 def run_window(
@@ -217,17 +207,19 @@ def run_window(
     """
     job = _prepare(stage, style, output, config, settings, planned)
     task, tell = pick_task(job.plan, window), progress or _tell_nobody
-    with joined_run(job, force) as (run, lock):
+    with joined_run(job, force, task) as (job, run, lock):
         manifest = manifest_path(run, window)
         if finished_window(run, window) is not None:
             return StepResult(run.folder, manifest, True, job.plan)
         with tidy_end(run, lock, lambda: f"stopped in window {window}; run the command again"):
             reader = FrameReader(job.plan)
+            task = pick_task(job.plan, window)  # with what the run has settled
             hashes = check_frames(reader, [task], tell)
-            begin_run(job, run, reader)
-            run_coarse_step(job, run, reader, tell)
+            settle_scenes(job, run, reader)
+            run_coarse_step(job, run, reader, tell, task.frames)
             stylize_windows(job, run, reader, [task], hashes, tell)
-    return StepResult(run.folder, manifest, False, job.plan)
+            notes = processor_note(run, machine_of(job).processor)
+    return StepResult(run.folder, manifest, False, job.plan, notes)
 
 
 def assemble(

@@ -18,6 +18,7 @@ from usdsmoke.memory import give_back_memory
 from usdsmoke.pipeline_budget import run_budget
 from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, describe_request
+from usdsmoke.pipeline_machine import processor_warnings
 from usdsmoke.pipeline_outputs import (
     collect_volume,
     frame_record,
@@ -290,6 +291,7 @@ def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
         for name, record in sorted(run.frames.items())
         for warning in record["report"].get("warnings", [])
     ]
+    found += processor_warnings(run)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):
         found.append(

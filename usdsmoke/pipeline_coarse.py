@@ -6,7 +6,7 @@ the run's folder, so that whoever computes a window later starts from the same b
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from usdsmoke.core.progress import Progress
     from usdsmoke.core.scene import Scene
 
-__all__ = ["coarse_starts", "measure_scenes", "read_scene", "run_coarse_step"]
+__all__ = ["coarse_starts", "lacks_starts", "measure_scenes", "read_scene", "run_coarse_step"]
 
 
 def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
@@ -46,8 +46,10 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
+    from usdsmoke.core.device import describe_machine
     from usdsmoke.core.scene import measure_scene
 
+    describe_machine(plan.config.optimize)  # sets threads: sums depend on the number of threads
     scenes = []
     for volume in plan.volumes:
         frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
@@ -64,7 +66,11 @@ def read_scene(run: RunFolder, volume_number: int) -> "Scene":
 
 
 def run_coarse_step(
-    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
+    job: Job,
+    run: RunFolder,
+    reader: FrameReader,
+    tell: RunProgressCallback,
+    frames: Collection[FramePlan] | None = None,
 ) -> bool:
     """The coarse step of every sequence that several windows share, as far as it is not done.
 
@@ -75,6 +81,7 @@ def run_coarse_step(
         run: where the results go; it has begun.
         reader: of the source's frames.
         tell: hears of every frame.
+        frames: those whose starts are asked for; None: all. No other start is looked at.
 
     Returns:
         Whether there was anything to do.
@@ -82,21 +89,31 @@ def run_coarse_step(
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
-    if not _missing(run, job.plan):
+    if not _missing(run, job.plan, frames):
         return False
     with hold_work(run):
-        to_do = _missing(run, job.plan)  # another process may have done it meanwhile
-        n_frames, done = sum(len(frames) for _, _, frames in to_do), 0
-        for number, volume, frames in to_do:
-            _run_chain(job, run, reader, (number, volume, frames), (done, n_frames), tell)
-            done += len(frames)
+        to_do = _missing(run, job.plan, frames)  # another process may have done it meanwhile
+        n_frames, done = sum(len(chain) for _, _, chain in to_do), 0
+        for number, volume, chain in to_do:
+            _run_chain(job, run, reader, (number, volume, chain), (done, n_frames), tell)
+            done += len(chain)
     return bool(to_do)
 
 
+def lacks_starts(run: RunFolder, plan: Plan, frames: Collection[FramePlan]) -> bool:
+    """Whether the coarse step is still to be done for some of these frames."""
+    return bool(_missing(run, plan, frames))
+
+
 def coarse_starts(
-    run: RunFolder, volume: VolumePlan
+    run: RunFolder, volume: VolumePlan, frames: Collection[FramePlan]
 ) -> "Callable[[float], CoarseStart | None] | None":
     """What gives a frame's coarse start by its timeCode; None where windows do without.
+
+    Args:
+        run: with the coarse step done.
+        volume: of the frames.
+        frames: those whose starts are asked for.
 
     Raises:
         FileUnreadable: by what is returned: a file has vanished or changed since it was written.
@@ -108,7 +125,7 @@ def coarse_starts(
     names = {
         frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
     }
-    record = finished_coarse(run)
+    record = finished_coarse(run, {coarse_file_name(frame.file_name) for frame in frames})
 
     def start(time_code: float) -> "CoarseStart | None":
         name = names.get(time_code)
@@ -125,15 +142,20 @@ def coarse_starts(
     return start
 
 
-def _missing(run: RunFolder, plan: Plan) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
-    """Volume number, Volume and frames of every sequence in which a coarse start is missing."""
-    record = finished_coarse(run)
+def _missing(
+    run: RunFolder, plan: Plan, wanted: Collection[FramePlan] | None = None
+) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
+    """Volume number, Volume and frames of every sequence in which a start that is wanted, or
+    without a wish any start, is missing."""
+    names = None if wanted is None else {coarse_file_name(frame.file_name) for frame in wanted}
+    record = finished_coarse(run, names)
     to_do = []
     for number, volume in enumerate(plan.volumes):
         frames = {frame.source.time_code: frame for frame in volume.frames}
         for codes in volume.coarse_runs:
             chain = tuple(frames[code] for code in codes)
-            if any(coarse_file_name(frame.file_name) not in record.frames for frame in chain):
+            starts = {coarse_file_name(frame.file_name) for frame in chain}
+            if (starts if names is None else starts & names) - record.frames.keys():
                 to_do.append((number, volume, chain))
     return to_do
 
@@ -148,6 +170,7 @@ def _run_chain(
 ) -> None:
     """One sequence between two cuts, from its first frame to its last."""
     from usdsmoke.core.coarse import coarse_frames, save_start
+    from usdsmoke.core.device import describe_machine
 
     (number, volume, frames), (done, n_frames) = chain, counted
     record, started = finished_coarse(run), time.monotonic()
@@ -171,4 +194,5 @@ def _run_chain(
         record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
         give_back_memory()
     seconds = record.seconds + time.monotonic() - started
-    finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds))
+    here = describe_machine(job.config.optimize).processor
+    finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds, here))

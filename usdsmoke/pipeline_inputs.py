@@ -1,8 +1,6 @@
 """All that is known before voxels are read: stage, plan, styles, and what they are made of."""
 
 import dataclasses
-import hashlib
-import json
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.config import Config, resolve_config, style_shares
 from usdsmoke.contact_sheet import sheet_files
 from usdsmoke.diagnostics import captured_diagnostics
 from usdsmoke.errors import ConfigError
@@ -27,30 +24,18 @@ from usdsmoke.pipeline_features import check_features
 from usdsmoke.pipeline_originals import check_originals, check_output_folder, settle_output
 from usdsmoke.pipeline_settings import portable_settings, settle_files
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
-from usdsmoke.provenance import hash_file
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
 from usdsmoke.stage import find_volumes, open_source, seen_through
-from usdsmoke.time_codes import format_time_code
 from usdsmoke.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.volume_settings import resolve_volumes
 
 __all__ = [
     "Job",
     "describe_request",
-    "describe_run",
+    "frame_files",
     "prepare_job",
     "published_runs",
     "requested_job",
-    "requested_values",
 ]
-
-# Settings that change when or whether a result comes about, but not the result.
-_NEUTRAL = {
-    "features": ("vgg19_file",),  # what it holds counts: features_hash
-    "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("memory_limit_gib", "threads", "error_budget", "target_error"),
-    "layer": ("mode",),
-}
 
 
 @dataclass(frozen=True)
@@ -65,6 +50,7 @@ class Job:
     targets: LookFiles
     earlier: EarlierLooks  # looks that the stage has already
     explicit: frozenset[str] = frozenset()  # settings that are stronger than a Volume's own
+    digests: dict[str, str] = dataclasses.field(default_factory=dict, compare=False)  # of files
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
         """The pixels of a Volume's style images."""
@@ -157,11 +143,11 @@ def _check_names(volume: VolumeSource, config: Config) -> None:
 def _input_files(stage: Usd.Stage, source: StageSource, styles: Iterable[Path]) -> list[Path]:
     """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
     layers = [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
-    files = [*layers, *_frame_files(source), *styles]
+    files = [*layers, *frame_files(source), *styles]
     return list(dict.fromkeys(Path(file_path).absolute() for file_path in files))
 
 
-def _frame_files(source: StageSource) -> list[str]:
+def frame_files(source: StageSource) -> list[str]:
     """The VDB files of all selected frames, each once, in order."""
     return list(
         dict.fromkeys(
@@ -171,68 +157,6 @@ def _frame_files(source: StageSource) -> list[str]:
             for field in frame.fields.values()
         )
     )
-
-
-def describe_run(job: Job, features_hash: str) -> dict[str, Any]:
-    """Everything that decides a result, as JSON values: equal descriptions give equal results.
-
-    Files are named relative to the stage, so that a moved shot is still the same run.
-
-    Args:
-        job: gives stage, files, settings and styles.
-        features_hash: of what pictures are compared by.
-    """
-    source = job.plan.source
-    folder = Path(source.file_path).parent
-    requests = requested_values(job.plan, job.styles)
-    return {
-        **({"requests": requests} if requests else {}),
-        "version": __version__,
-        "settings": _deciding_settings(job.config),
-        "stage": _stage_digest(source),
-        "files": {
-            os.path.relpath(file_path, folder): hash_file(file_path)
-            for file_path in _frame_files(source)
-        },
-        "styles": [f"{style.name} {style.sha256}" for style in job.styles],
-        "features_hash": features_hash,
-    }
-
-
-def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]:
-    """What each Volume's prim asks for and gets, as JSON values that name no folder.
-
-    Args:
-        plan: of the run.
-        styles: all images of the run.
-
-    Returns:
-        ``settings``, ``styles`` (name and SHA-256) and, where values change over time, ``samples``
-        (by setting and timeCode) by prim path; nothing for Volumes that ask for nothing.
-    """
-    found: dict[str, Any] = {}
-    for volume in plan.volumes:
-        request = volume.source.request
-        if request.settings or request.styles:
-            images = [styles[place] for place in volume.styles] if request.styles else []
-            found[volume.source.prim_path] = {
-                "settings": {key: dict(values) for key, values in request.settings.items()},
-                "styles": [f"{image.name} {image.sha256}" for image in images],
-            }
-            if samples := _requested_samples(volume):
-                found[volume.source.prim_path]["samples"] = samples
-    return found
-
-
-def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
-    for row in (row for row in REQUEST_ATTRIBUTES if row.control):
-        for frame in volume.source.frames:
-            value = getattr(frame.controls, row.control)
-            if value is not None:
-                code = format_time_code(frame.time_code)
-                found.setdefault(row.setting, {})[code] = value
-    return found
 
 
 def describe_request(job: Job) -> dict[str, Any]:
@@ -274,27 +198,3 @@ def _named_run(look_layer: Path) -> str:
         return ""  # no layer of ours, but somebody's file
     record = layer.customLayerData.get("usdsmoke", {})
     return str(record.get("run", "")) if isinstance(record, dict) else ""
-
-
-def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
-    settings = config_to_dict(config)
-    for section, keys in _NEUTRAL.items():
-        for key in keys:
-            del settings[section][key]
-    return settings
-
-
-def _stage_digest(source: StageSource) -> str:
-    """Of everything that the stage says about the Volumes, except where it lies on the disk."""
-    values = dataclasses.asdict(dataclasses.replace(source, file_path=Path(source.file_path).name))
-    for volume in values["volumes"]:
-        del volume["request"]
-        for frame in volume["frames"]:
-            for field in frame["fields"].values():
-                del field["file_path"]
-    text = json.dumps(values, sort_keys=True, default=_plain)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else str(value)

@@ -17,6 +17,7 @@ from usdsmoke.grids.read import read_binding_version
 from usdsmoke.images import StyleImage
 from usdsmoke.layer.anchoring import relative_asset_path
 from usdsmoke.pipeline_budget import run_budget
+from usdsmoke.pipeline_machine import machine_texts
 from usdsmoke.pipeline_settings import portable_settings
 from usdsmoke.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.provenance import Provenance, RunFacts, build_provenance
@@ -111,6 +112,7 @@ def make_provenance(
         features_hash=run.description["features_hash"],
         packages=_versions(config.grids),
         platform=platform_name(),
+        machine=machine_texts(run),
         timings={"stylize": work + coarse, "coarse": coarse, **step_seconds(reports)},
         extinction={
             volume.source.prim_path: (scene["gamma_w"], scene["gamma_w_shape"])

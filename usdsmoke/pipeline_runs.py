@@ -7,27 +7,35 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict
-from usdsmoke.errors import Interrupted, LayerError, OutputExists
+from usdsmoke.config import Config
+from usdsmoke.errors import Interrupted, OutputExists
 from usdsmoke.locks import OutputLock, lock_output
-from usdsmoke.pipeline_coarse import measure_scenes
+from usdsmoke.pipeline_coarse import lacks_starts, measure_scenes
+from usdsmoke.pipeline_description import describe_run
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_request, describe_run, published_runs
-from usdsmoke.pipeline_windows import list_tasks
+from usdsmoke.pipeline_inputs import Job, describe_request, published_runs
+from usdsmoke.pipeline_machine import machine_of, settle_description, with_settled
+from usdsmoke.pipeline_windows import WindowTask, list_tasks
 from usdsmoke.plan import Plan
 from usdsmoke.run_changes import list_changes
-from usdsmoke.run_folder import RunFolder, find_runs, open_run
-from usdsmoke.run_windows import finished_window, is_useless
+from usdsmoke.run_choice import Describe, find_equal, open_run, taken_up
+from usdsmoke.run_folder import RunFolder, find_runs
+from usdsmoke.run_windows import (
+    finished_window,
+    forget_beginning,
+    hold_beginning,
+    is_useless,
+    remove_locks,
+)
 
 __all__ = [
     "begin_run",
-    "check_same",
+    "describing",
     "how_far",
-    "is_whole",
     "joined_run",
     "open_or_redo",
-    "run_to_assemble",
+    "settle_scenes",
     "tidy_end",
 ]
 
@@ -38,6 +46,7 @@ def open_or_redo(
     """The run of a whole job, and which of its windows are to be done again though they are done.
 
     A selection of a result's own frames means these frames once more: the job becomes the result's.
+    What the job leaves to the machine is settled, or as it was when the run was begun.
 
     Args:
         job: what was asked for.
@@ -46,54 +55,91 @@ def open_or_redo(
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
+        ConfigError: the device is not there.
     """
     published = published_runs(job)
     if not force:
         for run in find_runs(job.output):
-            if run.complete and run.run_id in published and _selects_other_frames(job, run):
+            if run.complete and run.run_id in published and _has_other_frames(job, run):
                 frames = run.description["settings"]["stage"]["frames"]
                 stage = dataclasses.replace(job.config.stage, frames=frames)
                 whole = prepare(dataclasses.replace(job.config, stage=stage))
-                redone = _windows_of(whole.plan, job.plan)
-                if redone and describe_run(whole, _features_hash(whole.plan)) == run.description:
-                    return whole, run, redone
-    description = describe_run(job, _features_hash(job.plan))
-    return job, open_run(job.output, description, published, force), frozenset()
+                if redone := _windows_of(whole.plan, job.plan):
+                    _refuse_other(run, whole)
+                    return with_settled(whole, run), run, redone
+    run = open_run(job.output, job.config.layer.look, describing(job), published, force)
+    return with_settled(job, run), run, frozenset()
 
 
 @contextmanager
-def joined_run(job: Job, force: bool) -> Iterator[tuple[RunFolder, OutputLock]]:
-    """The run of a job that several processes may work on, begun or not; the folder is held.
+def joined_run(
+    job: Job, force: bool, task: WindowTask | None = None
+) -> Iterator[tuple[Job, RunFolder, OutputLock]]:
+    """The run of a job that several processes may work on, begun if it was not; the folder is held.
+
+    Of two processes that begin different runs at once one is refused: the record is there before a
+    frame is read.
+
+    Args:
+        job: what was asked for.
+        force: begin beside a result of other settings.
+        task: the window that is to be done: no other inputs are read where the run has begun and
+            this window's coarse starts are there. None: all.
+
+    Yields:
+        The job with what the run has settled of the machine, the run, and the lock.
 
     Raises:
         OutputExists: the folder holds a run or result of other settings or inputs, and ``force``
             does not say to begin beside it.
+        ConfigError: the device is not there.
     """
-    description = describe_run(job, _features_hash(job.plan))
-    if force and _equal_run(job.output, description) is None:
+    describe, look = describing(job, task), job.config.layer.look
+    published = published_runs(job)
+    if force and find_equal(job.output, describe) is None:
         with lock_output(job.output):  # unfinished runs of other settings go: nobody may be at them
-            open_run(job.output, description, published_runs(job), force)
+            open_run(job.output, look, describe, published, force)
     with lock_output(job.output, alone=False) as lock:
-        run = _equal_run(job.output, description)
+        run = find_equal(job.output, describe)
         if run is None:
-            run = open_run(job.output, description, published_runs(job), force)
-        yield run, lock
+            open_run(job.output, look, describe, published, force, alone=False)  # or be refused
+            with _held_beginning(job.output, lock):
+                run = find_equal(job.output, describe)
+                if run is None:
+                    run = open_run(job.output, look, describe, published, force, alone=False)
+                    begin_run(with_settled(job, run), run)
+        yield with_settled(job, run), run, lock
 
 
-def begin_run(job: Job, run: RunFolder, reader: FrameReader) -> None:
-    """Measure the scenes and make the run's record, or take up what another process has begun.
+def begin_run(job: Job, run: RunFolder) -> None:
+    """Make the run's record, or take up what another process has begun.
+
+    Args:
+        job: with what the run has settled of the machine.
+        run: from ``open_or_redo``.
 
     Raises:
-        GridError, NonFiniteError: see ``FrameReader.read``.
+        ConfigError: the device is not there.
         WriteFailed: the operating system refused.
     """
-    if run.scenes or run.adopt():
+    if run.has_begun or run.adopt():
         run.tidy()
         return
     described = job.plan.to_dict()
     # What of the plan stays with the result: nothing that names folders of this machine.
     plan = {key: described[key] for key in ("windows", "needed", "omitted", "estimate")}
-    run.begin(plan, describe_request(job), measure_scenes(reader, job.plan))
+    run.begin(plan, describe_request(job), machine_of(job).processor)
+
+
+def settle_scenes(job: Job, run: RunFolder, reader: FrameReader) -> None:
+    """Measure the scenes of a run that has begun, if no one has.
+
+    Raises:
+        GridError, NonFiniteError: see ``FrameReader.read``.
+        WriteFailed: the operating system refused.
+    """
+    if not run.scenes:
+        run.keep_scenes(measure_scenes(reader, job.plan))
 
 
 @contextmanager
@@ -113,6 +159,7 @@ def tidy_end(run: RunFolder, lock: OutputLock, how_far: Callable[[], str]) -> It
     except BaseException as error:
         message = how_far() if isinstance(error, KeyboardInterrupt) else ""
         if is_useless(run) and lock.is_alone():
+            remove_locks(run)
             run.remove()
         if message:
             raise Interrupted(message) from None
@@ -132,83 +179,37 @@ def how_far(run: RunFolder, plan: Plan) -> str:
     )
 
 
-def run_to_assemble(output: Path, look: str | None = None) -> RunFolder:
-    """The run whose windows an output folder holds: the one that is not complete, if any.
-
-    Args:
-        output: the output folder.
-        look: the look's name; None where the folder leaves no choice.
-
-    Raises:
-        LayerError: there is none, or several.
-    """
-    runs = [run for run in find_runs(output) if look in (None, run.look)]
-    unfinished = [run for run in runs if not run.complete]
-    if not runs:
-        named = f" of the look {look}" if look else ""
-        raise LayerError(
-            f"there is no run{named} in {output}; begin one with 'usdsmoke stylize ... --window "
-            "K', or give the folder that its windows were written to"
-        )
-    looks = sorted({run.look for run in unfinished or runs})
-    if len(looks) > 1:
-        raise LayerError(
-            f"{output} holds several looks: {', '.join(looks)}; name one of them with --look"
-        )
-    if len(unfinished) > 1:
-        keys = ", ".join(run.folder.name for run in unfinished)
-        raise LayerError(
-            f"{output}/vdb holds {len(unfinished)} unfinished runs ({keys}); remove the folders of "
-            "those that are not wanted"
-        )
-    run = (unfinished or runs)[0]
-    if not run.request:
-        raise LayerError(
-            f"the run in {run.folder} does not tell what it was begun with; run 'usdsmoke stylize' "
-            "as it was begun"
-        )
-    return run
+@contextmanager
+def _held_beginning(output: Path, lock: OutputLock) -> Iterator[None]:
+    """Begin a run while no other process does; a refusal leaves no lock file in an empty folder."""
+    try:
+        with hold_beginning(output):
+            yield
+    except BaseException:
+        if not any(find_runs(output)) and lock.is_alone():
+            forget_beginning(output)
+        raise
 
 
-def check_same(run: RunFolder, job: Job) -> None:
-    """Refuse inputs that are not those the run was begun with.
-
-    Raises:
-        OutputExists: names what has changed.
-    """
-    changes = list_changes(
-        run.description, _as_stored(describe_run(job, run.description["features_hash"]))
-    )
+def _refuse_other(run: RunFolder, whole: Job) -> None:
+    """Refuse to do frames of a result again with other settings or inputs."""
+    changes = list_changes(run.description, describing(whole)(run))
     if changes:
         raise OutputExists(
-            f"the inputs of the run in {run.folder} are no longer the same: {changes}; bring them "
-            "back, or stylize again with --force"
+            f"there is a result of other settings or inputs in {run.output}: {changes}; bring them "
+            "back to make single frames again, choose another output folder or look, or replace "
+            "the whole result with --force"
         )
 
 
-def is_whole(run: RunFolder, job: Job) -> bool:
-    """Whether a complete run still has all files that the job wants, made from the parts that are
-    there."""
-    frames = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
-    files = [*job.targets.written, *(run.output / name for name in run.files)]
-    records = [run.finished(name) for name in frames]
-    parts = [part for record in records if record for part in record.get("parts", {}).items()]
-    standing = [run.is_unchanged(name, sha) for name, sha in parts if (run.folder / name).exists()]
-    return all(records) and all(path.is_file() for path in files) and all(standing)
-
-
-def _selects_other_frames(job: Job, run: RunFolder) -> bool:
-    """Whether a run has the job's settings but for the timeCodes."""
-    settings = config_to_dict(job.config)
-    theirs = run.description.get("settings", {})
-    same = [
-        value == settings.get(section, {}).get(key)
-        for section, values in theirs.items()
-        for key, value in values.items()
-        if (section, key) != ("stage", "frames")
-    ]
-    frames = theirs.get("stage", {}).get("frames", "")
-    return all(same) and bool(job.config.stage.frames) and frames != job.config.stage.frames
+def _has_other_frames(job: Job, run: RunFolder) -> bool:
+    """Whether a job selects timeCodes, and others than a run of its look did."""
+    frames = run.description["settings"]["stage"]["frames"]
+    return (
+        run.look == job.config.layer.look
+        and bool(job.config.stage.frames)
+        and bool(frames != job.config.stage.frames)
+    )
 
 
 def _windows_of(whole: Plan, part: Plan) -> frozenset[int]:
@@ -228,17 +229,33 @@ def _windows_of(whole: Plan, part: Plan) -> frozenset[int]:
     return frozenset(homes[place] for place in wanted)
 
 
-def _equal_run(output: Path, description: dict[str, Any]) -> RunFolder | None:
-    """A run of the same description: the unfinished one before the complete one."""
-    runs = [run for run in find_runs(output) if run.description == _as_stored(description)]
-    return min(runs, key=lambda run: run.complete, default=None)
+def describing(job: Job, task: WindowTask | None = None) -> Describe:
+    """How a job compares with runs: what it leaves to the machine is as it was for the run.
+
+    Args:
+        job: what was asked for.
+        task: the window that is to be done; see ``joined_run``.
+    """
+    features_hash = features_hashes(volume.config.features for volume in job.plan.volumes)
+
+    def describe(run: RunFolder | None) -> dict[str, Any]:
+        if run is None:
+            return _as_stored(settle_description(describe_run(job, features_hash), job))
+        known, wanted = run.description.get("files", {}), _files_read(job, run, task)
+        described = describe_run(job, features_hash, known, wanted)
+        return _as_stored(taken_up(described, run.description))
+
+    return describe
+
+
+def _files_read(job: Job, run: RunFolder, task: WindowTask | None) -> set[str] | None:
+    """The input files that a window reads; None: all, also where the run is only beginning."""
+    if task is None or not run.scenes or lacks_starts(run, job.plan, task.frames):
+        return None
+    return {field.file_path for frame in task.frames for field in frame.source.fields.values()}
 
 
 def _as_stored(description: dict[str, Any]) -> dict[str, Any]:
     """As it comes back from a record."""
     stored: dict[str, Any] = json.loads(json.dumps(description))
     return stored
-
-
-def _features_hash(plan: Plan) -> str:
-    return features_hashes(volume.config.features for volume in plan.volumes)

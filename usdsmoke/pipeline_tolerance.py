@@ -13,9 +13,10 @@ from typing import Any
 
 from usdsmoke.config import Config, config_to_dict, resolve_config
 from usdsmoke.error_choice import choose_settings, user_values
+from usdsmoke.pipeline_description import describe_run
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_run
+from usdsmoke.pipeline_inputs import Job
 from usdsmoke.pipeline_outputs import plain_values
 from usdsmoke.pipeline_pictures import sample_frames
 from usdsmoke.plan import Plan, VolumePlan
@@ -89,8 +90,9 @@ def _with_notes(job: Job, *notes: str) -> Job:
 
 def _file(job: Job) -> Path:
     features = features_hashes(volume.config.features for volume in job.plan.volumes)
-    described = [_VERSION, describe_run(job, features)]
-    text = json.dumps(described, sort_keys=True, ensure_ascii=False)
+    described = describe_run(job, features)
+    del described["settings"]["optimize"]["threads"]  # the first one's figures hold for all
+    text = json.dumps([_VERSION, described], sort_keys=True, ensure_ascii=False)
     key = hashlib.sha256(text.encode()).hexdigest()[:12]
     return job.output / "vdb/calibration" / f"{key}.json"
 

@@ -183,6 +183,7 @@ def _stylize_window(
     source_hashes: Mapping[str, Mapping[str, str]],
     progress: _Counter,
 ) -> None:
+    from usdsmoke.core.device import describe_machine
     from usdsmoke.core.stylize import stylize_window
 
     config, clock = task.volume.config, PartClock()
@@ -194,7 +195,7 @@ def _stylize_window(
         config,
         progress.translate(),
         job.plan.source.time_codes_per_second,
-        coarse_starts(run, task.volume),
+        coarse_starts(run, task.volume, task.frames),
     )
     records = {}
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
@@ -214,5 +215,6 @@ def _stylize_window(
         frames=records,
         seconds=clock.total,
         timings=clock.parts,
+        processor=describe_machine(config.optimize).processor,
     )
     finish_window(run, window)

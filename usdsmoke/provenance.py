@@ -59,6 +59,7 @@ class RunFacts:
     created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
     finished: str = ""  # likewise, when the layer was made; empty takes the time of the call
     platform: str = ""  # system and processor family
+    machine: Sequence[str] = ()  # texts name=value: threads, device, processor; see docs
     figures: Mapping[str, Any] = field(default_factory=dict)  # by name; their texts are recorded
     error_budget: Sequence[str] = ()  # texts name=figures, see ``error_budget``
     stage_values: Mapping[str, str] = field(default_factory=dict)  # what the stage said, by name
@@ -144,6 +145,7 @@ def build_provenance(facts: RunFacts) -> Provenance:
         "omitted": list(facts.omissions),
         "finished": facts.finished or utc_now(),
         "platform": facts.platform,
+        "machine": list(facts.machine),
         "figures": [f"{name}={figure}" for name, figure in facts.figures.items()],
         "errorBudget": list(facts.error_budget),
         "stageValues": [f"{name}={value}" for name, value in facts.stage_values.items()],

@@ -9,7 +9,7 @@ import numpy as np
 
 from usdsmoke.volume import StageSource, VolumeSource
 
-__all__ = ["stage_values"]
+__all__ = ["stage_pieces", "stage_values"]
 
 _METADATA = (
     "up_axis",
@@ -34,19 +34,54 @@ def stage_values(source: StageSource) -> dict[str, str]:
         for name in _METADATA
     }
     for volume in source.volumes:
-        values[f"<{volume.prim_path}>"] = _digest(volume)
+        values[f"<{volume.prim_path}>"] = _digest(_plain_volume(volume))
         if volume.request.settings:
             settings = {key: dict(value) for key, value in volume.request.settings.items()}
             values[f"<{volume.prim_path}> request"] = json.dumps(settings, sort_keys=True)
     return values
 
 
-def _digest(volume: VolumeSource) -> str:
+def stage_pieces(source: StageSource) -> dict[str, Any]:
+    """The same as JSON values in smaller pieces, without what prims ask for.
+
+    Of a Volume: its density's, velocity's and mask's name, and digests of ``timeCodes``, ``fields``
+    (prims, grids, types), ``places`` (transforms), ``cameras``, ``controls`` and ``otherFields``.
+    """
+    pieces: dict[str, Any] = {_camel(name): getattr(source, name) for name in _METADATA}
+    pieces["leftOut"] = dict(source.omitted)
+    for volume in source.volumes:
+        pieces[f"<{volume.prim_path}>"] = _volume_pieces(_plain_volume(volume))
+    return pieces
+
+
+def _volume_pieces(values: dict[str, Any]) -> dict[str, Any]:
+    frames = values["frames"]
+    fields = [list(frame["fields"].items()) for frame in frames]
+    places = [[field.pop("field_to_stage") for _, field in named] for named in fields]
+    times = [[frame["time_code"] for frame in frames], values["time_codes"], values["animated"]]
+    return {
+        "density": values["density"],
+        "velocity": list(values["velocity"]),
+        "mask": values["mask"],
+        "timeCodes": _digest(times),
+        "fields": _digest(fields),
+        "places": _digest(places),
+        "cameras": _digest([frame["camera"] for frame in frames]),
+        "controls": _digest([frame["controls"] for frame in frames]),
+        "otherFields": _digest(values["other_fields"]),
+    }
+
+
+def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     values = dataclasses.asdict(volume)
     del values["request"]
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]
+    return values
+
+
+def _digest(values: Any) -> str:
     text = json.dumps(values, sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()
 

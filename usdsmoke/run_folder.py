@@ -1,6 +1,7 @@
 """The folder of one run inside an output folder: what it is made of, continued or replaced.
 
-    OUT/vdb/<key>/run.json             settings, inputs, plan, scenes, and the frames when complete
+    OUT/vdb/<key>/run.json             settings, inputs, plan; scenes and frames when complete
+    OUT/vdb/<key>/scenes.json          what was measured once for all windows, until then
     OUT/vdb/<key>/NAME.####.vdb        the frames
     OUT/vdb/<key>/windows/KKKK.json    what a finished window has written: see ``run_windows``
     OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
@@ -15,12 +16,11 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.errors import OutputExists
 from usdsmoke.naming import DEFAULT_LOOK
 from usdsmoke.provenance import hash_file, new_run_id, utc_now
 from usdsmoke.publish import (
@@ -30,13 +30,12 @@ from usdsmoke.publish import (
     remove_empty,
     remove_leftovers,
 )
-from usdsmoke.run_changes import list_changes
 
-__all__ = ["RunFolder", "find_runs", "open_run", "write_json"]
+__all__ = ["RunFolder", "find_runs", "new_run", "write_json"]
 
-_RECORD = "run.json"
+_RECORD, _SCENES = "run.json", "scenes.json"
 _KEPT = ("run_id", "created", "description", "frames", "files", "complete", "plan")
-_KEPT_TOO = ("request", "scenes", "error_budget", "seconds")
+_KEPT_TOO = ("request", "scenes", "error_budget", "seconds", "processor")
 _KEY_LENGTH = 12
 
 
@@ -53,7 +52,8 @@ class RunFolder:
     complete: bool = False  # the look points here and nothing is left to do
     plan: Mapping[str, Any] = field(default_factory=dict)  # what was planned, for the record
     request: Mapping[str, Any] = field(default_factory=dict)  # what it takes to make the job again
-    scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume
+    scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume; empty: not yet
+    processor: str = ""  # kind of that which the run was begun on
     error_budget: Mapping[str, Any] = field(default_factory=dict)  # when complete
     seconds: Mapping[str, float] = field(default_factory=dict)  # by part of the work, likewise
     _made: list[Path] = field(default_factory=list)
@@ -81,11 +81,13 @@ class RunFolder:
         """SHA-256 of the settings that decide the result."""
         return _digest(self.description["settings"])
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is a record on the disk."""
+        return bool(self.request)
+
     def begin(
-        self,
-        plan: Mapping[str, Any],
-        request: Mapping[str, Any],
-        scenes: Sequence[Mapping[str, Any]],
+        self, plan: Mapping[str, Any], request: Mapping[str, Any], processor: str = ""
     ) -> None:
         """Make the folders that are missing and the record, all in JSON values.
 
@@ -94,17 +96,33 @@ class RunFolder:
         Args:
             plan: to keep in the record.
             request: what it takes to make the job again.
-            scenes: what was measured, one for each Volume.
+            processor: the kind of this machine's.
 
         Raises:
             WriteFailed: the operating system refused.
         """
-        self.plan, self.request, self.scenes = plan, request, scenes
+        self.plan, self.request, self.processor = plan, request, processor
         self._made = make_folders(self.folder)
         text = self._as_text()
         if not publish_new(self.folder / _RECORD, lambda path: _write_text(path, text)):
             if not self.adopt():
                 self.save()
+
+    def keep_scenes(self, scenes: Sequence[Mapping[str, Any]]) -> None:
+        """Note what was measured; what another process has noted meanwhile counts.
+
+        Args:
+            scenes: one for each Volume, JSON values.
+
+        Raises:
+            WriteFailed: the operating system refused.
+        """
+        kept = {"run_id": self.run_id, "scenes": scenes}
+        text = _json_text(kept)
+        if not publish_new(self.folder / _SCENES, lambda path: _write_text(path, text)):
+            if not _read_scenes(self.folder, self.run_id):  # left by a run that was removed
+                write_json(self.folder / _SCENES, kept)
+        self.scenes = _read_scenes(self.folder, self.run_id) or scenes
 
     def adopt(self) -> bool:
         """Take up the record of this run that is on the disk; whether there is one."""
@@ -170,6 +188,9 @@ class RunFolder:
                 run.remove()
         remove_leftovers(self.output)
         self.tidy()
+        if (self.folder / _SCENES).exists():
+            self.save()  # scenes and all
+            (self.folder / _SCENES).unlink()
         self.complete = True
         self.save()
 
@@ -210,57 +231,32 @@ def find_runs(output: Path) -> Iterator[RunFolder]:
             record = json.loads(record_path.read_text(encoding="utf-8"))
             kept = {name: record[name] for name in _KEPT}
             later = {name: record[name] for name in _KEPT_TOO if name in record}
+            later["scenes"] = later.get("scenes") or _read_scenes(
+                record_path.parent, record["run_id"]
+            )
             yield RunFolder(folder=record_path.parent, **kept, **later)
         except (OSError, ValueError, TypeError, KeyError):
             continue  # not a record of ours
 
 
-def open_run(
-    output: Path, description: Mapping[str, Any], published: Set[str], force: bool
-) -> RunFolder:
-    """The run to begin or to continue; with ``force``, runs that never became a result go away.
-
-    Runs of other looks in the same folder do not count.
-
-    A look layer may point to a run that was stopped before its last step; such a run is continued
-    like any other.
+def new_run(output: Path, description: Mapping[str, Any]) -> RunFolder:
+    """A run that has not begun, in a folder of its own.
 
     Args:
         output: the output folder; need not exist.
         description: settings and inputs, JSON values.
-        published: run ids that this look's layers in the folder name; "" for one that names none.
-        force: replace a result, and give up unfinished runs of other settings.
-
-    Raises:
-        OutputExists: there is a result or an unfinished run of other settings, without ``force``.
     """
     description = json.loads(json.dumps(description))  # as it comes back from a record
-    look = _look_of(description)
-    runs = {run.run_id: run for run in find_runs(output) if run.look == look}
-    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
-    unfinished = [run for run_id, run in runs.items() if run_id not in results]
-    others = [run for run in unfinished if run.description != description]
-    if results and not force:
-        same = [run for run in runs.values() if run.complete and run.description == description]
-        other_mode = "put it together in another mode with 'usdsmoke assemble', " if same else ""
-        raise OutputExists(
-            f"there is a result in {output} already; {other_mode}choose another output folder or "
-            "look, or replace it with --force"
-        )
-    if others and not force:
-        changes = list_changes(others[0].description, description)
-        raise OutputExists(
-            f"{output} holds an unfinished run of other settings or inputs: {changes}; run it "
-            "again as it was to finish it, choose another output folder, or give it up with --force"
-        )
-    for run in others:
-        if run.run_id not in published:
-            run.remove()
-    for run in unfinished:
-        if run.description == description:
-            run.complete = False
-            return run
     return RunFolder(_free_folder(output, _digest(description)[:_KEY_LENGTH]), description)
+
+
+def _read_scenes(folder: Path, run_id: str) -> Sequence[Mapping[str, Any]]:
+    """What was measured for this run; nothing where there is no such file."""
+    try:
+        kept = json.loads((folder / _SCENES).read_text(encoding="utf-8"))
+        return list(kept["scenes"]) if kept["run_id"] == run_id else ()
+    except (OSError, ValueError, TypeError, KeyError):
+        return ()
 
 
 def _look_of(description: Mapping[str, Any]) -> str:

@@ -5,14 +5,14 @@ the work counts as not done. It names its run, so that what a removed run left b
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from usdsmoke.locks import hold_file
-from usdsmoke.publish import make_folders
+from usdsmoke.publish import make_folders, remove_empty
 from usdsmoke.run_folder import RunFolder, write_json
 
 __all__ = [
@@ -23,12 +23,17 @@ __all__ = [
     "finish_window",
     "finished_coarse",
     "finished_window",
+    "forget_beginning",
+    "hold_beginning",
     "hold_work",
     "is_useless",
+    "made_on",
     "manifest_path",
     "part_file_name",
     "remove_locks",
 ]
+
+_BEGINNING = "vdb/begin.lock"
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class WindowRecord:
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder; see write_result
     seconds: float
     timings: dict[str, float] = field(default_factory=dict)  # of these: reading, writing
+    processor: str = ""  # kind of that which made it
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,7 @@ class CoarseRecord:
     run_id: str
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder: time_code, sha256
     seconds: float = 0.0
+    processor: str = ""  # kind of that which made the last of them
 
 
 def manifest_path(run: RunFolder, window: int) -> Path:
@@ -97,25 +104,53 @@ def finish_coarse(run: RunFolder, record: CoarseRecord) -> None:
     write_json(run.folder / "coarse.json", asdict(record))
 
 
-def finished_coarse(run: RunFolder) -> CoarseRecord:
-    """The coarse step's manifest with those frames whose files stand unchanged; maybe none."""
+def finished_coarse(run: RunFolder, names: Collection[str] | None = None) -> CoarseRecord:
+    """The coarse step's manifest with those frames whose files stand unchanged; maybe none.
+
+    Args:
+        run: with its folder.
+        names: the files that are asked for; no other is read. None: all.
+    """
     values = _read(run.folder / "coarse.json", run)
     try:
         record = CoarseRecord(**values) if values else CoarseRecord(run.run_id, {})
         whole = {
             name: frame
             for name, frame in record.frames.items()
-            if run.is_unchanged(name, frame["sha256"])
+            if (names is None or name in names) and run.is_unchanged(name, frame["sha256"])
         }
-        return CoarseRecord(run.run_id, whole, float(record.seconds))
+        return replace(record, frames=whole, seconds=float(record.seconds))
     except (TypeError, KeyError, AttributeError, ValueError):
         return CoarseRecord(run.run_id, {})
+
+
+def made_on(run: RunFolder) -> dict[int | None, str]:
+    """The kind of processor by window, None for the coarse step, from the manifests alone."""
+    files: dict[int | None, Path] = {None: run.folder / "coarse.json"}
+    files |= {int(p.stem): p for p in sorted((run.folder / "windows").glob("[0-9]*.json"))}
+    return {
+        window: str(values.get("processor", ""))
+        for window, file_path in files.items()
+        if (values := _read(file_path, run))
+    }
 
 
 def is_useless(run: RunFolder) -> bool:
     """Whether nothing of a run is finished: neither a window nor a coarse frame nor a result."""
     manifests = any((run.folder / "windows").glob("[0-9]*.json"))  # none that is half-written
     return not (run.frames or manifests or (run.folder / "coarse.json").is_file())
+
+
+@contextmanager
+def hold_beginning(output: Path) -> Iterator[None]:
+    """Keep other processes from beginning a run in an output folder meanwhile; they wait.
+
+    Raises:
+        WriteFailed: the lock file cannot be made.
+    """
+    make_folders(output / "vdb")
+    with hold_file(output / _BEGINNING):
+        yield
 
 
 @contextmanager
@@ -137,6 +172,13 @@ def remove_locks(run: RunFolder) -> None:
     """Remove the lock files of a run; only a process that is alone in the output folder may."""
     for lock_path in run.folder.rglob("*.lock"):
         lock_path.unlink(missing_ok=True)
+    (run.output / _BEGINNING).unlink(missing_ok=True)
+
+
+def forget_beginning(output: Path) -> None:
+    """Remove what ``hold_beginning`` has left; only a process that is alone there may."""
+    (output / _BEGINNING).unlink(missing_ok=True)
+    remove_empty([output / "vdb"])
 
 
 def _read(file_path: Path, run: RunFolder) -> dict[str, Any]:

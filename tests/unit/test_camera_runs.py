@@ -14,8 +14,9 @@ from usdsmoke.config import GridsConfig, resolve_config
 from usdsmoke.errors import StageError
 from usdsmoke.estimate import FrameSize, estimate_run
 from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.pipeline_description import describe_run
 from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_run, prepare_job
+from usdsmoke.pipeline_inputs import Job, prepare_job
 from usdsmoke.plan import Plan
 from usdsmoke.volume import DenseField
 

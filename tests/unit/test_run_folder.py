@@ -24,7 +24,8 @@ def make_run(folder: Path) -> RunFolder:
 
 
 def begin(run: RunFolder, scenes: list[dict[str, object]] = SCENES) -> RunFolder:  # type: ignore[assignment]
-    run.begin({"windows": []}, {"stage": "../shot.usda"}, scenes)
+    run.begin({"windows": []}, {"stage": "../shot.usda"}, "kind")
+    run.keep_scenes(scenes)
     return run
 
 

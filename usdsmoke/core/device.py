@@ -1,13 +1,27 @@
 """Where the core computes, and that it computes the same bits again."""
 
 import os
+import platform
+from dataclasses import dataclass
 
 import torch
 
 from usdsmoke.config import OptimizeConfig
 from usdsmoke.errors import ConfigError
 
-__all__ = ["choose_device"]
+__all__ = ["Machine", "choose_device", "describe_machine"]
+
+# Variables by which libraries under torch take other instructions than the processor offers.
+_LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What of a machine decides bits."""
+
+    threads: int  # that the core computes with; may be more than there are processors
+    device: str  # "cpu" or "cuda"
+    processor: str  # its kind: family, instructions that torch uses, on a GPU also its name
 
 
 def choose_device(config: OptimizeConfig) -> torch.device:
@@ -27,6 +41,20 @@ def choose_device(config: OptimizeConfig) -> torch.device:
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return device
+
+
+def describe_machine(config: OptimizeConfig) -> Machine:
+    """What decides bits of this machine, with these settings; open ones are settled.
+
+    Raises:
+        ConfigError: see ``choose_device``.
+    """
+    device = choose_device(config)
+    kind = f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+    limits = [f"{name}={os.environ[name]}" for name in _LIMITS if os.environ.get(name)]
+    if device.type == "cuda":
+        limits.append(torch.cuda.get_device_name(device))
+    return Machine(config.threads or _usable_cpus(), device.type, ", ".join([kind, *limits]))
 
 
 def _parse_device(name: str) -> torch.device | None:

@@ -1,0 +1,165 @@
+"""What a run settles of the machine: windows elsewhere have the same bits, or it is told."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.farm_fixtures import WINDOWS, outcome, run_folder, windows_in
+from tests.grids_fixtures import raw_grid, write_raw
+from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, copied, make_shot, run
+from tests.test_farm import start
+from usdsmoke import assemble, run_coarse, run_window
+from usdsmoke.cli import main
+from usdsmoke.errors import OutputExists
+from usdsmoke.pipeline_frames import FrameReader
+from usdsmoke.pipeline_rerun import rerun
+from usdsmoke.provenance_records import find_records
+from usdsmoke.volume import VolumeFrame
+
+TWO = {0, 1}
+
+
+@pytest.fixture
+def processors(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
+    """The processors that this process may use, as the system tells; the last entry counts."""
+    allowed = [TWO]
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: allowed[-1])
+    return allowed
+
+
+def test_windows_use_the_number_of_threads_that_the_run_was_begun_with(
+    farm: Shot, core: FakeCore, processors: list[set[int]]
+) -> None:
+    windows_in(farm, [1])
+    processors.append({0})
+    windows_in(farm, [0])
+    processors.append(set(range(64)))
+    windows_in(farm, [2])
+    assert core.threads == [2, 2, 2]
+    (record,) = find_records(assemble(farm.output).look_layer)
+    assert record.texts("machine") == ["threads=2", "device=cpu", "processor=stand-in"]
+    assert record.parsed("config")["optimize"]["threads"] == 2
+
+
+def test_a_rerun_and_frames_done_again_use_the_recorded_number(
+    farm: Shot, core: FakeCore, processors: list[set[int]]
+) -> None:
+    result = run(farm, *WINDOWS)
+    processors.append({0})
+    core.threads.clear()
+    assert rerun(result.look_layer, farm.folder / "again").differences == ()
+    run(farm, *WINDOWS, "stage.frames=2")
+    assert set(core.threads) == {2}
+
+
+def test_another_number_of_threads_is_refused_by_name(
+    farm: Shot, core: FakeCore, processors: list[set[int]]
+) -> None:
+    windows_in(farm, [0])
+    with pytest.raises(OutputExists, match=r"settings\.optimize\.threads was 2, now 1"):
+        windows_in_with(farm, 1, "optimize.threads=1")
+    with pytest.raises(OutputExists, match=r'settings\.optimize\.device was "cpu", now "cuda"'):
+        windows_in_with(farm, 1, "optimize.device=cuda:1")
+    windows_in_with(farm, 1, "optimize.threads=2", "optimize.device=cpu")
+
+
+def windows_in_with(shot: Shot, window: int, *settings: str) -> tuple[str, ...]:
+    """One window; what the task says."""
+    files = (shot.stage, shot.style, shot.output)
+    return run_window(*files, window, settings=[*WINDOWS, *settings]).warnings
+
+
+def test_what_another_kind_of_processor_made_is_told(
+    farm: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_coarse(farm.stage, farm.style, farm.output, settings=WINDOWS)
+    assert windows_in_with(farm, 0) == ()
+    core.processor = "older"
+    (note,) = windows_in_with(farm, 2)
+    assert "another kind of processor (older) than the run was begun on (stand-in)" in note
+    told = json.loads((run_folder(farm) / "windows/0002.json").read_text())
+    assert told["processor"] == "older"
+    core.processor = "stand-in"
+    windows_in_with(farm, 1)
+    capsys.readouterr()
+    assert main(["assemble", str(farm.output), "--json"]) == 0
+    shown = capsys.readouterr()
+    (warning,) = json.loads(shown.out)["warnings"]
+    assert warning.startswith("window 2 ran on another kind of processor (older)")
+    assert "window 2 ran on another kind" in " ".join(shown.err.split())
+    (record,) = find_records(farm.output)
+    assert record.texts("machine")[-1] == "window 2=older"
+
+
+def test_a_run_of_other_settings_is_refused_as_soon_as_another_one_reads_its_first_frame(
+    farm: Shot, core: FakeCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, refusals = FrameReader.read, []
+
+    def read_while_another_begins(*arguments: Any) -> VolumeFrame:
+        if not refusals:
+            with pytest.raises(OutputExists) as caught:
+                windows_in_with(farm, 0, "optimize.seed=5")
+            refusals.append(str(caught.value))
+        return read(*arguments)
+
+    monkeypatch.setattr(FrameReader, "read", read_while_another_begins)
+    windows_in(farm, [0, 1, 2])
+    assert "settings.optimize.seed was 0, now 5" in refusals[0]
+    assert outcome(assemble(farm.output).root_stage)[0]
+
+
+def test_of_two_different_runs_begun_at_once_one_is_refused_by_name(farm: Shot) -> None:
+    seeds = [start(farm, "--window", "0", "--seed", seed) for seed in ("1", "5")]
+    messages = [process.communicate(timeout=60)[1] for process in seeds]
+    assert sorted(process.returncode for process in seeds) == [0, 1]
+    (refusal,) = (m for m, process in zip(messages, seeds, strict=True) if process.returncode)
+    assert re.search(r"settings\.optimize\.seed was [15], now [15]", " ".join(refusal.split()))
+    assert len(list(farm.output.glob("vdb/*/run.json"))) == 1
+
+
+def cloud(shift: float) -> np.ndarray:
+    """Smoke large enough that threads share its sums, 16 x 24 x 16 voxels."""
+    axes = [np.linspace(-1, 1, n) for n in (16, 24, 16)]
+    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) - [0, shift, 0]
+    waves = 1 + 0.3 * np.sin(9 * place).prod(-1)
+    return np.clip(1 - (place**2).sum(-1), 0, 1) * waves
+
+
+def on_one_processor(*arguments: str) -> None:
+    """The command in a process of its own that may use one processor only."""
+    code = (
+        "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
+        "from usdsmoke.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=PROJECT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("processors", "quick_grids")
+def test_the_real_core_gives_the_bits_of_two_processors_on_one(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=3)
+    for code in (1, 2, 3):
+        write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(cloud(0.05 * code)))
+    quick = [
+        "features.layers=[oriented1, oriented2]", "optimize.iterations=3", "views.image_size=24",
+        "views.pool=2", "windows.size=2", "windows.overlap=1",
+    ]  # fmt: skip
+    whole = run(copied(shot, "whole"), *quick)
+    other = run(copied(shot, "other"), *quick, "optimize.threads=1")
+    run_coarse(shot.stage, shot.style, shot.output, settings=quick)
+    settings = [part for text in quick for part in ("--set", text)]
+    on_one_processor(*shot.arguments(*settings, "--window", "0"))
+    run_window(shot.stage, shot.style, shot.output, 1, settings=quick)
+    assert outcome(assemble(shot.output).root_stage) == outcome(whole.root_stage)
+    assert contents(other.root_stage) != contents(whole.root_stage), "threads do not matter here"

@@ -1,0 +1,139 @@
+"""What a run settles of the machine when it is begun: threads, device, kind of processor.
+
+Whoever does a later part computes with that number of threads on that kind of device, however many
+processors there are, because bits depend on them. Another kind of processor cannot be made the
+same; windows keep what they were made on, and it is told.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.config import Config
+from usdsmoke.estimate import usable_cpus
+from usdsmoke.pipeline_inputs import Job
+from usdsmoke.run_choice import taken_up
+from usdsmoke.run_folder import RunFolder, find_runs
+from usdsmoke.run_windows import made_on
+from usdsmoke.time_codes import format_time_codes
+
+if TYPE_CHECKING:
+    from usdsmoke.core.device import Machine
+
+__all__ = [
+    "machine_of",
+    "machine_texts",
+    "processor_note",
+    "processor_warnings",
+    "settle_description",
+    "settle_threads",
+    "with_settled",
+]
+
+
+def machine_of(job: Job) -> "Machine":
+    """What this machine computes a job with.
+
+    Raises:
+        ConfigError: the device is not there.
+    """
+    from usdsmoke.core.device import describe_machine
+
+    return describe_machine(job.config.optimize)
+
+
+def settle_description(description: Mapping[str, Any], job: Job) -> dict[str, Any]:
+    """A run's description with what it leaves to the machine as it is here.
+
+    Raises:
+        ConfigError: the device is not there.
+    """
+    machine = machine_of(job)
+    here = {"settings": {"optimize": {"threads": machine.threads, "device": machine.device}}}
+    return taken_up(description, here)
+
+
+def settle_threads(output: Path, config: Config, force: bool) -> Config:
+    """Settings with a number of threads for processes elsewhere: that of the run that they go on
+    with, or, where there is none, what this process may use.
+
+    Args:
+        output: the output folder.
+        config: as asked for.
+        force: a result is begun anew, and not gone on with.
+    """
+    threads = config.optimize.threads
+    if threads == 0:
+        runs = [run for run in find_runs(output) if run.look == config.layer.look]
+        runs = [run for run in runs if not (force and run.complete)]
+        begun = min(runs, key=lambda run: run.complete, default=None)
+        threads = _optimize(begun).get("threads", 0) if begun is not None else 0
+    return replace(config, optimize=replace(config.optimize, threads=threads or usable_cpus()))
+
+
+def with_settled(job: Job, run: RunFolder) -> Job:
+    """The job with the threads and the device that its run was begun with."""
+    settled = _optimize(run)
+
+    def settle(config: Config) -> Config:
+        device, wanted = config.optimize.device, settled.get("device", config.optimize.device)
+        optimize = replace(
+            config.optimize,
+            threads=settled.get("threads", config.optimize.threads),
+            device=device if device.partition(":")[0] == wanted else wanted,  # one of several GPUs
+        )
+        return replace(config, optimize=optimize)
+
+    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
+    plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
+    return replace(job, plan=plan)
+
+
+def processor_note(run: RunFolder, here: str) -> tuple[str, ...]:
+    """A sentence where this task runs on another kind of processor than the run was begun on."""
+    if here == run.processor or not run.processor:
+        return ()
+    return (
+        f"this is another kind of processor ({here}) than the run was begun on ({run.processor}): "
+        "frames made here may differ in their last bits from those of one machine",
+    )
+
+
+def processor_warnings(run: RunFolder) -> list[str]:
+    """A sentence for every other kind of processor that a part of the run was made on."""
+    return [
+        f"{', '.join(named)} ran on another kind of processor ({kind}) than the run was begun on "
+        f"({run.processor}): bits may differ from those of one machine"
+        for kind, named in sorted(_others(run).items())
+    ]
+
+
+def machine_texts(run: RunFolder) -> list[str]:
+    """Texts ``name=value`` for the record: threads, device, processor, and what others made."""
+    settled = _optimize(run)
+    texts = [f"{name}={settled[name]}" for name in ("threads", "device") if name in settled]
+    texts += [f"processor={run.processor}"] if run.processor else []
+    others = _others(run)
+    return texts + [f"{name}={kind}" for kind in sorted(others) for name in others[kind]]
+
+
+def _others(run: RunFolder) -> dict[str, list[str]]:
+    """What was made on other kinds of processors, by kind: ``coarse step``, ``window 3``."""
+    found: dict[str, list[str]] = {}
+    windows: dict[str, list[int]] = {}
+    for window, processor in made_on(run).items():
+        if not processor or processor == run.processor or not run.processor:
+            continue
+        if window is None:
+            found.setdefault(processor, []).append("coarse step")
+        else:
+            windows.setdefault(processor, []).append(window)
+    for processor, numbers in windows.items():
+        named = f"window{'s' if len(numbers) > 1 else ''} {format_time_codes(map(float, numbers))}"
+        found.setdefault(processor, []).append(named)
+    return found
+
+
+def _optimize(run: RunFolder) -> dict[str, Any]:
+    return dict(run.description.get("settings", {}).get("optimize", {}))
