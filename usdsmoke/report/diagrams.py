@@ -71,11 +71,15 @@ def draw_sweep(result: SweepResult) -> bytes:
 
 
 def _draw_own_error(axes: Any, result: SweepResult) -> None:
-    """The reference's own error, where points come near it."""
+    """How far the two references differ, where points come near it."""
     own = result.plan.uncertain
     if own > 0 and any(0 < point.error.low < 10 * own for point in result.points):
         axes.axvline(
-            own, color="#777777", linestyle="--", linewidth=1, label="the reference's own error"
+            own,
+            color="#777777",
+            linestyle="--",
+            linewidth=1,
+            label="how far the two references differ",
         )
 
 
