@@ -58,9 +58,9 @@ def _plan(case: Case) -> Plan:
         ],
         EXCESS,
         f"The {step} step on {copy_text(case)} with {total} iterations, as configured, "
-        "in other octaves and at other resolutions: half and twice the small copy's pictures stand "
-        f"for half and twice views.image_size. All are judged in pictures of {size} pixels over "
-        "views that no run has used, so finer detail than that gains nothing here.",
+        "in other octaves and at other resolutions: half and twice these pictures stand for "
+        f"half and twice views.image_size. All are judged in pictures of {size} pixels over "
+        "views that no run has used; detail finer than that is seen blurred.",
         f"{reference.text} Both have the configured octaves.",
         uncertain=reference.apart,
         n_runs=N_RUNS,

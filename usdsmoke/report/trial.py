@@ -95,17 +95,18 @@ def trial_seconds(case: Case, step: str) -> float:
     """
     main, known = main_step(case), case.trial_seconds
     if main not in known:
-        known[main] = _guess(case, main)
-        while known[main] * _TRIALS > case.seconds / 2 and case.can_shrink:
+        taken = _guess(case, main)
+        while taken.seconds * _TRIALS > case.seconds / 2 and case.can_shrink:
             longest = case.longest
             case.shrink(longest // 2)
             smaller = _guess(case, main)
-            if smaller > _WORTH * known[main]:
+            if smaller.work > _WORTH * taken.work:
                 case.shrink(longest)
                 break
-            known[main] = smaller
+            taken = smaller
+        known[main] = taken.seconds
     if step not in known:
-        known[step] = _guess(case, step)
+        known[step] = _guess(case, step).seconds
     return known[step]
 
 
@@ -123,24 +124,34 @@ def need_seconds(case: Case, what: str, seconds: float) -> None:
         )
 
 
-def _guess(case: Case, step: str) -> float:
+@dataclass(frozen=True)
+class _Taken:
+    """What a run takes."""
+
+    seconds: float  # by the clock on the wall: that is what the report's time is measured in
+    work: float  # CPU seconds, which other processes change little; on a GPU as ``seconds``
+
+
+def _guess(case: Case, step: str) -> _Taken:
     base = base_iterations(case, step)
     trial, total = Trial(case, step, case.config), sum(base)
     few, more = (tuple(min(n, each) for n in base) for each in (_PILOT, 2 * _PILOT))
-    first, second = _seconds(trial, few, case.config), _seconds(trial, more, case.config)
+    first, second = (_taken(trial, pilot, case) for pilot in (few, more))
     if sum(more) == sum(few):
         return second
-    each = max(second - first, 0.3 * first) / (sum(more) - sum(few))
-    return second + each * (total - sum(more))
+    rest = (total - sum(more)) / (sum(more) - sum(few))
+    seconds = second.seconds + rest * max(second.seconds - first.seconds, 0.3 * first.seconds)
+    work = second.work + rest * max(second.work - first.work, 0.3 * first.work)
+    return _Taken(seconds, work)
 
 
-def _seconds(trial: "Trial", per_octave: Sequence[int], config: Config) -> float:
-    """Of one run, by the clock on the wall: that is what the report's time is measured in."""
-    setting = Setting(tuple(per_octave), untiring(config))
+def _taken(trial: "Trial", per_octave: Sequence[int], case: Case) -> _Taken:
+    setting = Setting(tuple(per_octave), untiring(case.config))
     trial.prepare(setting)
-    started = time.perf_counter()
+    started = time.perf_counter(), time.process_time()
     trial.run(setting, 0)
-    return time.perf_counter() - started
+    wall, cpu = time.perf_counter() - started[0], time.process_time() - started[1]
+    return _Taken(wall, wall if case.on_gpu else cpu)
 
 
 class Trial:

@@ -11,7 +11,7 @@ from usdsmoke.report.records import LeftOut, Plan
 from usdsmoke.report.reference import reference_of
 from usdsmoke.report.run import SWEEPS
 from usdsmoke.report.sweep_windows import _label
-from usdsmoke.report.trial import Setting, base_iterations, scaled
+from usdsmoke.report.trial import Setting, _Taken, base_iterations, scaled
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -24,6 +24,10 @@ def timeless(case: Case) -> Case:
     """A case whose trials are not tried first: what they do must not depend on the clock."""
     case.trial_seconds.update(_TIMES)
     return case
+
+
+def taken(seconds: float) -> _Taken:
+    return _Taken(float(seconds), float(seconds))
 
 
 def ring(plan: Plan) -> str:
@@ -41,6 +45,17 @@ def test_the_configured_point_runs_the_configured_settings(name: str, tmp_path: 
     assert found.config == case.config
     assert [len(end.losses) for end in found.ends] == list(getattr(case.config, step).iterations)
     assert len(plan.tasks) >= 3 and plan.n_runs >= 2
+
+
+@pytest.mark.parametrize("name", ["views", "octaves", "views_count"])
+def test_with_the_shape_step_alone_its_results_are_judged(name: str, tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, n_frames=1)
+    case = timeless(case_of(scene, "optimize.steps=[shape]", "shape.iterations=[4, 4]"))
+    plan = _BY_NAME[name].plan(case)
+    assert plan.about.startswith("The shape step")
+    for task in plan.tasks[:2]:
+        task.prepare()
+        assert 0 < task.error(task.work(0)) < 2
 
 
 def test_references_do_more_than_every_point_and_have_seeds_of_their_own(tmp_path: Path) -> None:
@@ -126,7 +141,7 @@ def test_the_small_copy_gets_smaller_where_trials_take_too_long(
 
     case = case_of(make_scene(tmp_path, n_frames=1, n=12))
     monkeypatch.setattr("usdsmoke.report.case._SHORTEST", 3)
-    monkeypatch.setattr(trial, "_guess", lambda case, step: float(case.longest))
+    monkeypatch.setattr(trial, "_guess", lambda case, step: taken(case.longest))
     case.longest, case.seconds = 12, 200.0  # 20 trials of 12 s are more than half of it
     assert trial.trial_seconds(case, "colour") == 3.0 and case.longest == 3
     assert case.halvings == 2
@@ -139,7 +154,7 @@ def test_a_smaller_copy_that_takes_nearly_as_long_is_not_used(
 
     case = case_of(make_scene(tmp_path, n_frames=1, n=12))
     monkeypatch.setattr("usdsmoke.report.case._SHORTEST", 3)
-    monkeypatch.setattr(trial, "_guess", lambda case, step: 10.0 + case.longest / 100)
+    monkeypatch.setattr(trial, "_guess", lambda case, step: taken(10 + case.longest / 100))
     case.longest = 12
     assert trial.trial_seconds(case, "colour") == pytest.approx(10.12)
     assert case.longest == 12 and case.halvings == 0
