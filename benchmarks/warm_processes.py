@@ -43,7 +43,8 @@ def warm_up() -> None:
     find_binding()
     torch.set_num_threads(1)
     vars(child)["_run"] = _run_forked
-    vars(worker)["_limit_memory"] = lambda n_bytes: None  # torch's address space is in the forks
+    # torch's address space and processor time are in the forks; a name that is gone is an error
+    vars(worker)[worker._set_limits.__name__] = lambda n_bytes, cpu_seconds: None
     for name in ("fsync", "replace", "link", "unlink", "rmdir"):
         setattr(os, name, _slowed(getattr(os, name)))
     ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
