@@ -12,7 +12,7 @@ __all__ = ["FEWEST", "remaining_decrease", "spread_of_mean"]
 
 FEWEST = 10  # iterations from which a tail can be fitted
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
-_SEPARABLE = 96  # iterations from which a tail can be told from the steps' own part
+_SEPARABLE = 48  # iterations from which a tail can be told from the steps' own part
 _BOWL = 0.1  # weight of an exponential beside a tail of the other kind
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
 _SHORTEST = 8  # iterations whose spread can be told from a slope
@@ -24,12 +24,13 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     Tails L + A / (1 + s / a) + B r and L + A exp(-s / T) + B r with A, B >= 0 are fitted by least
     squares to all but the first third of the history for several a and T. Here s is the length of
     all steps so far: the optimiser's rate r falls towards the end, and counted in iterations any
-    loss would seem to converge. B r is what the steps add to the loss by their own size; few
-    losses cannot tell it from a tail, and then B is 0. Style losses fall like the first kind, a
-    quadratic bowl like the second. What each tail leaves above L at the end is averaged with the
-    weights w exp(-(S - S_least) / 2 v), S the sum of squares, v = S_least / (n - 3), w = 1 for the
-    first kind and 0.1 for the second: a clean history is taken at its word, and a noisy one gets
-    the mean of all tails that it allows.
+    loss would seem to converge. B r is what the steps add to the loss by their own size. Tails
+    with B = 0 count as well, and alone where the losses are too few to tell the two apart.
+
+    Style losses fall like the first kind, a quadratic bowl like the second. What each tail leaves
+    above L at the end is averaged with the weights w exp(-(S - S_least) / 2 v), S the sum of
+    squares, v = S_least / (n - 3), w = 1 for the first kind and 0.1 for the second: a clean history
+    is taken at its word, and a noisy one gets the mean of all tails that it allows.
 
     Args:
         losses: one an iteration, in order.
@@ -47,8 +48,11 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     shapes = [(1 + 1 / half) / (1 + here / (half * whole)) for half in _HALVINGS]
     shapes += [np.exp((whole - here) / ((whole - here[0]) * decay)) for decay in _DECAYS]
     prior = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
-    sizes = np.asarray(rates, float)[first:] if len(values) >= _SEPARABLE else None
-    found = [_fit(shape, tail, sizes) for shape in shapes]
+    found = [_fit(shape, tail, None) for shape in shapes]
+    if len(values) >= _SEPARABLE:
+        sizes = np.asarray(rates, float)[first:]
+        found += [_fit(shape, tail, sizes) for shape in shapes]
+        prior = np.concatenate([prior, prior])
     least = min(squares for _, squares in found)
     variance = max(least / max(len(tail) - 3, 1), (1e-12 * float(np.abs(tail).max())) ** 2)
     if variance == 0:
