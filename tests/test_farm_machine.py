@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from tests.farm_fixtures import WINDOWS, outcome, run_folder, windows_in
 from tests.grids_fixtures import raw_grid, write_raw
@@ -123,6 +124,47 @@ def test_of_two_different_runs_begun_at_once_one_is_refused_by_name(farm: Shot) 
     (refusal,) = (m for m, process in zip(messages, seeds, strict=True) if process.returncode)
     assert re.search(r"settings\.optimize\.seed was [15], now [15]", " ".join(refusal.split()))
     assert len(list(farm.output.glob("vdb/*/run.json"))) == 1
+
+
+# What of two layers may differ: docs/farm.md
+CLOCK = {f"usdsmoke:{key}" for key in ("created", "finished", "timings", "figures", "errorBudget")}
+SEALS = {"usdsmoke:run", "usdsmoke:layerHash", "usdsmoke:recordHash"}
+
+
+def authored(look_layer: Path) -> dict[tuple[str, str], Any]:
+    """All values of a layer by path and field; the run's id reads RUN in paths and values."""
+    layer, found = Sdf.Layer.FindOrOpen(str(look_layer)), {}
+    run_id = layer.customLayerData["usdsmoke"]["run"]
+    names = re.compile(f"{run_id}|{run_id[:8]}")
+
+    def visit(path: Sdf.Path) -> None:
+        if spec := layer.GetObjectAtPath(path):
+            for key in spec.ListInfoKeys():
+                value = spec.GetInfo(key)
+                parts = value["usdsmoke"].items() if key == "customLayerData" else [("", value)]
+                for name, part in parts:
+                    field = f"usdsmoke:{name}" if name else key
+                    found[names.sub("RUN", str(path)), field] = names.sub("RUN", str(part))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return found
+
+
+def test_layers_of_a_farm_and_of_one_process_differ_in_clock_times_ids_and_seals_alone(
+    farm: Shot, core: FakeCore
+) -> None:
+    one = authored(run(copied(farm, "one"), *WINDOWS).look_layer)
+    windows_in(farm, [2, 0, 1])
+    other = authored(assemble(farm.output).look_layer)
+    assert one.keys() == other.keys() and len(one) > 80
+    prim = "/World/smoke.authorship:usdsmoke_RUN"
+    may_differ = {("/", key) for key in CLOCK | SEALS}
+    may_differ |= {(f"{prim}:created", "default"), (f"{prim}:inputs", "default")}
+    differ = {place for place in one if one[place] != other[place]}
+    assert differ <= may_differ and {("/", key) for key in SEALS - {"usdsmoke:run"}} <= differ
+    assert outcome(farm.output / "shot_look.usda") == outcome(
+        farm.folder.parent / "one/out/shot_look.usda"
+    )
 
 
 def cloud(shift: float) -> np.ndarray:

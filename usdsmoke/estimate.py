@@ -45,6 +45,7 @@ __all__ = [
     "grid_size",
     "n_different_views",
     "usable_cpus",
+    "written_bytes",
 ]
 
 GIB = 2**30
@@ -116,7 +117,6 @@ def estimate_run(
         coarse: those frames that the shared coarse step is for.
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
-    parts = replace(config, grids=replace(config.grids, half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return Estimate(
@@ -124,9 +124,24 @@ def estimate_run(
         seconds=START
         + sum(_frame_seconds(frame, config, n_styles, speed) for frame in (*frames, *again))
         + sum(_frame_seconds(frame, config, n_styles, speed, finest) for frame in coarse),
-        bytes_written=sum(_frame_bytes(frame, config) for frame in frames)
-        + sum(2 * _frame_bytes(frame, parts) for frame in again)
-        + sum(_coarse_bytes(frame, config, finest) for frame in coarse),
+        bytes_written=written_bytes(config, frames, (*twice, *twice), coarse),
+    )
+
+
+def written_bytes(
+    config: Config,
+    frames: Sequence[FrameSize] = (),
+    parts: Sequence[FrameSize] = (),
+    coarse: Sequence[FrameSize] = (),
+) -> int:
+    """Bytes of files: the result's frames, parts (one window's versions of frames that two windows
+    compute), and starts that the coarse step writes."""
+    plain = replace(config, grids=replace(config.grids, half=False), layer=LayerConfig())
+    finest = 1.0 / coarse_factor(config) if coarse else 1.0
+    return (
+        sum(_frame_bytes(frame, config) for frame in frames)
+        + sum(_frame_bytes(replace(frame, n_copied=0), plain) for frame in parts)
+        + sum(_coarse_bytes(frame, config, finest) for frame in coarse)
     )
 
 

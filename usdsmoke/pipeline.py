@@ -14,6 +14,7 @@ from usdsmoke.pipeline_frames import FrameReader
 from usdsmoke.pipeline_inputs import Job, prepare_job, published_runs, requested_job
 from usdsmoke.pipeline_machine import machine_of, processor_note
 from usdsmoke.pipeline_originals import settle_output
+from usdsmoke.pipeline_room import check_room
 from usdsmoke.pipeline_runs import (
     begin_run,
     how_far,
@@ -130,6 +131,7 @@ def stylize(
             if task.window.index in redone or finished_window(run, task.window.index) is None
         ]
         with tidy_end(run, lock, lambda: how_far(run, job.plan)):
+            check_room(job, run, to_do, whole=True)
             reader = FrameReader(job.plan)
             hashes = clock.timed("reading", check_frames, reader, to_do, tell)
             begin_run(job, run)
@@ -161,6 +163,7 @@ def run_coarse(
     tell = progress or _tell_nobody
     with joined_run(job, force) as (job, run, lock):
         with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
+            check_room(job, run, ())
             reader = FrameReader(job.plan)
             had_scenes = bool(run.scenes)
             if not had_scenes:
@@ -214,6 +217,7 @@ def run_window(
         with tidy_end(run, lock, lambda: f"stopped in window {window}; run the command again"):
             reader = FrameReader(job.plan)
             task = pick_task(job.plan, window)  # with what the run has settled
+            check_room(job, run, [task])
             hashes = check_frames(reader, [task], tell)
             settle_scenes(job, run, reader)
             run_coarse_step(job, run, reader, tell, task.frames)

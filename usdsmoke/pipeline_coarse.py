@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from usdsmoke.core.progress import Progress
     from usdsmoke.core.scene import Scene
 
-__all__ = ["coarse_starts", "lacks_starts", "measure_scenes", "read_scene", "run_coarse_step"]
+__all__ = ["coarse_starts", "measure_scenes", "missing_starts", "read_scene", "run_coarse_step"]
 
 
 def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
@@ -89,20 +89,15 @@ def run_coarse_step(
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
-    if not _missing(run, job.plan, frames):
+    if not missing_starts(run, job.plan, frames):
         return False
     with hold_work(run):
-        to_do = _missing(run, job.plan, frames)  # another process may have done it meanwhile
+        to_do = missing_starts(run, job.plan, frames)  # another process may have done it meanwhile
         n_frames, done = sum(len(chain) for _, _, chain in to_do), 0
         for number, volume, chain in to_do:
             _run_chain(job, run, reader, (number, volume, chain), (done, n_frames), tell)
             done += len(chain)
     return bool(to_do)
-
-
-def lacks_starts(run: RunFolder, plan: Plan, frames: Collection[FramePlan]) -> bool:
-    """Whether the coarse step is still to be done for some of these frames."""
-    return bool(_missing(run, plan, frames))
 
 
 def coarse_starts(
@@ -142,11 +137,16 @@ def coarse_starts(
     return start
 
 
-def _missing(
+def missing_starts(
     run: RunFolder, plan: Plan, wanted: Collection[FramePlan] | None = None
 ) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
-    """Volume number, Volume and frames of every sequence in which a start that is wanted, or
-    without a wish any start, is missing."""
+    """Volume number, Volume and frames of every sequence in which a start is missing.
+
+    Args:
+        run: with its folder.
+        plan: of the run.
+        wanted: those whose starts are asked for, no other is looked at; None: all.
+    """
     names = None if wanted is None else {coarse_file_name(frame.file_name) for frame in wanted}
     record = finished_coarse(run, names)
     to_do = []

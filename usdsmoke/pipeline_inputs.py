@@ -24,6 +24,7 @@ from usdsmoke.pipeline_features import check_features
 from usdsmoke.pipeline_originals import check_originals, check_output_folder, settle_output
 from usdsmoke.pipeline_settings import portable_settings, settle_files
 from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
+from usdsmoke.run_folder import find_runs
 from usdsmoke.stage import find_volumes, open_source, seen_through
 from usdsmoke.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.volume_settings import resolve_volumes
@@ -109,7 +110,7 @@ def prepare_job(
     inputs += [Path(file_path) for file_path in earlier.layers]
     check_output_folder(output, config.layer.look, inputs, [*targets.written, *sheets])
     if fits:
-        check_plan(plan, output)
+        check_plan(plan, None if any(find_runs(output)) else output)  # with a run: ``check_room``
     return Job(stage, plan, styles, style_files, output, targets, earlier, frozenset(explicit))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from usdsmoke.config import Config
 from usdsmoke.errors import Interrupted, OutputExists
 from usdsmoke.locks import OutputLock, lock_output
-from usdsmoke.pipeline_coarse import lacks_starts, measure_scenes
+from usdsmoke.pipeline_coarse import measure_scenes, missing_starts
 from usdsmoke.pipeline_description import describe_run
 from usdsmoke.pipeline_features import features_hashes
 from usdsmoke.pipeline_frames import FrameReader
@@ -250,7 +250,7 @@ def describing(job: Job, task: WindowTask | None = None) -> Describe:
 
 def _files_read(job: Job, run: RunFolder, task: WindowTask | None) -> set[str] | None:
     """The input files that a window reads; None: all, also where the run is only beginning."""
-    if task is None or not run.scenes or lacks_starts(run, job.plan, task.frames):
+    if task is None or not run.scenes or missing_starts(run, job.plan, task.frames):
         return None
     return {field.file_path for frame in task.frames for field in frame.source.fields.values()}
 

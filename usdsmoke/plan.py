@@ -38,9 +38,18 @@ from usdsmoke.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.volume_settings import VolumeSettings
 from usdsmoke.windows import Window, coarse_runs, find_cuts, split_windows
 
-__all__ = ["FramePlan", "Plan", "VolumePlan", "check_plan", "make_plan", "result_file_names"]
+__all__ = [
+    "FramePlan",
+    "Plan",
+    "VolumePlan",
+    "check_disk",
+    "check_plan",
+    "make_plan",
+    "result_file_names",
+]
 
 _DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
+_DISK_RESERVE_LATER = 4 * 2**20  # beside what is left of a run that has begun
 
 
 @dataclass(frozen=True)
@@ -175,13 +184,26 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
         )
     if output is None:
         return
-    wanted, free = plan.estimate.bytes_written, free_disk_bytes(output)
-    if wanted + _DISK_RESERVE > free:
+    check_disk(output, plan.estimate.bytes_written)
+
+
+def check_disk(output: Path, wanted: int, is_begun: bool = False) -> None:
+    """Refuse to write what does not fit the disk.
+
+    Args:
+        output: the folder that holds the result, or will hold it.
+        wanted: bytes of the files that are still to be written.
+        is_begun: whether a part of the run is there: less is then wanted beside it.
+
+    Raises:
+        PlanError: with what is needed and what there is.
+    """
+    reserve, free = _DISK_RESERVE_LATER if is_begun else _DISK_RESERVE, free_disk_bytes(output)
+    if wanted and wanted + reserve > free:
         raise PlanError(
-            f"the result takes about {wanted / 1e6:,.0f} MB, and {_DISK_RESERVE / 1e6:,.0f} MB are "
-            f"wanted beside it; the disk of {output} has "
-            f"{free / 1e6:,.0f} MB free: free some space, choose another output folder, select "
-            "fewer frames or set grids.half (--half)"
+            f"what is to be written takes about {wanted / 1e6:,.1f} MB, and {reserve / 1e6:,.0f} "
+            f"MB are wanted beside it; the disk of {output} has {free / 1e6:,.1f} MB free: free "
+            "some space, choose another output folder, select fewer frames or set grids.half"
         )
 
 

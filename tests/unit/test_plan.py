@@ -188,6 +188,6 @@ def test_too_little_disk_is_refused_with_both_numbers(
     monkeypatch.setattr(plan_module, "free_disk_bytes", lambda folder: 1_000_000)
     with pytest.raises(
         PlanError,
-        match=r"takes about 0 MB, and 67 MB are wanted beside it; the disk of .* has 1 MB free",
+        match=r"takes about 0.2 MB, and 67 MB are wanted beside it; the disk of .* has 1.0 MB free",
     ):
         check_plan(plan_of(shot.stage), shot.output)
