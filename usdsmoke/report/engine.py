@@ -1,8 +1,8 @@
 """Takes the points of sweeps one by one as far as the time goes, and names what it did not reach.
 
 Every sweep has a share of what is left. For its first three points, below which a curve says
-nothing, it may go beyond that, to half of what is left. Time that is over at the end goes to the
-sweeps and points that were passed over.
+nothing, it may go beyond that, to half of what is left, and further once it is begun. Time that is
+over at the end goes to the sweeps and points that were passed over.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -176,6 +176,8 @@ class _Engine:
     def _take(self, item: _UnderWay, end: float, least_end: float) -> None:
         for task in list(item.pending):
             spent = self._budget.spent
+            if item.taken:  # what was begun is not given up for others
+                least_end = self._budget.seconds
             if item.failure or self._budget.left <= 0 or self._hopeless(item, least_end):
                 return
             limit = least_end if item.missing else end

@@ -92,6 +92,14 @@ def test_few_sweeps_with_three_points_are_better_than_many_with_fewer() -> None:
     assert time.now - 100.0 <= 21.0
 
 
+def test_a_sweep_that_was_begun_comes_to_three_points_before_others_begin() -> None:
+    time = FakeTime()
+    sweeps = [sweep_of(time, name, [1, 1, 1], 4.0) for name in "ab"]  # 12 s a point
+    results, omitted, _ = run(sweeps, time, 40.0)
+    assert [(result.name, len(result.points)) for result in results] == [("a", 3)]
+    assert omitted[-1].what == "Sweep b"
+
+
 def test_a_sweep_without_its_configured_point_is_left_out() -> None:
     time = FakeTime()
     sweep = sweep_of(time, "a", [1, 1, 1, 100], 1.0)
