@@ -112,6 +112,7 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("openjd_template", {"errors"}, {"yaml"}),
     ("cluster_check", {"errors"}, set()),
     # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
+    ("cluster_*", {"errors"}, {"distributed"}),
     ("cluster", {"*"}, {"distributed"}),
     (
         "pipeline_features",

@@ -1,5 +1,6 @@
 """Windows on a Dask cluster of two worker processes: the bits of a plain run, whoever dies."""
 
+import gc
 import json
 import os
 import signal
@@ -169,22 +170,34 @@ def test_a_cluster_that_loses_all_workers_is_given_up(
         stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output, progress=kill_all)
 
 
+@pytest.mark.parametrize("moment", ["look_around", "coarse", "window"])
 @pytest.mark.usefixtures("core")
 def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
-    tmp_path: Path, cluster: Cluster
+    tmp_path: Path,
+    cluster: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    moment: str,
 ) -> None:
     shot = make_shot(tmp_path, N_FRAMES)
 
+    def write_and_kill(*arguments: object) -> None:
+        cluster.scheduler.kill()
+
     def kill_scheduler(report: RunProgress) -> None:
-        if report.step == "window":
+        if report.step == moment:
             cluster.scheduler.kill()
 
+    if moment == "look_around":
+        monkeypatch.setattr("usdsmoke.cluster._write_token", write_and_kill)
     with pytest.raises(ClusterError, match=r"scheduler .*finished windows are kept"):
         stylize_on_cluster(
             cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS,
             progress=kill_scheduler,
         )  # fmt: skip
-    assert list(shot.output.glob("vdb/*/windows/*.json"))
+    gc.collect()
+    assert capfd.readouterr().err == ""
+    assert bool(list(shot.output.glob("vdb/*/windows/*.json"))) == (moment == "window")
 
 
 @pytest.mark.usefixtures("core")

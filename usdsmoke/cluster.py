@@ -5,17 +5,17 @@ folder by itself, so nothing but names travels over the network, and a worker th
 the window with it that it was at. The scheduler gives that window to another worker.
 """
 
-import gc
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.cluster_check import check_answer, look_around
+from usdsmoke.cluster_connection import asking, connected, lost
 from usdsmoke.config import Config
 from usdsmoke.errors import (
     ClusterError,
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TaskRequest", "stylize_on_cluster"]
 
-_CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
 _LOST_S = 60.0  # without any worker, after which the run is given up
 _POLL_S = 2.0
@@ -117,7 +116,7 @@ def stylize_on_cluster(
         explicit=explicit,
         force=force,
     )
-    with _connected(address) as client:
+    with connected(address) as client:
         notes = _check_workers(client, request, plan)
         _compute(client, request, plan, progress or (lambda report: None))
     layer = plan.config.layer
@@ -125,41 +124,13 @@ def stylize_on_cluster(
     return replace(result, warnings=(*result.warnings, *notes))
 
 
-@contextmanager
-def _connected(address: str) -> "Iterator[Client]":
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ClusterError(
-            "--cluster needs the package distributed, which is not installed; "
-            'install it with: pip install "usdsmoke[cluster]"'
-        ) from None
-    if "://" not in address:
-        raise ClusterError(f"the cluster {address!r} has no protocol; wanted tcp://HOST:PORT")
-    client, reason = None, ""
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200]
-    if client is None:
-        # What is left of it ends now: at the beginning of another one its end would wait for ever.
-        gc.collect()
-        raise ClusterError(
-            f"no Dask scheduler answers at {address} ({reason}); start "
-            "one with 'dask scheduler', or check host, port and firewall"
-        )
-    with client, client.as_current():
-        yield client
-
-
 def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[str]:
     """Refuse workers that would give another result or none; what is worth knowing otherwise."""
     try:
-        client.wait_for_workers(1, timeout=_WORKERS_S)
+        with asking(limited=True):
+            client.wait_for_workers(1, timeout=_WORKERS_S)
     except TimeoutError:
-        raise ClusterError(
-            "the Dask scheduler has no workers; start some with 'dask worker --nthreads 1 ADDRESS'"
-        ) from None
+        raise _no_workers() from None
     made = make_folders(Path(request.output))
     token = uuid.uuid4().hex
     token_path = Path(request.output) / f".usdsmoke-{token}"
@@ -167,14 +138,19 @@ def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[s
         _write_token(token_path, token)
         asked_for = [image for volume in plan.volumes for image in volume.source.request.styles]
         files = [request.stage, *request.styles, *asked_for]
-        answers = client.run(look_around, str(token_path), files, on_error="return")
+        with asking():
+            answers = client.run(look_around, str(token_path), files, on_error="return")
+            n_threads = client.nthreads()
     finally:
         token_path.unlink(missing_ok=True)
         remove_empty(made)
+    answers = {worker: answer for worker, answer in answers.items() if worker in n_threads}
+    if not answers:  # those that are gone meanwhile have nothing to say
+        raise _no_workers()
     notes = []
     for worker, answer in sorted(answers.items()):
         notes += check_answer(worker, answer, token, request.output)
-    several = sorted(worker for worker, threads in client.nthreads().items() if threads > 1)
+    several = sorted(worker for worker, threads in n_threads.items() if threads > 1)
     if several:
         notes.append(
             f"windows run one after another in a worker process, and {several[0]} has several "
@@ -190,32 +166,32 @@ def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgre
     n_done = 0
     key = f"usdsmoke-{uuid.uuid4().hex}"
     futures: list[Future] = []
-    try:
-        coarse = client.submit(_run_task, request, None, key=f"{key}-coarse", retries=_RETRIES)
-        futures.append(coarse)
-        for future in _completed(client, [coarse]):
-            _take_outcome(future, "the coarse step")
-        tell(RunProgress("coarse", starts[0], 0, len(windows), 0.0))
-        numbers = {}
-        for number in range(len(windows)):
+
+    def begin(window: int | None, name: str) -> "Future":
+        with asking():
             future = client.submit(
-                _run_task, request, number, key=f"{key}-{number}", retries=_RETRIES
+                _run_task, request, window, key=f"{key}-{name}", retries=_RETRIES
             )
-            futures.append(future)
-            numbers[future.key] = number
-        for future in _completed(client, futures[1:]):
-            number = numbers[future.key]
-            _take_outcome(future, f"window {number}")
+        futures.append(future)
+        return future
+
+    try:
+        for _ in _completed(client, {begin(None, "coarse"): "the coarse step"}):
+            tell(RunProgress("coarse", starts[0], 0, len(windows), 0.0))
+        numbers = {begin(number, str(number)): number for number in range(len(windows))}
+        names = {future: f"window {number}" for future, number in numbers.items()}
+        for future in _completed(client, names):
             n_done += 1
             share = n_done / len(windows)
-            tell(RunProgress("window", starts[number], n_done - 1, len(windows), share))
+            tell(RunProgress("window", starts[numbers[future]], n_done - 1, len(windows), share))
     except KeyboardInterrupt:
         raise Interrupted(
             f"stopped with {n_done} of {len(windows)} windows finished in {request.output}; "
             "run the same command again to continue"
         ) from None
     finally:
-        client.cancel([future for future in futures if not future.done()])
+        with suppress(Exception):  # there may be nobody left to be told
+            client.cancel([future for future in futures if not future.done()])
 
 
 def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
@@ -236,51 +212,54 @@ def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
     return None
 
 
-def _completed(client: "Client", futures: "Sequence[Future]") -> "Iterator[Future]":
-    """Futures as they end; the scheduler's silence and a cluster without workers are errors."""
+def _completed(client: "Client", futures: "Mapping[Future, str]") -> "Iterator[Future]":
+    """Futures of tasks, named, as these succeed; the first error of one is raised.
+
+    The scheduler's silence and a cluster without workers are errors.
+    """
     from distributed import wait
 
     waiting = set(futures)
     seen = time.monotonic()
     while waiting:
-        try:
+        done: set[Future] = set()
+        with suppress(TimeoutError), asking(limited=True):
             done, waiting = wait(waiting, timeout=_POLL_S, return_when="FIRST_COMPLETED")
-        except TimeoutError:
-            done = set()
-        except OSError:
-            raise _lost("the Dask scheduler does not answer any more") from None
-        yield from done
-        try:
+        known = {future for future in done if _take_outcome(future, futures[future])}
+        waiting |= done - known  # their worker died with what they had to say
+        yield from known
+        with asking():
             workers = client.nthreads()
-        except OSError:
-            raise _lost("the Dask scheduler does not answer any more") from None
-        if workers or done:
+        if workers or known:
             seen = time.monotonic()
         elif time.monotonic() - seen > _LOST_S:
-            raise _lost(f"the Dask cluster has had no workers for {_LOST_S:.0f} s")
+            raise lost(f"the Dask cluster has had no workers for {_LOST_S:.0f} s")
 
 
-def _take_outcome(future: "Future", what: str) -> None:
-    """Raise what went wrong in a task."""
-    from concurrent.futures import CancelledError
-
+def _take_outcome(future: "Future", what: str) -> bool:
+    """Raise what went wrong in a task; whether its outcome was to be had."""
     from distributed.scheduler import KilledWorker
 
     try:
-        refusal = future.result()
-    except KilledWorker:
-        raise ClusterError(
+        with asking(limited=True):
+            failure = future.exception(timeout=_POLL_S)
+            refusal = failure or future.result(timeout=_POLL_S)
+    except TimeoutError:
+        return False
+    if isinstance(failure, KilledWorker):
+        raise lost(
             f"{what} was given up: every worker that took it died; their logs say why, and often "
             "it is memory: give workers more, or lower views.pool, views.image_size or grids.refine"
-        ) from None
-    except CancelledError:
-        raise _lost(f"the Dask scheduler has dropped {what}") from None
+        )
     if refusal is not None:
         raise refusal
+    return True
 
 
-def _lost(what: str) -> ClusterError:
-    return ClusterError(f"{what}; finished windows are kept: run the same command again")
+def _no_workers() -> ClusterError:
+    return ClusterError(
+        "the Dask scheduler has no workers; start some with 'dask worker --nthreads 1 ADDRESS'"
+    )
 
 
 def _write_token(token_path: Path, token: str) -> None:

@@ -1,16 +1,21 @@
 """Which workers of a cluster are refused and why; what happens where there is no cluster."""
 
 import json
+import socket
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.pipeline_fixtures import Shot
-from usdsmoke import __version__, cluster, cluster_check
+from usdsmoke import __version__, cluster_check, cluster_connection
 from usdsmoke.cli import main
 from usdsmoke.cluster import stylize_on_cluster
 from usdsmoke.cluster_check import check_answer, look_around
@@ -112,9 +117,73 @@ def test_a_scheduler_that_does_not_answer_is_named_soon(
     shot: Shot, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
-    began = time.monotonic()
+    monkeypatch.setattr(cluster_connection, "_CONNECT_S", 0.5)
     with pytest.raises(ClusterError, match=f"no Dask scheduler answers at {address}"):
         stylize_on_cluster(address, shot.stage, shot.style, shot.output)
-    assert time.monotonic() - began < 5
+    assert not shot.output.exists()
+
+
+@contextmanager
+def web_server() -> Iterator[int]:
+    """A real one, which takes Dask's greeting for a bad request."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), QuietHandler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield server.server_address[1]
+        server.shutdown()
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+@contextmanager
+def greeter(words: bytes) -> Iterator[int]:
+    """A server that says something to whoever comes, and nothing else."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        kept = []
+
+        def greet() -> None:
+            while True:
+                try:
+                    connection = server.accept()[0]
+                except OSError:
+                    return
+                kept.append(connection)
+                connection.sendall(words)
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for connection in kept:
+            connection.close()
+
+
+_HEAD = b"HTTP/1.1 400 Bad Request\r\n\r\n"  # read as a length: 3 EiB
+_EMPTY = bytes(8)
+
+
+@pytest.mark.parametrize(
+    "server",
+    [web_server, partial(greeter, b""), partial(greeter, _HEAD), partial(greeter, _EMPTY)],
+    ids=["web server", "silence", "words", "zeros"],
+)
+def test_whatever_else_answers_is_found_out_without_a_trace(
+    shot: Shot,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    server: Callable[[], AbstractContextManager[int]],
+) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed")
+    monkeypatch.setattr(cluster_connection, "_PROBE_S", 0.5)
+    with server() as port:
+        assert main(shot.arguments("--cluster", f"tcp://127.0.0.1:{port}", "--json")) == 1
+    out, err = capfd.readouterr()
+    error = json.loads(out)["error"]
+    assert error["type"] == "ClusterError"
+    assert f"no Dask scheduler answers at tcp://127.0.0.1:{port} (" in error["message"]
+    assert err.splitlines()[-1] == f"usdsmoke: {error['message']}"
+    assert "Traceback" not in err and "Exception" not in err
     assert not shot.output.exists()
