@@ -110,7 +110,6 @@ TABLE: list[tuple[str, set[str], set[str]]] = [
     ("estimate", GROUND | PLAN | {"grids.header"} | WITHOUT_TORCH, {"numpy"}),
     ("inspection*", {"*"}, {"pxr", "numpy"}),
     ("openjd_template", {"errors"}, {"yaml"}),
-    ("cluster_check", {"errors"}, set()),
     # Dask is an extra that may be missing; it is loaded by those who ask for a cluster alone.
     ("cluster_*", {"errors"}, {"distributed"}),
     ("cluster", {"*"}, {"distributed"}),
