@@ -201,6 +201,20 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
 
 
 @pytest.mark.usefixtures("core")
+def test_frames_of_a_result_are_made_again_and_no_others(tmp_path: Path, cluster: Cluster) -> None:
+    shot = make_shot(tmp_path, N_FRAMES)
+    first = run(shot, *SETTINGS)
+    expected = outcome(first.root_stage)
+    first.frames[3].unlink()
+    result = stylize_on_cluster(
+        cluster.address, shot.stage, shot.style, shot.output,
+        settings=[*SETTINGS, "stage.frames=4"],
+    )  # fmt: skip
+    assert {code for _, code in cluster.begun} == {3, 4, 5}  # a window, and the one frame beyond
+    assert outcome(result.root_stage) == expected
+
+
+@pytest.mark.usefixtures("core")
 def test_requests_and_what_is_stronger_than_they_reach_the_workers(
     tmp_path: Path, cluster: Cluster
 ) -> None:

@@ -31,7 +31,9 @@ from usdsmoke.pipeline import (
     run_coarse,
     run_window,
 )
+from usdsmoke.pipeline_inputs import Job, prepare_job
 from usdsmoke.pipeline_machine import settle_threads
+from usdsmoke.pipeline_runs import frames_again
 from usdsmoke.pipeline_settings import (
     FilePath,
     Settings,
@@ -67,6 +69,7 @@ class TaskRequest:
     config: Config
     explicit: frozenset[str] = frozenset()
     force: bool = False
+    again: frozenset[int] = frozenset()  # windows of a result that are to be made once more, alone
 
 
 def stylize_on_cluster(
@@ -116,12 +119,29 @@ def stylize_on_cluster(
         explicit=explicit,
         force=force,
     )
+    if not force and resolved.stage.frames:
+        request, plan = _frames_again(request, plan)
     with connected(address) as client:
         notes = _check_workers(client, request, plan)
         _compute(client, request, plan, progress or (lambda report: None))
     layer = plan.config.layer
     result = assemble(output, progress, layer.look, layer.mode)
     return replace(result, warnings=(*result.warnings, *notes))
+
+
+def _frames_again(request: TaskRequest, plan: Plan) -> tuple[TaskRequest, Plan]:
+    """The whole result's request and plan, where some of its frames are to be made once more."""
+
+    def prepare(config: Config) -> Job:
+        return prepare_job(
+            request.stage, request.styles, Path(request.output), config, False, request.explicit
+        )
+
+    found = frames_again(prepare(plan.config), prepare)
+    if found is None:
+        return request, plan
+    whole, _, numbers = found
+    return replace(request, config=whole.config, again=frozenset(numbers)), whole.plan
 
 
 def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[str]:
@@ -162,7 +182,8 @@ def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[s
 def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgressCallback) -> None:
     """The coarse step, then all windows; the first error ends the run."""
     windows = [window for volume in plan.volumes for window in volume.windows]
-    starts = [min(window.time_codes) for window in windows]
+    starts = {window.index: min(window.time_codes) for window in windows}
+    to_do = sorted(request.again or starts)
     n_done = 0
     key = f"usdsmoke-{uuid.uuid4().hex}"
     futures: list[Future] = []
@@ -177,16 +198,16 @@ def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgre
 
     try:
         for _ in _completed(client, {begin(None, "coarse"): "the coarse step"}):
-            tell(RunProgress("coarse", starts[0], 0, len(windows), 0.0))
-        numbers = {begin(number, str(number)): number for number in range(len(windows))}
+            tell(RunProgress("coarse", starts[to_do[0]], 0, len(to_do), 0.0))
+        numbers = {begin(number, str(number)): number for number in to_do}
         names = {future: f"window {number}" for future, number in numbers.items()}
         for future in _completed(client, names):
             n_done += 1
-            share = n_done / len(windows)
-            tell(RunProgress("window", starts[numbers[future]], n_done - 1, len(windows), share))
+            share = n_done / len(to_do)
+            tell(RunProgress("window", starts[numbers[future]], n_done - 1, len(to_do), share))
     except KeyboardInterrupt:
         raise Interrupted(
-            f"stopped with {n_done} of {len(windows)} windows finished in {request.output}; "
+            f"stopped with {n_done} of {len(to_do)} windows finished in {request.output}; "
             "run the same command again to continue"
         ) from None
     finally:
@@ -204,7 +225,7 @@ def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
             if window is None:
                 run_coarse(*files, config, settings, force=request.force)
             else:
-                run_window(*files, window, config, settings)
+                run_window(*files, window, config, settings, again=window in request.again)
         except (WriteFailed, FileUnreadable):
             raise  # a file server may be well again the next time
         except UsdSmokeError as error:

@@ -184,6 +184,7 @@ def run_window(
     force: bool = False,
     progress: RunProgressCallback | None = None,
     planned: Callable[[Plan], None] | None = None,
+    again: bool = False,
 ) -> StepResult:
     """One window of a run, for a queue; the coarse step before it, if no one has done it yet.
 
@@ -201,6 +202,7 @@ def run_window(
         force: begin beside a result of other settings, which ``assemble`` will then replace.
         progress: called often, with how far the window is.
         planned: called once with the plan.
+        again: do it once more though it is finished.
 
     Raises:
         ConfigError: there is no such window.
@@ -212,7 +214,7 @@ def run_window(
     task, tell = pick_task(job.plan, window), progress or _tell_nobody
     with joined_run(job, force, task) as (job, run, lock):
         manifest = manifest_path(run, window)
-        if finished_window(run, window) is not None:
+        if not again and finished_window(run, window) is not None:
             return StepResult(run.folder, manifest, True, job.plan)
         with tidy_end(run, lock, lambda: f"stopped in window {window}; run the command again"):
             reader = FrameReader(job.plan)
@@ -221,7 +223,7 @@ def run_window(
             hashes = check_frames(reader, [task], tell)
             settle_scenes(job, run, reader)
             run_coarse_step(job, run, reader, tell, task.frames)
-            stylize_windows(job, run, reader, [task], hashes, tell)
+            stylize_windows(job, run, reader, [task], hashes, tell, again)
             notes = processor_note(run, machine_of(job).processor)
     return StepResult(run.folder, manifest, False, job.plan, notes)
 

@@ -32,6 +32,7 @@ from usdsmoke.run_windows import (
 __all__ = [
     "begin_run",
     "describing",
+    "frames_again",
     "how_far",
     "joined_run",
     "open_or_redo",
@@ -57,18 +58,35 @@ def open_or_redo(
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
         ConfigError: the device is not there.
     """
+    if not force and (again := frames_again(job, prepare)) is not None:
+        return again
     published = published_runs(job)
-    if not force:
-        for run in find_runs(job.output):
-            if run.complete and run.run_id in published and _has_other_frames(job, run):
-                frames = run.description["settings"]["stage"]["frames"]
-                stage = dataclasses.replace(job.config.stage, frames=frames)
-                whole = prepare(dataclasses.replace(job.config, stage=stage))
-                if redone := _windows_of(whole.plan, job.plan):
-                    _refuse_other(run, whole)
-                    return with_settled(whole, run), run, redone
     run = open_run(job.output, job.config.layer.look, describing(job), published, force)
     return with_settled(job, run), run, frozenset()
+
+
+def frames_again(
+    job: Job, prepare: Callable[[Config], Job]
+) -> tuple[Job, RunFolder, Set[int]] | None:
+    """The whole job, its run and the windows to do, where the job is a part of a result's frames.
+
+    Args:
+        job: what was asked for.
+        prepare: makes the same job with other settings.
+
+    Raises:
+        OutputExists: the result is of other settings or inputs.
+    """
+    published = published_runs(job)
+    for run in find_runs(job.output):
+        if run.complete and run.run_id in published and _has_other_frames(job, run):
+            frames = run.description["settings"]["stage"]["frames"]
+            stage = dataclasses.replace(job.config.stage, frames=frames)
+            whole = prepare(dataclasses.replace(job.config, stage=stage))
+            if redone := _windows_of(whole.plan, job.plan):
+                _refuse_other(run, whole)
+                return with_settled(whole, run), run, redone
+    return None
 
 
 @contextmanager
