@@ -111,6 +111,8 @@ def run_sweeps(
         else:
             wanted.append(sweep)
     found = _Engine(case, budget, clock, tell).run(wanted)
+    under_way = [item for item in found.values() if isinstance(item, _UnderWay)]
+    everything = [measured for item in under_way for _, measured in item.taken]
     results = []
     for sweep in wanted:
         item = found[sweep.name]
@@ -128,7 +130,7 @@ def run_sweeps(
         if missing:
             reason = f"{item.failure or _no_time(budget)}: {'; '.join(missing)}"
             omitted.append(Omission(f"Points of “{sweep.title}”", reason))
-        points = _points(item, case.on_gpu)
+        points = _points(item, case.on_gpu, everything)
         plan = item.plan
         if plan.chance is not None:
             plan = replace(plan, uncertain=plan.chance())
@@ -236,10 +238,9 @@ def _too_few(item: _UnderWay) -> str:
     return f"the first points of it would take about {seconds:.2g} s more than was left"
 
 
-def _points(item: _UnderWay, on_gpu: bool) -> tuple[Point, ...]:
-    """The points; those that did the same work share the times of all their runs."""
-    measured = [found for _, found in item.taken]
-    measured = [_with_times_of_equals(found, measured) for found in measured]
+def _points(item: _UnderWay, on_gpu: bool, everything: Sequence[Measured]) -> tuple[Point, ...]:
+    """The points; those that did the same work, in any sweep, share the times of all their runs."""
+    measured = [_with_times_of_equals(found, everything) for _, found in item.taken]
     points = []
     for (task, _), found in zip(item.taken, measured, strict=True):
         cost = found.size or (found.wall if on_gpu else found.cpu)
@@ -258,10 +259,11 @@ def _with_times_of_equals(found: Measured, others: Sequence[Measured]) -> Measur
     if not found.traces:
         return found
     same = [other for other in others if other.traces == found.traces]
+    times = dict.fromkeys((other.cpu_times, other.wall_times) for other in same)  # each once
     return replace(
         found,
-        cpu_times=tuple(value for other in same for value in other.cpu_times),
-        wall_times=tuple(value for other in same for value in other.wall_times),
+        cpu_times=tuple(value for cpu, _ in times for value in cpu),
+        wall_times=tuple(value for _, wall in times for value in wall),
     )
 
 
