@@ -15,7 +15,7 @@ from usdsmoke.core.link import Link
 from usdsmoke.core.potential import Displacement
 from usdsmoke.core.scene import Scene, measure_scene
 from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.stylize import _stylized, make_job, open_frame
+from usdsmoke.core.stylize import finished_frame, make_job, open_frame
 from usdsmoke.errors import ShapeError
 from usdsmoke.volume import DenseField, VolumeFrame
 from usdsmoke.windows import Window, coarse_runs, split_windows
@@ -141,7 +141,7 @@ def _chain(
     )  # fmt: skip
     outcomes = []
     for link in run_chain(frames, job, open_frame):
-        done = _stylized(link, job)
+        done = finished_frame(link, job)
         if done.emission is None or link.displacement is None:
             raise ShapeError(f"timeCode {done.time_code:g} was left out: {_why(link)}")
         outcomes.append(
