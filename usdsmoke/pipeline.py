@@ -161,7 +161,7 @@ def run_coarse(
     """
     job = _prepare(stage, style, output, config, settings, planned)
     tell = progress or _tell_nobody
-    with joined_run(job, force) as (job, run, lock):
+    with joined_run(job, force, tell) as (job, run, lock):
         with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
             check_room(job, run, ())
             reader = FrameReader(job.plan)
@@ -212,7 +212,7 @@ def run_window(
     """
     job = _prepare(stage, style, output, config, settings, planned)
     task, tell = pick_task(job.plan, window), progress or _tell_nobody
-    with joined_run(job, force, task) as (job, run, lock):
+    with joined_run(job, force, tell, task) as (job, run, lock):
         manifest = manifest_path(run, window)
         if not again and finished_window(run, window) is not None:
             return StepResult(run.folder, manifest, True, job.plan)

@@ -21,6 +21,7 @@ from usdsmoke.plan import Plan
 from usdsmoke.run_changes import list_changes
 from usdsmoke.run_choice import Describe, find_equal, open_run, taken_up
 from usdsmoke.run_folder import RunFolder, find_runs
+from usdsmoke.run_progress import WAITING, RunProgressCallback
 from usdsmoke.run_windows import (
     finished_window,
     forget_beginning,
@@ -91,7 +92,7 @@ def frames_again(
 
 @contextmanager
 def joined_run(
-    job: Job, force: bool, task: WindowTask | None = None
+    job: Job, force: bool, tell: RunProgressCallback, task: WindowTask | None = None
 ) -> Iterator[tuple[Job, RunFolder, OutputLock]]:
     """The run of a job that several processes may work on, begun if it was not; the folder is held.
 
@@ -101,6 +102,7 @@ def joined_run(
     Args:
         job: what was asked for.
         force: begin beside a result of other settings.
+        tell: hears of it where others at work have to be waited for, some minutes at most.
         task: the window that is to be done: no other inputs are read where the run has begun and
             this window's coarse starts are there. None: all.
 
@@ -113,13 +115,18 @@ def joined_run(
         ConfigError: the device is not there.
     """
     describe, look = describing(job, task), job.config.layer.look
-    published = published_runs(job)
+
+    def waits() -> None:
+        tell(WAITING)
+
     if force and find_equal(job.output, describe) is None:
-        with lock_output(job.output):  # unfinished runs of other settings go: nobody may be at them
-            open_run(job.output, look, describe, published, force)
-    with lock_output(job.output, alone=False) as lock:
+        # Unfinished runs of other settings go: nobody may be at them.
+        with lock_output(job.output, waits=waits):
+            open_run(job.output, look, describe, published_runs(job), force)
+    with lock_output(job.output, alone=False, waits=waits) as lock:
         run = find_equal(job.output, describe)
         if run is None:
+            published = published_runs(job)  # as it is now, after the waiting
             open_run(job.output, look, describe, published, force, alone=False)  # or be refused
             with _held_beginning(job.output, lock):
                 run = find_equal(job.output, describe)
