@@ -155,9 +155,14 @@ class FakeCore:
         config: Any,
         progress: Callable[[Progress], None] | None = None,
         time_codes_per_second: float = 24.0,
+        known: FakeStart | None = None,
     ) -> Iterator[FakeStart]:
         carried = 0.0
         for number, frame in enumerate(frames):
+            if known is not None and known.time_code == frame.time_code:
+                carried = known.number
+                yield known
+                continue
             self.before_coarse(frame.time_code)
             self.coarse.append(frame.time_code)
             carried = 0.3 * carried + float(frame.density.values.max(initial=0.0)) / 7
@@ -178,15 +183,11 @@ class FakeCore:
     def display_picture(self, picture: np.ndarray, *_: Any) -> np.ndarray:
         return picture[..., :3]
 
-    def grey_picture(self, picture: np.ndarray) -> np.ndarray:
-        return picture[..., :3]
+    # what the next frame takes from a start is all of it
+    grey_picture, load_carried = display_picture, load_start
 
     def _stylize(
-        self,
-        frame: VolumeFrame,
-        config: Any,
-        carried: float,
-        errors: dict[str, float] | None,
+        self, frame: VolumeFrame, config: Any, carried: float, errors: dict[str, float] | None
     ) -> FakeStylized:
         density, emission = frame.density, None
         if "shape" in config.optimize.steps:
@@ -210,7 +211,7 @@ class FakeCore:
         """Modules that can stand in ``sys.modules`` for the core's."""
         homes = {
             "usdsmoke.core.stylize": ("stylize_window",),
-            "usdsmoke.core.coarse": ("coarse_frames", "save_start", "load_start"),
+            "usdsmoke.core.coarse": ("coarse_frames", "save_start", "load_start", "load_carried"),
             "usdsmoke.core.device": ("describe_machine",),
             "usdsmoke.core.scene": ("measure_scene",),
             "usdsmoke.core.render": ("render_view", "display_picture", "grey_picture"),

@@ -71,6 +71,22 @@ def test_killed_in_a_part_of_a_run_the_same_command_ends_in_the_same_bits(
         assert not [path for path in killed.output.rglob(".*") if path.is_file()]
 
 
+def test_a_coarse_step_that_was_stopped_goes_on_with_its_first_unfinished_frame(
+    farm: Shot, whole: Outcome, core: FakeCore
+) -> None:
+    def stop(time_code: float) -> None:
+        if time_code == 5:
+            raise KeyboardInterrupt
+
+    core.before_coarse = stop
+    assert main(farm.arguments(*OPTIONS, "--coarse")) == 130
+    core.before_coarse = lambda time_code: None
+    core.coarse.clear()
+    windows_in(farm, [2, 0, 1])
+    assert core.coarse == [5, 6, 7]
+    assert outcome(assemble(farm.output).root_stage) == whole
+
+
 def test_killed_while_assembling_there_is_no_result_or_a_whole_one(
     farm: Shot, whole: Outcome
 ) -> None:

@@ -31,8 +31,10 @@ from usdsmoke.run_windows import (
 
 if TYPE_CHECKING:
     from usdsmoke.core.coarse import CoarseStart
+    from usdsmoke.core.device import Machine
     from usdsmoke.core.progress import Progress
     from usdsmoke.core.scene import Scene
+    from usdsmoke.core.start import Carried
 
 __all__ = ["coarse_starts", "measure_scenes", "missing_starts", "read_scene", "run_coarse_step"]
 
@@ -168,31 +170,64 @@ def _run_chain(
     counted: tuple[int, int],
     tell: RunProgressCallback,
 ) -> None:
-    """One sequence between two cuts, from its first frame to its last."""
+    """One sequence between two cuts, from its first frame to its last.
+
+    The manifest is written after every frame: who goes on begins with the last frame that is there
+    and that others start from.
+    """
     from usdsmoke.core.coarse import coarse_frames, save_start
     from usdsmoke.core.device import describe_machine
 
     (number, volume, frames), (done, n_frames) = chain, counted
     record, started = finished_coarse(run), time.monotonic()
+    here = describe_machine(job.config.optimize)
+    first, known = _resumed(run, record, frames, here)
 
     def report(state: "Progress") -> None:
-        tell(RunProgress("coarse", state.time_code, done + state.frame, n_frames, 0.0))
+        tell(RunProgress("coarse", state.time_code, done + first + state.frame, n_frames, 0.0))
 
     starts = coarse_frames(
-        (reader.read(volume, frame) for frame in frames),
+        (reader.read(volume, frame) for frame in frames[first:]),
         job.pictures(volume),
         read_scene(run, number),
         volume.config,
         report,
         job.plan.source.time_codes_per_second,
+        known,
     )
     make_folders(run.folder / "coarse")
-    for frame, start in zip(frames, starts, strict=True):
+    for frame, start in zip(frames[first:], starts, strict=True):
         name = coarse_file_name(frame.file_name)
-        publish_file(run.folder / name, partial(save_start, start))
-        digest = hash_file(run.folder / name)
-        record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
+        if name not in record.frames:
+            publish_file(run.folder / name, partial(save_start, start))
+            digest = hash_file(run.folder / name)
+            record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
+            seconds = record.seconds + time.monotonic() - started
+            finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds, here.processor))
         give_back_memory()
-    seconds = record.seconds + time.monotonic() - started
-    here = describe_machine(job.config.optimize).processor
-    finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds, here))
+        if all(coarse_file_name(frame.file_name) in record.frames for frame in frames):
+            break  # what is left stands there already
+
+
+def _resumed(
+    run: RunFolder, record: CoarseRecord, frames: Sequence[FramePlan], here: "Machine"
+) -> tuple[int, "Carried | None"]:
+    """From which frame of a sequence on there is something to do, and what that starts with.
+
+    Args:
+        run: with the files.
+        record: of what stands there unchanged.
+        frames: of the sequence.
+        here: the machine; what another kind of processor has made is not gone on with.
+    """
+    from usdsmoke.core.coarse import load_carried
+
+    names = [coarse_file_name(frame.file_name) for frame in frames]
+    n_done = next((n for n, name in enumerate(names) if name not in record.frames), len(names))
+    if record.processor != here.processor:
+        return 0, None
+    for number in reversed(range(n_done)):
+        known = load_carried(run.folder / names[number])
+        if known is not None:
+            return number, known
+    return 0, None

@@ -35,7 +35,7 @@ from usdsmoke.core.potential import Displacement, hold
 from usdsmoke.core.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.shape import Start, longest_move, run_shape_step
 from usdsmoke.core.smoke import activate
-from usdsmoke.core.start import start_colours, start_displacement
+from usdsmoke.core.start import Carried, start_colours, start_displacement
 from usdsmoke.memory import give_back_memory
 from usdsmoke.volume import VolumeFrame
 
@@ -100,6 +100,15 @@ def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:
 
 
 def _shape_one(link: Link, before: Link | None, job: Job) -> None:
+    if job.known is not None and job.known.time_code == link.frame.time_code:
+        link.free, link.report["shape"] = job.known.free, {}
+    else:
+        _optimize_shape(link, before, job)
+    if job.keeps_carried:
+        link.carried = Carried(link.frame.time_code, link.free)
+
+
+def _optimize_shape(link: Link, before: Link | None, job: Job) -> None:
     started, config = time.perf_counter(), link.config
     start: Start | None = None
     if before is not None or (link.coarse is not None and link.coarse.displacement is not None):
@@ -160,9 +169,20 @@ def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
 
 
 def _paint_one(link: Link, before: Link | None, job: Job) -> None:
-    started, config = time.perf_counter(), link.config
     share = None if link.mask is None else link.mask.at(link.smoke.positions)
     link.painted = link.smoke if share is None else link.smoke.take(share > 0)
+    if job.known is not None and job.known.time_code == link.frame.time_code:
+        link.colours, link.report["colour"] = job.known.colours, {}
+    else:
+        _optimize_colours(link, before, job)
+    if job.keeps_carried:
+        free = link.carried.free if link.carried is not None else None
+        link.carried = Carried(link.frame.time_code, free, link.colours)
+
+
+def _optimize_colours(link: Link, before: Link | None, job: Job) -> None:
+    assert link.painted is not None
+    started, config = time.perf_counter(), link.config
     paint = before.paint if before is not None else None
     seconds = job.seconds(before, link) if before is not None else 0.0
     start = start_colours(

@@ -22,11 +22,18 @@ from usdsmoke.core.progress import ProgressCallback
 from usdsmoke.core.scene import Scene
 from usdsmoke.core.schedule import coarse_factor
 from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.start import CoarseStart
+from usdsmoke.core.start import Carried, CoarseStart
 from usdsmoke.core.stylize import make_job, open_frame
 from usdsmoke.volume import DenseField, VolumeFrame
 
-__all__ = ["CoarseStart", "coarse_frames", "coarsen_field", "load_start", "save_start"]
+__all__ = [
+    "CoarseStart",
+    "coarse_frames",
+    "coarsen_field",
+    "load_carried",
+    "load_start",
+    "save_start",
+]
 
 
 def coarse_frames(
@@ -36,11 +43,16 @@ def coarse_frames(
     config: Config,
     progress: ProgressCallback | None = None,
     time_codes_per_second: float = 24.0,
+    known: Carried | None = None,
 ) -> Iterator[CoarseStart]:
     """The shared start of every frame of a shot, in order; arguments as of ``stylize_window``.
 
     Frames that are left out (empty ones) have a start with nothing in it. A frame's own controls
     count here as they do in the windows.
+
+    Args:
+        known: the ``carried`` of one of these frames, the first that takes effect, from an earlier
+            call: it is not optimised again, and those behind it come out as if that had gone on.
 
     Raises:
         NonFiniteError, FeatureError, ConfigError: see ``stylize_window``.
@@ -51,6 +63,8 @@ def coarse_frames(
         styles, _coarse_scene(scene, factor), _coarse_config(config, factor), progress,
         time_codes_per_second, None, n_frames,
     )  # fmt: skip
+    known = known.to(job.device) if known is not None else None
+    job = dataclasses.replace(job, keeps_carried=True, known=known)
     for link in run_chain(frames, job, lambda frame, job: _open_coarse(frame, job, factor)):
         empty = link.left_out != ""
         yield CoarseStart(
@@ -59,6 +73,7 @@ def coarse_frames(
             None if empty else link.settled,
             None if empty else link.painted,
             None if empty else link.colours,
+            link.carried if link.in_effect else None,
         )
 
 
@@ -93,7 +108,7 @@ def coarsen_field(field: DenseField, factor: int) -> DenseField:
 
 
 def save_start(start: CoarseStart, file_path: Path) -> None:
-    """Write a start as .npz; ``load_start`` gives it back bit for bit."""
+    """Write a start as .npz; ``load_start`` and ``load_carried`` give it back bit for bit."""
     arrays: dict[str, Any] = {"time_code": start.time_code, "factor": start.factor}
     if start.displacement is not None:
         lattice = start.displacement.lattice
@@ -105,12 +120,18 @@ def save_start(start: CoarseStart, file_path: Path) -> None:
         arrays["density"] = start.smoke.density.cpu().numpy()
         arrays["smoke_to_stage"] = start.smoke.index_to_stage
         arrays["colours"] = start.colours.cpu().numpy()
+    if (carried := start.carried) is not None:
+        arrays["carried"] = True
+        if carried.free is not None:  # on the same box
+            arrays["carried_displacement"] = carried.free.values.cpu().numpy()
+        if carried.colours is not None:
+            arrays["carried_colours"] = carried.colours.cpu().numpy()
     with open(file_path, "wb") as stream:  # a name without .npz, such as a temporary one, is kept
         np.savez(stream, **arrays)
 
 
 def load_start(file_path: Path, device: torch.device | None = None) -> CoarseStart:
-    """Read what ``save_start`` wrote.
+    """Read what ``save_start`` wrote, but for what is carried on.
 
     Raises:
         OSError, ValueError, KeyError: it is missing, damaged or something else.
@@ -134,6 +155,25 @@ def load_start(file_path: Path, device: torch.device | None = None) -> CoarseSta
         return CoarseStart(
             float(arrays["time_code"]), int(arrays["factor"]), displacement, smoke, colours
         )
+
+
+def load_carried(file_path: Path) -> Carried | None:
+    """The ``carried`` of what ``save_start`` wrote.
+
+    Raises:
+        OSError, ValueError, KeyError: see ``load_start``.
+    """
+    start = load_start(file_path)
+    with np.load(file_path, allow_pickle=False) as arrays:
+        if "carried" not in arrays:
+            return None
+        free = colours = None
+        if "carried_displacement" in arrays and start.displacement is not None:
+            values = torch.from_numpy(arrays["carried_displacement"])
+            free = Displacement(values, start.displacement.lattice)
+        if "carried_colours" in arrays:
+            colours = torch.from_numpy(arrays["carried_colours"])
+        return Carried(start.time_code, free, colours)
 
 
 def _open_coarse(frame: VolumeFrame, job: Job, factor: int) -> Link:

@@ -14,7 +14,7 @@ from usdsmoke.core.potential import Displacement
 from usdsmoke.core.scene import Scene
 from usdsmoke.core.sight import Sight
 from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.start import CoarseStart
+from usdsmoke.core.start import Carried, CoarseStart
 from usdsmoke.core.targets import StyleTargets
 from usdsmoke.volume import DenseField, VolumeFrame
 
@@ -34,6 +34,8 @@ class Job:
     time_codes_per_second: float
     starts: Callable[[float], CoarseStart | None]
     watch: Callable[[float], Watch]  # by timeCode
+    keeps_carried: bool = False  # whether links keep what their next ones start from
+    known: Carried | None = None  # of a frame that is not optimised once more
 
     def seconds(self, earlier: "Link", later: "Link") -> float:
         """Time between two frames, as the pattern goes: ``windows.pattern_speed`` times as fast.
@@ -64,6 +66,7 @@ class Link:
     free: Displacement | None = None  # before it is held below the cap: what is carried along
     settled: Displacement | None = None  # averaged with the following frame's
     displacement: Displacement | None = None  # what the density was moved by, at full strength
+    carried: Carried | None = None  # where the job asks for it
     painted: ActiveSmoke | None = None
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
 

@@ -18,12 +18,30 @@ from usdsmoke.core.smoke import ActiveSmoke, sample_colours
 from usdsmoke.core.warm import carry_colours, fill_colours
 from usdsmoke.volume import VolumeFrame
 
-__all__ = ["CoarseStart", "start_colours", "start_displacement"]
+__all__ = ["Carried", "CoarseStart", "start_colours", "start_displacement"]
 
 # Share of the difference to the coarse result that a carried one is corrected by. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
 PULL_DISPLACEMENT = 0.35
 PULL_COLOUR = 0.5
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a frame's next one starts from: with it a chain goes on as if it had not been cut."""
+
+    time_code: float
+    free: Displacement | None = None  # before it is held below the cap or averaged
+    colours: Tensor | None = None  # display-encoded [N 3] of the painted voxels, not averaged
+
+    def to(self, device: torch.device) -> "Carried":
+        """The same on a device."""
+        free = self.free
+        return Carried(
+            self.time_code,
+            None if free is None else Displacement(free.values.to(device), free.lattice),
+            None if self.colours is None else self.colours.to(device),
+        )
 
 
 @dataclass(frozen=True)
@@ -35,6 +53,7 @@ class CoarseStart:
     displacement: Displacement | None = None
     smoke: ActiveSmoke | None = None  # painted voxels
     colours: Tensor | None = None  # display-encoded [N 3]
+    carried: Carried | None = None  # where the next frame starts from this one
 
     def n_octaves(self, n: int) -> int:
         """How many of a step's n octaves were done in the coarse step."""

@@ -10,7 +10,13 @@ import torch
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core.chain import run_chain
-from usdsmoke.core.coarse import coarse_frames, coarsen_field, load_start, save_start
+from usdsmoke.core.coarse import (
+    coarse_frames,
+    coarsen_field,
+    load_carried,
+    load_start,
+    save_start,
+)
 from usdsmoke.core.coherence import colour_error
 from usdsmoke.core.scene import measure_scene
 from usdsmoke.core.schedule import coarse_factor
@@ -131,8 +137,36 @@ def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):
         assert torch.equal(getattr(read.smoke, name), getattr(start.smoke, name))
     assert torch.equal(read.colours, start.colours)
     again = tmp_path / "again.npz"
-    save_start(read, again)
+    save_start(replace(read, carried=load_carried(tmp_path / "start.npz")), again)
     assert again.read_bytes() == (tmp_path / "start.npz").read_bytes()
+
+
+EMPTY = frame_of(np.zeros(BOX, np.float32), 3.0)
+
+
+@pytest.mark.parametrize("steps", [["shape", "colour"], ["shape"], ["colour"]])
+@pytest.mark.parametrize("first", [0, 2])
+def test_a_coarse_step_that_was_cut_goes_on_with_the_bits_of_one_that_was_not(
+    tmp_path, steps, first
+):
+    config = quick_config(
+        windows={"shared_octaves": 1}, optimize={"steps": steps}, shape={"smoothing": 0.5}
+    )
+    frames = [*FRAMES[:3], EMPTY, replace(drifting(3), time_code=4.0)]
+    scene = measure_scene(FRAMES, config, "Y")
+    whole = list(coarse_frames(frames, [random_style()], scene, config))
+    assert [start.carried is None for start in whole] == [False, False, False, True, False]
+    save_start(whole[first], tmp_path / "cut.npz")
+    known, seen = load_carried(tmp_path / "cut.npz"), []
+    rest = coarse_frames(
+        frames[first:], [random_style()], scene, config,
+        lambda state: seen.append(state.time_code), known=known,
+    )  # fmt: skip
+    for number, (found, wanted) in enumerate(zip(rest, whole[first:], strict=True)):
+        for start, name in ((found, "found"), (wanted, "wanted")):
+            save_start(start, tmp_path / name)
+        assert (tmp_path / "found").read_bytes() == (tmp_path / "wanted").read_bytes(), number
+    assert whole[first].time_code not in seen and 4.0 in seen
 
 
 def test_the_start_of_an_empty_frame_is_empty(tmp_path):
@@ -143,6 +177,7 @@ def test_the_start_of_an_empty_frame_is_empty(tmp_path):
     save_start(start, tmp_path / "start.npz")
     read = load_start(tmp_path / "start.npz")
     assert read.displacement is None and read.smoke is None and read.colours is None
+    assert load_carried(tmp_path / "start.npz") is None
 
 
 @pytest.mark.parametrize("shape", [(9, 8, 7), (8, 1, 5), (1, 1, 3)])
