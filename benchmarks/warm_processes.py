@@ -80,6 +80,7 @@ class Process:
 
     def __init__(self, action: Callable[[], int], log: Path) -> None:
         self.log = log
+        log.touch()  # it is read even if the fork is killed before it has opened it
         self.code: int | None = None
         self.pid = os.fork()
         if self.pid == 0:
