@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import torch
 
+from usdsmoke.core.lattice import Lattice
+from usdsmoke.core.potential import free_displacement, hold
 from usdsmoke.core.smoke import ActiveSmoke, activate
 from usdsmoke.volume import DenseField, VolumeFrame
 
@@ -13,6 +15,7 @@ __all__ = [
     "frame_of",
     "gaussian_column",
     "gaussian_smoke",
+    "held_in_voxels",
     "masked",
     "puff",
     "random_style",
@@ -100,3 +103,17 @@ def random_style(height: int = 24, width: int = 32, seed: int = 0) -> np.ndarray
     stripes = 0.5 + 0.4 * np.sin(0.9 * x + 0.4 * y)
     picture = np.stack([stripes, 0.3 + 0.0 * x, 1 - stripes], axis=-1)
     return np.clip(picture + generator.normal(0, 0.05, picture.shape), 0, 1).astype(np.float32)
+
+
+def held_in_voxels(
+    potential: torch.Tensor,
+    mask: torch.Tensor,
+    kind: str,
+    cap: float,
+    lattice: Lattice,
+    base: torch.Tensor | None = None,
+    share: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """A potential's displacement on a box, held below the cap, [I J K 3] index units."""
+    held = hold(free_displacement(potential, mask, kind, lattice, base), cap, share)
+    return held / held.new_tensor(lattice.spacing)

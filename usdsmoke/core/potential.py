@@ -22,7 +22,6 @@ __all__ = [
     "Potential",
     "border_mask",
     "carry_levels",
-    "displacement_from",
     "free_displacement",
     "hold",
 ]
@@ -98,24 +97,6 @@ def border_mask(density: Tensor) -> Tensor:
     """
     inside = (2 * smooth_mask(density, BORDER) - 1).clamp_min(0)
     return inside * inside * (3 - 2 * inside)
-
-
-def displacement_from(
-    potential: Tensor,
-    mask: Tensor,
-    kind: str,
-    cap: float,
-    lattice: Lattice,
-    base: Tensor | None = None,
-    share: Tensor | None = None,
-) -> Tensor:
-    """u on a box's voxels, [I J K 3] in *index units* along its axes; |u| < cap in stage units.
-
-    Arguments as of ``free_displacement`` and ``hold``.
-    """
-    free = free_displacement(potential, mask, kind, lattice, base)
-    held = hold(free, cap, share)
-    return held / held.new_tensor(lattice.spacing)
 
 
 def free_displacement(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.smoke_fixtures import affine, held_in_voxels, puff, smoke_of
 from usdsmoke.core.displacement import divergence
 from usdsmoke.core.lattice import Lattice, surround
 from usdsmoke.core.potential import (
@@ -12,7 +12,6 @@ from usdsmoke.core.potential import (
     Potential,
     border_mask,
     carry_levels,
-    displacement_from,
 )
 from usdsmoke.core.resample import pyramid_shapes
 from usdsmoke.core.smoke import make_octaves
@@ -53,7 +52,7 @@ def test_an_empty_box_has_an_empty_mask():
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e12])
 def test_displacements_stay_below_the_cap_in_stage_units(kind, size, lattice, box):
     potential = size * random(*lattice.shape, CHANNELS[kind])
-    moved = displacement_from(potential, border_mask(box), kind, 0.8, lattice)
+    moved = held_in_voxels(potential, border_mask(box), kind, 0.8, lattice)
     lengths = (moved * torch.tensor(lattice.spacing)).norm(dim=-1)
     assert torch.isfinite(moved).all()
     assert 0 < lengths.max().item() <= 0.8 * (1 + 1e-9)
@@ -61,7 +60,7 @@ def test_displacements_stay_below_the_cap_in_stage_units(kind, size, lattice, bo
 
 @pytest.mark.parametrize("kind", CHANNELS)
 def test_nothing_moves_far_outside_the_smoke(kind, lattice, box):
-    moved = displacement_from(
+    moved = held_in_voxels(
         random(*lattice.shape, CHANNELS[kind]), border_mask(box), kind, 0.8, lattice
     )
     outer = torch.ones(lattice.shape, dtype=torch.bool)
@@ -71,7 +70,7 @@ def test_nothing_moves_far_outside_the_smoke(kind, lattice, box):
 
 def test_a_faded_stream_function_stays_free_of_divergence(lattice, box):
     """In stage units and far below the cap, which alone disturbs it."""
-    moved = displacement_from(
+    moved = held_in_voxels(
         1e-3 * random(*lattice.shape, 3), border_mask(box), "stream", 1e3, lattice
     )
     moved = moved * torch.tensor(lattice.spacing)
@@ -81,9 +80,9 @@ def test_a_faded_stream_function_stays_free_of_divergence(lattice, box):
 
 def test_mixed_is_half_of_each(lattice, box):
     mask, both = border_mask(box), random(*lattice.shape, 4)
-    stream = displacement_from(both[..., :3], mask, "stream", 1e9, lattice)
-    potential = displacement_from(both[..., 3:], mask, "potential", 1e9, lattice)
-    mixed = displacement_from(both, mask, "mixed", 1e9, lattice)
+    stream = held_in_voxels(both[..., :3], mask, "stream", 1e9, lattice)
+    potential = held_in_voxels(both[..., 3:], mask, "potential", 1e9, lattice)
+    mixed = held_in_voxels(both, mask, "mixed", 1e9, lattice)
     assert torch.allclose(mixed, 0.5 * (stream + potential), atol=1e-12)
 
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import affine, masked, puff, smoke_of
+from tests.smoke_fixtures import affine, held_in_voxels, masked, puff, smoke_of
 from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.core.displacement import slope_matrix
 from usdsmoke.core.lattice import Lattice, grow, surround
-from usdsmoke.core.potential import border_mask, displacement_from, free_displacement
+from usdsmoke.core.potential import border_mask, free_displacement
 from usdsmoke.core.resample import Pyramid, interpolation_matrix, pyramid_shapes
 from usdsmoke.core.sparse_displacement import SparseDisplacement
 from usdsmoke.core.sparse_map import Nodes, Taps, map_along, nodes_read
@@ -201,7 +201,7 @@ def test_the_shape_step_moves_what_the_whole_box_would(
         box = octave.density.new_zeros(*octave.lattice.shape, potential.shape[1])
         box[octave.effect > 0] = potential.detach()
         share, base = octave._share, octave.base
-        u = displacement_from(box, octave.effect, kind, octave._cap, octave.lattice, base, share)
+        u = held_in_voxels(box, octave.effect, kind, octave._cap, octave.lattice, base, share)
         wanted = warp(octave.density, u, scheme="linear")
         torch.testing.assert_close(moved, wanted[tuple(octave.active.T)], rtol=0, atol=2e-6)
         assert wanted.sum().item() == pytest.approx(moved.sum().item(), rel=1e-5)  # nothing is lost
