@@ -69,7 +69,7 @@ VOXEL_TIME = 2.5e-7
 BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 7.0e-7
-COARSE_BYTES = 24  # of a coarse voxel: potential and colours
+COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
 GAIN = 0.8  # n threads are n ** GAIN times as quick
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it

@@ -162,8 +162,16 @@ def test_the_coarse_step_costs_less_than_the_windows_and_a_small_file_a_frame() 
     plain, shared = (estimate_run([FRAME], Config(), 1, 2, (), c) for c in ((), [FRAME]))
     assert 0 < shared.seconds - plain.seconds < 0.5 * plain.seconds
     voxels = FRAME.active_voxels + math.prod(FRAME.box)
-    wanted = 24 * voxels / coarse_factor(Config()) ** 3
+    wanted = 44 * voxels / coarse_factor(Config()) ** 3
     assert shared.bytes_written - plain.bytes_written == pytest.approx(wanted, abs=1)
+
+
+def test_a_coarse_start_is_as_large_as_one_that_was_written() -> None:
+    """Of frame 6 of the example plume, with voxels twice as large."""
+    frame = FrameSize(75_042, (58, 83, 59))
+    plain, shared = (estimate_run([frame], Config(), 1, 2, (), c) for c in ((), [frame]))
+    assert coarse_factor(Config()) == 2
+    assert shared.bytes_written - plain.bytes_written == pytest.approx(1_913_741, rel=0.1)
 
 
 def test_memory_of_frames_that_follow_each_other_is_above_what_was_measured_too() -> None:
