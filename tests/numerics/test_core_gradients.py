@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import affine, puff, random_style, smoke_of
+from tests.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
 from usdsmoke.config import LossesConfig
 from usdsmoke.core.colour import ColourView
 from usdsmoke.core.features import EmbeddedFeatures
@@ -16,7 +16,7 @@ from usdsmoke.core.lattice import Lattice, surround
 from usdsmoke.core.losses import StyleTarget, total_variation
 from usdsmoke.core.optics import opacity
 from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.potential import border_mask, displacement_from
+from usdsmoke.core.potential import border_mask
 from usdsmoke.core.project import colour_map, column_map
 from usdsmoke.core.resample import Pyramid, pyramid_shapes
 from usdsmoke.core.scene import fit_view
@@ -157,7 +157,7 @@ def shape_chain(
     image = column_map(lattice.positions(active), smoke.voxel_volume, view_of(smoke), DOUBLE)
 
     def chain(potential: Tensor) -> Tensor:
-        moved = displacement_from(potential, mask, kind, 2.0, lattice)
+        moved = held_in_voxels(potential, mask, kind, 2.0, lattice)
         density = warp(box, moved[tuple(active.T)], active_ijk=active, scheme="linear")
         return compare(opacity(0.3 * image.apply(density[:, None])))
 
