@@ -19,6 +19,8 @@ def circumstances(command: Sequence[str]) -> list[str]:
     The commit is marked ``-dirty`` where code differs from it. Of absolute paths in the command
     the last part alone is told: they are one machine's.
     """
+    from usdsmoke.report.circumstances import processor_name  # loads much: late, and not in forks
+
     commit = _git("rev-parse", "--short", "HEAD") or "unknown"
     if _git("status", "--porcelain", "--untracked-files=no", "--", *_CODE):
         commit += "-dirty"
@@ -26,7 +28,7 @@ def circumstances(command: Sequence[str]) -> list[str]:
     words = [f".../{Path(word).name}" if os.path.isabs(word) else word for word in command]
     return [
         f"- Date {datetime.date.today().isoformat()}, commit {commit}.",
-        f"- {_processor()} ({platform.machine()}), {len(os.sched_getaffinity(0))} cores, "
+        f"- {processor_name()} ({platform.machine()}), {len(os.sched_getaffinity(0))} cores, "
         f"{memory:.0f} GiB, Python {platform.python_version()}.",
         f"- `{' '.join(words)}`",
     ]
@@ -35,13 +37,3 @@ def circumstances(command: Sequence[str]) -> list[str]:
 def _git(*arguments: str) -> str:
     done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
     return done.stdout.strip()
-
-
-def _processor() -> str:
-    """The processor's name where the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "processor unknown"

@@ -12,7 +12,7 @@ from usdsmoke.report.case import Case
 from usdsmoke.report.records import Figures
 from usdsmoke.time_codes import format_time_code, format_time_codes
 
-__all__ = ["machine_figures", "scene_figures", "version_figures"]
+__all__ = ["machine_figures", "processor_name", "scene_figures", "version_figures"]
 
 
 def scene_figures(case: Case) -> Figures:
@@ -49,7 +49,10 @@ def machine_figures(case: Case, seconds: float) -> Figures:
     rows = [
         ("date", datetime.date.today().isoformat()),
         ("system", f"{platform.system()} {platform.machine()}"),
-        ("processor", f"{_processor()}, {cores} cores, {torch.get_num_threads()} threads in use"),
+        (
+            "processor",
+            f"{processor_name()}, {cores} cores, {torch.get_num_threads()} threads in use",
+        ),
         ("memory", f"{memory:.0f} GiB"),
         ("GPU", torch.cuda.get_device_name(case.device) if case.on_gpu else "none in use"),
         ("load", f"{os.getloadavg()[0]:.1f} at the end"),
@@ -72,7 +75,7 @@ def _smoke_text(sides: object, n_voxels: int) -> str:
     return f"{' x '.join(str(int(n)) for n in sides)} voxels, {n_voxels:,} active"  # type: ignore[attr-defined]
 
 
-def _processor() -> str:
+def processor_name() -> str:
     """The processor's name where the system tells."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
