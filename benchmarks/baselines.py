@@ -28,15 +28,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.displacement import cap_displacement, from_potential
-from usdsmoke.core.optimize import minimize
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.potential import border_mask
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.style import decode_srgb, encode_srgb
-from usdsmoke.core.views import draw_views, orbit_view, sample_angles
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.displacement import cap_displacement, from_potential
+from usdsmoke.core.fields.potential import border_mask
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
+from usdsmoke.core.steps.optimize import minimize
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.views.cameras import draw_views, orbit_view, sample_angles
+from usdsmoke.core.views.scene import Scene
 
 __all__ = [
     "DenseBox",

@@ -18,16 +18,16 @@ import torch
 
 from benchmarks.control_scenes import paint_styles
 from benchmarks.shape_cost import make_plume
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core import colour, shape
-from usdsmoke.core.project import colour_map
-from usdsmoke.core.scene import MARGIN, Scene, frame_views, measure_scene
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.style import encode_srgb
-from usdsmoke.core.stylize import StylizedFrame, stylize_window
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.views import View, camera_orbit, sample_angles, view_of_camera
-from usdsmoke.volume import CameraSource, DenseField, VolumeFrame
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.volume import CameraSource, DenseField, VolumeFrame
+from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.steps import colour, shape
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
+from usdsmoke.core.views.project import colour_map
+from usdsmoke.core.views.scene import MARGIN, Scene, frame_views, measure_scene
 
 __all__ = ["camera_around", "half_out", "main", "near_eye", "picture_loss"]
 

@@ -12,11 +12,11 @@ import argparse
 import numpy as np
 
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
-from usdsmoke.config import resolve_config
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["final_losses", "main"]
 

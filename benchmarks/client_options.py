@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 from pxr import Usd, UsdVol
 
 from benchmarks.display import decode_display
-from usdsmoke.schema import EXTINCTION_PER_DENSITY
+from usdsmoke.usd.schema import EXTINCTION_PER_DENSITY
 
 __all__ = ["main"]
 

@@ -27,8 +27,8 @@ from benchmarks.client_runs import GREY, ClientRuns, over_black
 from benchmarks.client_stages import author_dark_stage, author_scaled_stage
 from benchmarks.display import composite, decode_display, encode_display
 from benchmarks.held_out import Result, draw_march, read_result
-from usdsmoke.core.views import View
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.core.views.cameras import View
 
 __all__ = ["main"]
 

@@ -28,7 +28,7 @@ from benchmarks.coherence_measures import (
 )
 from benchmarks.coherence_pictures import draw_flicker, draw_strip
 from benchmarks.coherence_runs import Run, Shot, make_shot, run_alone, run_windows, simulate_plume
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
 
 __all__ = ["Findings", "main", "measure", "render_report"]
 

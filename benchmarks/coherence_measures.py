@@ -14,16 +14,16 @@ from torch import Tensor
 from benchmarks.coherence_runs import Outcome, Run, Shot
 from benchmarks.control_scenes import FRAMES_PER_SECOND
 from benchmarks.held_out import held_out_angles
-from usdsmoke.core.coherence import colour_error, displacement_error
-from usdsmoke.core.colour import prepare_views
-from usdsmoke.core.grey import look_at
-from usdsmoke.core.project import column_map
-from usdsmoke.core.scene import fit_view
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.style import decode_srgb, encode_srgb
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.views import View, orbit_view
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.sequence.coherence import colour_error, displacement_error
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
+from usdsmoke.core.steps.colour import prepare_views
+from usdsmoke.core.steps.grey import look_at
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import fit_view
 
 __all__ = [
     "Distances",

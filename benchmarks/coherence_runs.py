@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.control_scenes import FRAMES_PER_SECOND, THINNEST, load_example, paint_styles
-from usdsmoke.blend import blend_frames, relative_difference, tail_weights
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.coarse import CoarseStart, coarse_frames
-from usdsmoke.core.link import Link
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.scene import Scene, measure_scene
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.stylize import finished_frame, make_job, open_frame
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import DenseField, VolumeFrame
-from usdsmoke.windows import Window, coarse_runs, split_windows
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.coarse import CoarseStart, coarse_frames
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.views.scene import Scene, measure_scene
+from usdsmoke.planning.windows import Window, coarse_runs, split_windows
+from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 
 __all__ = ["Outcome", "Run", "Shot", "make_shot", "run_alone", "run_windows", "simulate_plume"]
 

@@ -19,8 +19,8 @@ from PIL import Image
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
 from benchmarks.control_studio import SIDE, Grid, Look, Panel, Studio, save_grid
 from benchmarks.measures import colour_distance
-from usdsmoke.errors import UsdSmokeError
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.volume import VolumeFrame
 
 __all__ = ["GRIDS", "SETTINGS", "main", "simulate_once"]
 

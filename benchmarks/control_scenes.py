@@ -13,7 +13,7 @@ from types import ModuleType
 
 import numpy as np
 
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.volume import DenseField, VolumeFrame
 
 __all__ = ["EXAMPLES", "fading_mask", "frame_of", "load_example", "paint_styles", "simulate_smoke"]
 

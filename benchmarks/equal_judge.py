@@ -14,12 +14,12 @@ from benchmarks.display import composite, mean_colour
 from benchmarks.held_out import Result, cover_box, draw_march, fit_view, held_out_angles
 from benchmarks.measures import score_views
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.config import Config, GridsConfig
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.style import encode_srgb, scale_style
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.srgb import encode_srgb, scale_style
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["Judge", "Verdict", "find_scenes"]
 

@@ -31,14 +31,14 @@ from benchmarks.baselines import baseline_colour, baseline_shape, dense_box, wit
 from benchmarks.circumstances import circumstances
 from benchmarks.equal_judge import Judge, find_scenes
 from benchmarks.equal_report import Comparison, Point, render_report
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.errors import UsdSmokeError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["compare", "main"]
 

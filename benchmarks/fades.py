@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from benchmarks.coherence_runs import Shot, make_shot, simulate_plume
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.volume import FrameControls
+from usdsmoke.base.volume import FrameControls
+from usdsmoke.core.sequence.stylize import stylize_window
 
 __all__ = ["STRENGTHS", "errors_of", "main"]
 

@@ -12,13 +12,13 @@ from pxr import Usd, UsdGeom, UsdVol
 from benchmarks.display import composite, mean_colour
 from benchmarks.measures import score_views
 from benchmarks.raymarch import march_rays
-from usdsmoke.colour_grids import absolute_emission
-from usdsmoke.config import GridsConfig
-from usdsmoke.core.render import render_fields
-from usdsmoke.core.views import View, orbit_view
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.schema import EMISSION_ABSOLUTE, EMISSION_MODE
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.render import render_fields
+from usdsmoke.usd.schema import EMISSION_ABSOLUTE, EMISSION_MODE
+from usdsmoke.vdb.colour_grids import absolute_emission
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = [
     "RENDERERS",

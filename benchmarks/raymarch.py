@@ -17,7 +17,7 @@ __all__ = ["Camera", "march_rays"]
 
 
 class Camera(Protocol):
-    """What is read of a view; see usdsmoke.core.views.View."""
+    """What is read of a view; see usdsmoke.core.views.cameras.View."""
 
     right: np.ndarray
     up: np.ndarray

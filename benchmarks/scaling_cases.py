@@ -18,12 +18,12 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.shape_cost import make_plume, make_style
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["Case", "Cost", "measure_case", "measure_peak"]
 

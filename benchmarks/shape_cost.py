@@ -18,15 +18,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.noise import white_noise
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.resample import smooth
-from usdsmoke.core.sample import voxel_positions
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.resample import smooth
+from usdsmoke.core.fields.sample import voxel_positions
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.smoke.noise import white_noise
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["SHAPE", "SHARE", "Case", "Cost", "make_plume", "measure_case", "write_vgg19"]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.errors import UsdSmokeError
-from usdsmoke.grids.header import GridHeader, read_header
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.vdb.header import GridHeader, read_header
 
 __all__ = ["author_plume_stage", "find_stages", "main"]
 

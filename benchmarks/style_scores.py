@@ -26,7 +26,7 @@ from pxr import Usd
 from benchmarks.circumstances import circumstances
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.stages import find_stages
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
 
 __all__ = ["Run", "main", "stylize_in_child"]
 

@@ -24,16 +24,16 @@ from tests.numerics.transport_problems import (
     window_and_back,
     zalesak_disk,
 )
-from usdsmoke.core.displacement import (
+from usdsmoke.core.fields.displacement import (
     cap_displacement,
     from_potential,
     from_stream,
     smooth_mask,
 )
-from usdsmoke.core.noise import white_noise
-from usdsmoke.core.resample import smooth
-from usdsmoke.core.sample import sample_bounds, sample_cubic, sample_linear, voxel_positions
-from usdsmoke.core.transport import Scheme, advect, correct_mass, warp
+from usdsmoke.core.fields.resample import smooth
+from usdsmoke.core.fields.sample import sample_bounds, sample_cubic, sample_linear, voxel_positions
+from usdsmoke.core.fields.transport import Scheme, advect, correct_mass, warp
+from usdsmoke.core.smoke.noise import white_noise
 
 __all__ = ["main"]
 

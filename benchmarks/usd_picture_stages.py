@@ -13,9 +13,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 import usdsmoke
 from benchmarks.client_stages import author_overlay
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import write_frame
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
 __all__ = [
     "Case",

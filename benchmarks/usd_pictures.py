@@ -36,7 +36,7 @@ from benchmarks.usd_picture_stages import (
     files_shown,
     make_cases,
 )
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
 
 __all__ = [
     "Difference",

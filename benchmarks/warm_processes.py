@@ -33,12 +33,8 @@ def warm_up() -> None:
     """
     import torch
 
-    import usdsmoke.cli
-    import usdsmoke.core.coarse
-    import usdsmoke.core.render
-    import usdsmoke.core.stylize  # noqa: F401
-    from usdsmoke.grids import child, worker
-    from usdsmoke.grids.binding import find_binding
+    from usdsmoke.vdb import child, worker
+    from usdsmoke.vdb.binding import find_binding
 
     find_binding()
     torch.set_num_threads(1)
@@ -54,7 +50,7 @@ def command_line(arguments: list[str]) -> Callable[[], int]:
     """What ``usdsmoke`` with these arguments does, for a fork of a warm process."""
 
     def call() -> int:
-        from usdsmoke.cli import main
+        from usdsmoke.ui.cli.main import main
 
         return main(arguments)
 
@@ -204,9 +200,9 @@ def _be_child(action: Callable[[], int], log: Path) -> None:
 
 
 def _run_forked(request: str, folder: str, config: Any) -> None:
-    """In the place of ``usdsmoke.grids.child._run``: a fork, not a new interpreter."""
-    from usdsmoke.grids import worker
-    from usdsmoke.grids.child import ChildFailure
+    """In the place of ``usdsmoke.vdb.child._run``: a fork, not a new interpreter."""
+    from usdsmoke.vdb import worker
+    from usdsmoke.vdb.child import ChildFailure
 
     pid = os.fork()
     if pid == 0:

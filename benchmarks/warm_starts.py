@@ -22,14 +22,14 @@ import torch
 from benchmarks.circumstances import circumstances
 from benchmarks.coherence_measures import style_distances
 from benchmarks.coherence_runs import Outcome, Run, Shot, make_shot, simulate_plume
-from usdsmoke.config import Config
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.smoke import activate
-from usdsmoke.core.stylize import StylizedFrame, stylize_window
-from usdsmoke.errors import UsdSmokeError
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
+from usdsmoke.core.smoke.active import activate
 
 __all__ = ["Row", "cheapest_equal", "main", "measure_step", "render_report"]
 

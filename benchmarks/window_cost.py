@@ -22,7 +22,7 @@ from pxr import Usd, UsdVol
 from benchmarks.circumstances import circumstances
 from benchmarks.control_scenes import EXAMPLES, paint_styles
 from benchmarks.style_scores import stylize_in_child
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
 
 __all__ = ["Cost", "main", "render_report", "repeat_frames"]
 

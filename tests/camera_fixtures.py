@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from tests.smoke_fixtures import frame_of, puff
-from usdsmoke.core.views import View, view_of_camera
-from usdsmoke.volume import CameraSource, VolumeFrame
+from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.views.cameras import View, view_of_camera
 
 __all__ = ["DENSITY", "FRAME", "MIDDLE", "N", "camera_picture", "looking", "seen_by"]
 

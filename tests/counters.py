@@ -96,5 +96,5 @@ class Reads:
                 self.written[field["name"]] += array.nbytes
             return run_here(request, arrays, config)
 
-        monkeypatch.setattr("usdsmoke.grids.read.run_child", reading)
-        monkeypatch.setattr("usdsmoke.grids.write.run_child", writing)
+        monkeypatch.setattr("usdsmoke.vdb.read.run_child", reading)
+        monkeypatch.setattr("usdsmoke.vdb.write.run_child", writing)

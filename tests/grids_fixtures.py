@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.binding import find_binding
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_vdb_file
-from usdsmoke.grids.header import read_header
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.binding import find_binding
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
+from usdsmoke.vdb.header import read_header
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

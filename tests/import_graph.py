@@ -105,7 +105,7 @@ def _imported(tree: ast.AST, file_path: Path, nested: bool) -> set[str]:
 
 
 def _ours(names: set[str], known: set[str]) -> set[str]:
-    """The modules behind dotted names: usdsmoke.grids.read.read_grids is grids.read."""
+    """The modules behind dotted names: usdsmoke.vdb.read.read_grids is grids.read."""
     found = set()
     for name in names:
         parts = name.split(".")

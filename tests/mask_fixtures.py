@@ -7,11 +7,11 @@ import numpy as np
 
 from tests.grids_fixtures import raw_grid, uniform, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
-from usdsmoke.config import resolve_config
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.plan import Plan, make_plan
-from usdsmoke.stage import find_volumes, open_stage
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.plan import Plan, make_plan
+from usdsmoke.usd.stage import find_volumes, open_stage
 
 PLACED = (
     "double3 xformOp:translate = (5, 0, 0)\n float3 xformOp:scale = (2, 2, 2)\n"

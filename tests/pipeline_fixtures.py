@@ -21,15 +21,15 @@ from pxr import Usd, UsdVol
 
 from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
-from usdsmoke.config import GridsConfig
-from usdsmoke.core.progress import Progress
-from usdsmoke.errors import BindingMissing, GridTooLarge
-from usdsmoke.grids import worker
-from usdsmoke.grids.child import ChildFailure
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.pipeline import StylizeResult, stylize
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.vdb import worker
+from usdsmoke.vdb.child import ChildFailure
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -210,18 +210,23 @@ class FakeCore:
     def modules(self) -> dict[str, types.ModuleType]:
         """Modules that can stand in ``sys.modules`` for the core's."""
         homes = {
-            "usdsmoke.core.stylize": ("stylize_window",),
-            "usdsmoke.core.coarse": ("coarse_frames", "save_start", "load_start", "load_carried"),
-            "usdsmoke.core.device": ("describe_machine",),
-            "usdsmoke.core.scene": ("measure_scene",),
-            "usdsmoke.core.render": ("render_view", "display_picture", "grey_picture"),
+            "usdsmoke.core.sequence.stylize": ("stylize_window",),
+            "usdsmoke.core.sequence.coarse": (
+                "coarse_frames",
+                "save_start",
+                "load_start",
+                "load_carried",
+            ),
+            "usdsmoke.core.smoke.device": ("describe_machine",),
+            "usdsmoke.core.views.scene": ("measure_scene",),
+            "usdsmoke.core.views.render": ("render_view", "display_picture", "grey_picture"),
         }
         modules = {}
         for home, names in homes.items():
             modules[home] = types.ModuleType(home)
             for name in names:
                 setattr(modules[home], name, getattr(self, name))
-        vars(modules["usdsmoke.core.scene"])["Scene"] = FakeScene
+        vars(modules["usdsmoke.core.views.scene"])["Scene"] = FakeScene
         return modules
 
 
@@ -243,12 +248,12 @@ def run_here(
 
 def pose(core: FakeCore) -> None:
     """Put the stand-ins in place for the rest of this process."""
-    import usdsmoke.grids.read
-    import usdsmoke.grids.write
+    import usdsmoke.vdb.read
+    import usdsmoke.vdb.write
 
     sys.modules.update(core.modules())
-    usdsmoke.grids.read.run_child = run_here
-    usdsmoke.grids.write.run_child = run_here
+    usdsmoke.vdb.read.run_child = run_here
+    usdsmoke.vdb.write.run_child = run_here
 
 
 def run(shot: Shot, *settings: str, **options: Any) -> StylizeResult:

@@ -10,10 +10,10 @@ import numpy as np
 from tests.pipeline_fixtures import make_style
 from tests.smoke_fixtures import puff
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.grids.write import write_frame
-from usdsmoke.report.case import Case, open_case
-from usdsmoke.report.records import Plan, Point, Spread, SweepResult, Task
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.write import write_frame
+from usdsmoke.work_precision.case import Case, open_case
+from usdsmoke.work_precision.records import Plan, Point, Spread, SweepResult, Task
 
 __all__ = ["QUICK", "TinyScene", "case_of", "make_scene", "point", "result_of"]
 
@@ -60,8 +60,8 @@ def make_scene(folder: Path, n_frames: int = 3, moving: bool = True, n: int = 10
 
 def case_of(scene: TinyScene, *settings: str) -> Case:
     """The scene as sweeps see it."""
-    from usdsmoke.pipeline_inputs import prepare_job
-    from usdsmoke.pipeline_settings import resolve_settings
+    from usdsmoke.base.given_settings import resolve_settings
+    from usdsmoke.planning.job import prepare_job
 
     config, explicit = resolve_settings(None, [*QUICK, *settings])
     job = prepare_job(scene.stage, [scene.style], scene.output, config, False, explicit)

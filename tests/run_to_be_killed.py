@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tests.pipeline_fixtures import FakeCore, pose
-from usdsmoke.cli import main
+from usdsmoke.ui.cli.main import main
 
 
 def die_at(count: int) -> list[str]:

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import torch
 
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.potential import free_displacement, hold
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import free_displacement, hold
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
 
 __all__ = [
     "affine",

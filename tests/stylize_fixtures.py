@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.scene import Scene, measure_scene
-from usdsmoke.core.stylize import StylizedFrame, stylize_window
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
+from usdsmoke.core.views.scene import Scene, measure_scene
 
 __all__ = ["by_voxel", "quick_config", "run_core"]
 

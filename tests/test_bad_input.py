@@ -20,8 +20,8 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke import assemble
-from usdsmoke.cli import main
-from usdsmoke.errors import LayerError
+from usdsmoke.base.errors import LayerError
+from usdsmoke.ui.cli.main import main
 
 Spoil = Callable[[Shot], list[str]]  # makes a shot bad; further arguments of the command
 

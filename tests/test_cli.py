@@ -11,8 +11,8 @@ import pytest
 
 from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes, write_text
-from usdsmoke.cli import main
-from usdsmoke.config import Config, config_to_dict, read_config, resolve_config
+from usdsmoke.base.config import Config, config_to_dict, read_config, resolve_config
+from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -32,7 +32,7 @@ def run_command(*arguments: str, **options: Any) -> subprocess.CompletedProcess[
 def loaded_by(*commands: list[str]) -> set[str]:
     """Top-level packages that commands load, in a fresh interpreter."""
     code = (
-        "import sys\nfrom usdsmoke.cli import main\n"
+        "import sys\nfrom usdsmoke.ui.cli.main import main\n"
         f"codes = [main(command) for command in {list(commands)!r}]\n"
         "print('LOADED', *sorted({name.split('.')[0] for name in sys.modules}))\n"
         "sys.exit(any(codes))"
@@ -113,7 +113,7 @@ def test_a_dry_run_reads_no_voxel(shot: Shot, monkeypatch: pytest.MonkeyPatch) -
     def refuse(*arguments: object) -> None:
         raise AssertionError("a VDB file was opened by OpenVDB")
 
-    monkeypatch.setattr("usdsmoke.grids.read.run_child", refuse)
+    monkeypatch.setattr("usdsmoke.vdb.read.run_child", refuse)
     assert main(shot.arguments("--dry-run", "--json")) == 0
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline_fixtures import FakeCore, Shot
-from usdsmoke.cli import main
+from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[1]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline_fixtures import PROJECT, Shot
-from usdsmoke.cli import main
+from usdsmoke.ui.cli.main import main
 
 
 @pytest.mark.usefixtures("quick_grids")
@@ -56,7 +56,7 @@ def test_wrong_usage_ends_with_2(words: list[str], shot: Shot) -> None:
 
 def test_a_request_that_is_refused_has_loaded_no_torch(shot: Shot) -> None:
     code = (
-        "import sys\nfrom usdsmoke.cli import main\n"
+        "import sys\nfrom usdsmoke.ui.cli.main import main\n"
         f"code = main(['preview', {str(shot.stage)!r}, '-o', {str(shot.folder / 'a.tif')!r}])\n"
         "sys.exit(code != 1 or 'torch' in sys.modules)"
     )

@@ -10,8 +10,8 @@ from tests.client_fixtures import ALL, CD, PARTS, SPLIT, VECTORS, fields_of
 from tests.grids_fixtures import openvdb
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run, shown_files
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.errors import ConfigError
-from usdsmoke.validators import Severity, validate
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.usd.rules import Severity, validate
 
 
 def test_all_grids_stand_in_one_file_in_one_place(plume: Shot) -> None:

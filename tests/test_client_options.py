@@ -24,9 +24,9 @@ from tests.client_fixtures import (
 from tests.grids_fixtures import check_content, openvdb, raw_grid, write_raw
 from tests.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run
 from usdsmoke import assemble, run_window
-from usdsmoke.cli import main
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.content_hash import hash_vdb_file
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.content_hash import hash_vdb_file
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_the_contact_sheet_shows_the_same_light_per_density(
             seen.append(emission.values)
         return np.zeros((8, 8, 4), np.float32)
 
-    monkeypatch.setattr(sys.modules["usdsmoke.core.render"], "render_view", render_view)
+    monkeypatch.setattr(sys.modules["usdsmoke.core.views.render"], "render_view", render_view)
     run(copied(plume, "plain"))
     run(plume, PER_DENSITY)
     assert len(seen) == 6

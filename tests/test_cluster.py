@@ -15,9 +15,9 @@ import pytest
 
 from tests.pipeline_fixtures import make_shot, run, values_of, write_nan
 from tests.test_farm import outcome
-from usdsmoke.cluster import stylize_on_cluster
-from usdsmoke.errors import ClusterError, Interrupted, NonFiniteError
-from usdsmoke.run_progress import RunProgress
+from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError
+from usdsmoke.farm.dask import stylize_on_cluster
+from usdsmoke.runs.progress import RunProgress
 
 pytest.importorskip("distributed", reason="distributed is not installed")
 
@@ -158,8 +158,8 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path, cluster: Cl
 def test_a_cluster_that_loses_all_workers_is_given_up(
     tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("usdsmoke.cluster._LOST_S", 0.5)
-    monkeypatch.setattr("usdsmoke.cluster._POLL_S", 0.2)
+    monkeypatch.setattr("usdsmoke.farm.dask._LOST_S", 0.5)
+    monkeypatch.setattr("usdsmoke.farm.dask._POLL_S", 0.2)
     shot = make_shot(tmp_path, 2)
 
     def kill_all(report: RunProgress) -> None:
@@ -189,7 +189,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
             cluster.scheduler.kill()
 
     if moment == "look_around":
-        monkeypatch.setattr("usdsmoke.cluster._write_token", write_and_kill)
+        monkeypatch.setattr("usdsmoke.farm.dask._write_token", write_and_kill)
     with pytest.raises(ClusterError, match=r"scheduler .*finished windows are kept"):
         stylize_on_cluster(
             cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS,

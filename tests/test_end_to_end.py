@@ -12,9 +12,9 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import Shot, make_shot
 from tests.usd_fixtures import file_hashes
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 PROJECT = Path(__file__).resolve().parents[1]
 QUICK = ["optimize.iterations=6", "views.image_size=32", "views.pool=2", "optimize.threads=1"]

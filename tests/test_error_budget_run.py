@@ -11,12 +11,12 @@ import pytest
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.cli import main
-from usdsmoke.config import Config, GridsConfig
-from usdsmoke.error_budget import make_budget
-from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.audit.records import find_records
+from usdsmoke.base.config import Config, GridsConfig
 from usdsmoke.pipeline import assemble, stylize
-from usdsmoke.provenance_records import find_records
+from usdsmoke.runs.error_budget import make_budget
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 
 @pytest.fixture

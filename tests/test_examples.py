@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.config import read_config, resolve_config
+from usdsmoke.base.config import read_config, resolve_config
 
 PROJECT = Path(__file__).resolve().parents[1]
 PLUME, STYLES = PROJECT / "examples" / "plume", PROJECT / "examples" / "styles"

@@ -9,9 +9,9 @@ from pxr import Usd, UsdGeom
 
 from tests.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of
 from tests.usd_fixtures import density_prim, samples, volume_prim, world, write_vdb
-from usdsmoke.config import WindowsConfig, resolve_config
-from usdsmoke.errors import ConfigError
-from usdsmoke.windows import split_windows
+from usdsmoke.base.config import WindowsConfig, resolve_config
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.planning.windows import split_windows
 
 QUICK = (
     "views.pool=1", "views.image_size=16", "features.layers=[oriented1]", "shape.iterations=[2]",

@@ -17,12 +17,12 @@ from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, copied, make_shot, run
 from tests.test_farm import start
 from usdsmoke import assemble, run_coarse, run_window
-from usdsmoke.cli import main
-from usdsmoke.errors import OutputExists
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_rerun import rerun
-from usdsmoke.provenance_records import find_records
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.audit.records import find_records
+from usdsmoke.audit.rerun import rerun
+from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.ui.cli.main import main
 
 TWO = {0, 1}
 
@@ -179,7 +179,7 @@ def on_one_processor(*arguments: str) -> None:
     """The command in a process of its own that may use one processor only."""
     code = (
         "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
-        "from usdsmoke.cli import main; sys.exit(main(sys.argv[1:]))"
+        "from usdsmoke.ui.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], cwd=PROJECT, capture_output=True, text=True

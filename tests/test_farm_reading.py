@@ -11,11 +11,13 @@ from PIL import Image
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
 from tests.pipeline_fixtures import FakeCore, Shot, run
 from tests.usd_fixtures import write_vdb
-from usdsmoke import assemble, pipeline_description, pipeline_frames, run_coarse
-from usdsmoke import plan as plan_module
-from usdsmoke import run_folder as folder_module
-from usdsmoke.cli import main
-from usdsmoke.errors import OutputExists, PlanError
+from usdsmoke import assemble, run_coarse
+from usdsmoke.base.errors import OutputExists, PlanError
+from usdsmoke.planning import frame_reader as pipeline_frames
+from usdsmoke.planning import plan as plan_module
+from usdsmoke.runs import description as pipeline_description
+from usdsmoke.runs import folder as folder_module
+from usdsmoke.ui.cli.main import main
 
 
 @pytest.fixture

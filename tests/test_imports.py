@@ -31,7 +31,7 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 def test_help_of_inspect_loads_no_torch() -> None:
     code = """
 import sys
-from usdsmoke.cli import main
+from usdsmoke.ui.cli.main import main
 sys.argv = ["usdsmoke", "inspect", "--help"]
 try:
     main()

@@ -16,13 +16,13 @@ import torch
 from tests.counters import Elements, count_calls, watch_calls
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.config import resolve_config
-from usdsmoke.core.definition import learned_layers, oriented_layers
-from usdsmoke.core.features import EmbeddedFeatures
-from usdsmoke.core.move import ROOM
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.loss_needs import unneeded_layers
-from usdsmoke.volume import CameraSource, VolumeFrame
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.steps.move import ROOM
+from usdsmoke.core.style.definition import learned_layers, oriented_layers
+from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.views.scene import measure_scene
+from usdsmoke.planning.loss_needs import unneeded_layers
 
 CORE = "usdsmoke.core"
 FEATURES = (f"{CORE}.targets:build_network", f"{CORE}.losses:StyleTarget.loss")

@@ -13,7 +13,7 @@ from tests.counters import Reads, count_calls
 from tests.pipeline_fixtures import Shot, make_shot, make_style, run
 from tests.smoke_fixtures import puff
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.grids.binding import find_binding
+from usdsmoke.vdb.binding import find_binding
 
 QUICK = (
     "views.pool=2", "views.image_size=16", "features.layers=[oriented1]", "shape.iterations=[1]",

@@ -9,7 +9,7 @@ from pxr import Usd
 from tests.farm_fixtures import WINDOWS, outcome, windows_in
 from tests.pipeline_fixtures import Shot, contents, run
 from usdsmoke import assemble
-from usdsmoke.layer.anchoring import relative_asset_path
+from usdsmoke.base.asset_paths import relative_asset_path
 
 
 @pytest.fixture

@@ -21,12 +21,12 @@ from tests.pipeline_fixtures import (
 )
 from tests.usd_fixtures import file_hashes
 from usdsmoke import assemble, run_window
-from usdsmoke.cli import main
-from usdsmoke.config import LayerConfig
-from usdsmoke.errors import ConfigError, LayerError, OutputExists
-from usdsmoke.layer import look_files
-from usdsmoke.naming import DEFAULT_LOOK
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.base.config import LayerConfig
+from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
+from usdsmoke.base.naming import DEFAULT_LOOK
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.look import look_files
+from usdsmoke.usd.stage import find_volumes, open_stage
 
 pytestmark = pytest.mark.usefixtures("core")
 

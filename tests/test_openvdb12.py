@@ -17,10 +17,10 @@ from tests.client_fixtures import ALL, WINDOWS, dense, expected
 from tests.grids_fixtures import make_field, openvdb, raw_grid, rotated, write_raw
 from tests.other_openvdb import describe
 from tests.pipeline_fixtures import PROJECT, Shot, copied, run
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import write_frame
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
 OTHER_PYTHON = os.environ.get("USDSMOKE_BPY_PYTHON", "")
 pytestmark = pytest.mark.skipif(

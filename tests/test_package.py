@@ -53,7 +53,7 @@ def test_wheel_tells_version_licence_and_command(wheel: Path) -> None:
     assert metadata["Version"] == usdsmoke.__version__
     assert metadata["License-Expression"] == "Apache-2.0"
     assert "Apache License" in texts["LICENSE"]
-    assert "usdsmoke = usdsmoke.cli:main" in texts["entry_points.txt"]
+    assert "usdsmoke = usdsmoke.ui.cli.main:main" in texts["entry_points.txt"]
 
 
 def test_unpacked_wheel_registers_its_schema(wheel: Path, tmp_path: Path) -> None:

@@ -22,13 +22,13 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
-from usdsmoke.config import GridsConfig, resolve_config
-from usdsmoke.errors import ImageError
-from usdsmoke.frames import read_frame
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.base.config import GridsConfig, resolve_config
+from usdsmoke.base.errors import ImageError
 from usdsmoke.pipeline import stylize
-from usdsmoke.run_progress import RunProgress
+from usdsmoke.planning.frames import read_frame
+from usdsmoke.runs.progress import RunProgress
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 
 @pytest.mark.usefixtures("core")
@@ -222,8 +222,8 @@ def test_small_frames_are_read_once_and_large_ones_as_often_as_they_are_wanted(
         read.append(frame.time_code)
         return read_frame(volume, frame, *more)
 
-    monkeypatch.setattr("usdsmoke.pipeline_frames.read_frame", count)
-    monkeypatch.setattr("usdsmoke.pipeline_frames.KEPT_BYTES", kept)
+    monkeypatch.setattr("usdsmoke.planning.frame_reader.read_frame", count)
+    monkeypatch.setattr("usdsmoke.planning.frame_reader.KEPT_BYTES", kept)
     run(shot)
     assert len(read) == n_readings
 
@@ -235,7 +235,7 @@ def test_a_contact_sheet_that_fails_is_a_warning(
     def fail(*arguments: object) -> None:
         raise ImageError("the picture cannot be drawn")
 
-    monkeypatch.setattr("usdsmoke.pipeline_assemble.write_contact_sheet", fail)
+    monkeypatch.setattr("usdsmoke.runs.assemble.write_contact_sheet", fail)
     result = run(shot)
     assert result.contact_sheets == ()
     assert any("the picture cannot be drawn" in warning for warning in result.warnings)

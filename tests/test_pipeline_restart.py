@@ -11,8 +11,8 @@ from PIL import Image
 from tests.grids_fixtures import check_content
 from tests.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of, write_nan
 from tests.usd_fixtures import file_hashes, write_text, write_vdb
-from usdsmoke import publish
-from usdsmoke.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
+from usdsmoke.base import publish
+from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
 from usdsmoke.pipeline import stylize
 
 RESTYLIZE = ["stage.restylize=true"]

@@ -18,8 +18,8 @@ from prov.model import (
 )
 
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run
-from usdsmoke.cli import main
 from usdsmoke.pipeline import StylizeResult
+from usdsmoke.ui.cli.main import main
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from pxr import Sdf
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, run
 from tests.usd_fixtures import write_text
-from usdsmoke.cli import main
+from usdsmoke.audit.records import find_records
+from usdsmoke.base.record_format import hash_file
 from usdsmoke.pipeline import StylizeResult
-from usdsmoke.provenance import hash_file
-from usdsmoke.provenance_records import find_records
+from usdsmoke.ui.cli.main import main
 
 ASSET = """#usda 1.0
 (
@@ -119,7 +119,7 @@ def test_what_has_no_record_is_refused(shot: Shot, capsys: pytest.CaptureFixture
 def test_looking_loads_no_torch(finished: tuple[Shot, StylizeResult]) -> None:
     output = str(finished[0].output)
     code = (
-        "import sys\nfrom usdsmoke.cli import main\n"
+        "import sys\nfrom usdsmoke.ui.cli.main import main\n"
         f"codes = [main([c, {output!r}]) for c in ('provenance', 'verify')]\n"
         "sys.exit(any(codes) or 'torch' in sys.modules)"
     )

@@ -7,11 +7,11 @@ from PIL import Image
 
 from tests.pipeline_fixtures import Shot, run
 from tests.test_requests import flat_style, write_stage
-from usdsmoke.errors import LayerError
+from usdsmoke.audit.records import find_records
+from usdsmoke.audit.rerun import rerun
+from usdsmoke.audit.verify import verify
+from usdsmoke.base.errors import LayerError
 from usdsmoke.pipeline import StylizeResult, stylize
-from usdsmoke.pipeline_rerun import rerun
-from usdsmoke.provenance_records import find_records
-from usdsmoke.provenance_verify import verify
 
 RED = "asset[] @@styleImages = [@./red.png@]\nint64 @@seed = 2"
 BLUE = "asset[] @@styleImages = [@./blue.png@]"

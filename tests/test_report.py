@@ -15,15 +15,15 @@ from PIL import Image
 from benchmarks.shape_cost import write_vgg19
 from tests.pipeline_fixtures import run_here
 from tests.report_fixtures import QUICK, case_of, make_scene
-from usdsmoke.cli import main
-from usdsmoke.errors import LayerError, PlanError
-from usdsmoke.grids.write import write_frame
-from usdsmoke.report.data import COLUMNS
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.page import number
-from usdsmoke.report.run import SWEEPS, ReportResult, make_report
-from usdsmoke.report.trial import Setting, Trial, untiring
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import LayerError, PlanError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.write import write_frame
+from usdsmoke.work_precision.data import COLUMNS
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.page import number
+from usdsmoke.work_precision.run import SWEEPS, ReportResult, make_report
+from usdsmoke.work_precision.trial import Setting, Trial, untiring
 
 _VOID = {"meta", "img", "br"}
 
@@ -42,8 +42,8 @@ def shortened(sweep: Sweep) -> Sweep:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReportResult]:
     """A report with two points of every sweep that a moving puff has a use for."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("usdsmoke.grids.read.run_child", run_here)
-        patch.setattr("usdsmoke.grids.write.run_child", run_here)
+        patch.setattr("usdsmoke.vdb.read.run_child", run_here)
+        patch.setattr("usdsmoke.vdb.write.run_child", run_here)
         scene = make_scene(tmp_path_factory.mktemp("report"))
         sweeps = [shortened(sweep) for sweep in SWEEPS]
         yield make_report(
@@ -239,7 +239,7 @@ def test_the_command_prints_the_page_and_json_holds_everything(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = next(sweep for sweep in SWEEPS if sweep.name == "files")
-    monkeypatch.setattr("usdsmoke.report.run.SWEEPS", (shortened(files),))
+    monkeypatch.setattr("usdsmoke.work_precision.run.SWEEPS", (shortened(files),))
     scene = make_scene(tmp_path, n_frames=1)
     words = [str(scene.stage), "--style", str(scene.style), "-o", str(scene.output)]
     words += ["--budget", "60s", *(part for text in QUICK for part in ("--set", text))]

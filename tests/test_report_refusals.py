@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.report_fixtures import QUICK, TinyScene, make_scene
-from usdsmoke.errors import (
+from usdsmoke.base.errors import (
     FeatureError,
     ImageError,
     Interrupted,
@@ -14,10 +14,10 @@ from usdsmoke.errors import (
     OutputExists,
     WriteFailed,
 )
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.folder import report_folder
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.report.run import ReportResult, make_report
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.folder import report_folder
+from usdsmoke.work_precision.records import Plan, Task
+from usdsmoke.work_precision.run import ReportResult, make_report
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -141,7 +141,7 @@ def test_a_report_that_is_stopped_keeps_nothing_and_says_so(
     def stop(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("usdsmoke.report.run.run_sweeps", stop)
+    monkeypatch.setattr("usdsmoke.work_precision.run.run_sweeps", stop)
     with pytest.raises(Interrupted, match="nothing that was measured is kept"):
         report(scene)
     assert old.page.read_bytes() == before

@@ -13,12 +13,12 @@ from pxr import Sdf, Usd
 
 from tests.pipeline_fixtures import FakeCore, contents, make_style, values_of
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
-from usdsmoke.cli import main
-from usdsmoke.errors import ConfigError, ImageError, OutputExists
-from usdsmoke.grids.header import read_header
+from usdsmoke.base.errors import ConfigError, ImageError, OutputExists
+from usdsmoke.base.volume import FrameControls
+from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import assemble, plan_stylize, run_coarse, run_window, stylize
-from usdsmoke.pipeline_submit import submit
-from usdsmoke.volume import FrameControls
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.header import read_header
 
 CODES = (1, 2, 3)
 WORDS = ("default", "config", "prim", "explicit")  # from the weakest to the strongest
@@ -110,7 +110,9 @@ def seen(core: FakeCore, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, i
         given.append((float(np.mean([pixels[..., 2] for pixels in styles])), config.optimize.seed))
         return whole(frames, styles, scene, config, *more)
 
-    monkeypatch.setattr(sys.modules["usdsmoke.core.stylize"], "stylize_window", stylize_window)
+    monkeypatch.setattr(
+        sys.modules["usdsmoke.core.sequence.stylize"], "stylize_window", stylize_window
+    )
     return given
 
 

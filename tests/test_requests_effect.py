@@ -8,10 +8,10 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_text
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import OutputExists
-from usdsmoke.grids.read import GridRequest, read_grids
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import OutputExists
 from usdsmoke.pipeline import plan_stylize, run_window, stylize
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 CODES, SHAPE = range(1, 9), (12, 10, 14)
 SETTINGS = {

@@ -8,8 +8,8 @@ from tests.pipeline_fixtures import make_style
 from tests.test_requests import write_stage
 from tests.usd_fixtures import write_text
 from usdsmoke import stylize, verify
-from usdsmoke.inspection import inspect
 from usdsmoke.pipeline import plan_stylize
+from usdsmoke.usd.inspect import inspect
 
 CAMERA = """def Camera "camera"
     {

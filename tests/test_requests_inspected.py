@@ -13,9 +13,9 @@ from pxr import Sdf
 import usdsmoke
 from tests.pipeline_fixtures import PROJECT, make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
-from usdsmoke.cli import main
-from usdsmoke.config import resolve_config
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, REQUEST_PREFIX
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, REQUEST_PREFIX
+from usdsmoke.ui.cli.main import main
 
 CODES = (1, 2, 3)
 
@@ -157,8 +157,8 @@ def test_a_schema_that_came_too_late_is_told_and_requests_are_read_all_the_same(
 from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
-from usdsmoke.cli import main
-from usdsmoke.config import resolve_config
+from usdsmoke.ui.cli.main import main
+from usdsmoke.base.config import resolve_config
 main([{command!r}, {str(stage)!r}])
 """
     done = subprocess.run(

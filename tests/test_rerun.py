@@ -12,11 +12,11 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, make_shot, run
 from tests.usd_fixtures import file_hashes, write_vdb
-from usdsmoke.cli import main
-from usdsmoke.errors import LayerError, OutputExists
+from usdsmoke.audit.records import find_records
+from usdsmoke.audit.rerun import rerun
+from usdsmoke.base.errors import LayerError, OutputExists
 from usdsmoke.pipeline import StylizeResult
-from usdsmoke.pipeline_rerun import rerun
-from usdsmoke.provenance_records import find_records
+from usdsmoke.ui.cli.main import main
 
 SETTINGS = ["optimize.seed=3", "windows.size=2", "windows.overlap=1"]
 

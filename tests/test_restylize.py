@@ -14,10 +14,10 @@ from tests.shot_fixtures import PLUME, make_big_shot
 from tests.stage_reader import read_stage
 from tests.usd_fixtures import HEADER, file_hashes, write_text
 from usdsmoke import submit
-from usdsmoke.cli import main
-from usdsmoke.errors import LayerError, OutputExists, StageError
+from usdsmoke.base.errors import LayerError, OutputExists, StageError
 from usdsmoke.pipeline import StylizeResult, stylize
-from usdsmoke.stage import open_source, open_stage
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.stage import open_source, open_stage
 
 pytestmark = pytest.mark.usefixtures("core")
 

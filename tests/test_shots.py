@@ -14,10 +14,10 @@ from tests.shot_fixtures import FOG, PLUME, BigShot, make_big_shot
 from tests.stage_reader import read_stage
 from tests.usd_fixtures import file_hashes
 from usdsmoke import submit
-from usdsmoke.cli import main
-from usdsmoke.errors import OutputExists, StageError
+from usdsmoke.base.errors import OutputExists, StageError
 from usdsmoke.pipeline import StylizeResult, assemble, stylize
-from usdsmoke.stage import open_stage
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.stage import open_stage
 
 pytestmark = pytest.mark.usefixtures("core")
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-import usdsmoke.errors
+import usdsmoke.base.errors
 from tests.import_graph import PROJECT
 from tests.stability import (
     DOCUMENT,
@@ -56,7 +56,7 @@ def test_every_entry_has_a_test_and_a_known_end(entry: Entry) -> None:
     assert entry.tests
     assert re.match(r"(finite|named error \w+): \w", entry.happens)
     for name in re.findall(r"named error (\w+)", entry.happens):
-        assert issubclass(getattr(usdsmoke.errors, name), usdsmoke.errors.UsdSmokeError)
+        assert issubclass(getattr(usdsmoke.base.errors, name), usdsmoke.base.errors.UsdSmokeError)
         files = {test.partition("::")[0] for test in entry.tests}
         assert any(name in (PROJECT / file).read_text(encoding="utf-8") for file in files)
 

@@ -9,17 +9,17 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import PROJECT, make_style
-from usdsmoke.core.calibrate import LEAST_MOVE, calibrate
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import make_job, open_frame
-from usdsmoke.error_choice import choose_settings
+from usdsmoke.base.given_settings import resolve_settings
+from usdsmoke.core.sequence.calibrate import LEAST_MOVE, calibrate
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.stylize import make_job, open_frame
+from usdsmoke.core.views.scene import measure_scene
 from usdsmoke.pipeline import StylizeResult, stylize
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, prepare_job
-from usdsmoke.pipeline_settings import resolve_settings
-from usdsmoke.pipeline_tolerance import choice_notes
-from usdsmoke.run_folder import find_runs
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.runs.error_choice import choose_settings
+from usdsmoke.runs.folder import find_runs
+from usdsmoke.runs.tolerance import choice_notes
 
 SETTINGS = (
     "stage.frames=2",

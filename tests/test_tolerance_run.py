@@ -9,15 +9,15 @@ import pytest
 
 from tests.pipeline_fixtures import Shot, make_shot
 from tests.unit.test_error_choice import MEASURED
-from usdsmoke import pipeline_tolerance
-from usdsmoke.cli import main
-from usdsmoke.errors import PlanError
+from usdsmoke.audit.rerun import rerun
+from usdsmoke.base.errors import PlanError
 from usdsmoke.pipeline import assemble, plan_stylize, run_window, stylize
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_rerun import rerun
-from usdsmoke.pipeline_tolerance import choice_notes
-from usdsmoke.plan import Plan
-from usdsmoke.report.run import make_report
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs import tolerance as pipeline_tolerance
+from usdsmoke.runs.tolerance import choice_notes
+from usdsmoke.ui.cli.main import main
+from usdsmoke.work_precision.run import make_report
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_a_report_is_on_the_settings_that_were_chosen(
         opened.append(job)
         raise PlanError("seen enough")
 
-    monkeypatch.setattr("usdsmoke.report.run.open_case", stop)
+    monkeypatch.setattr("usdsmoke.work_precision.run.open_case", stop)
     with pytest.raises(PlanError, match="seen enough"):
         make_report(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
     assert opened[0].config.views.image_size == 80 and len(measurements) == 1

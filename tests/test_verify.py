@@ -10,13 +10,13 @@ from pxr import Sdf
 
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.usd_fixtures import write_vdb
-from usdsmoke.cli import main
-from usdsmoke.grids.binding import find_binding
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import write_frame
+from usdsmoke.audit.verify import Change, verify
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pipeline import StylizeResult
-from usdsmoke.provenance_verify import Change, verify
-from usdsmoke.sections import GridsConfig
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.binding import find_binding
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
 Finished = tuple[Shot, StylizeResult]
 
@@ -212,7 +212,7 @@ def test_an_edited_input_of_a_frame_that_the_stage_no_longer_has_is_named(
 
 
 def test_other_versions_are_notes(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("usdsmoke.provenance_verify.__version__", "9.9")
+    monkeypatch.setattr("usdsmoke.audit.verify.__version__", "9.9")
     change = only(finished)
     assert (change.kind, change.severity) == ("version", "note")
     assert change.found == "usdsmoke 9.9"

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 
-from usdsmoke.config import LayerConfig, StageConfig
-from usdsmoke.grids.binding import find_binding
-from usdsmoke.grids.write import write_frame
-from usdsmoke.layer import LookFiles, StylizedVolume, author_look
-from usdsmoke.provenance import RunFacts, build_provenance
-from usdsmoke.stage import find_volumes, open_stage
-from usdsmoke.volume import DenseField, WrittenFrame
+from usdsmoke.base.config import LayerConfig, StageConfig
+from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.volume import DenseField, WrittenFrame
+from usdsmoke.usd.look import LookFiles, StylizedVolume, author_look
+from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.vdb.binding import find_binding
+from usdsmoke.vdb.write import write_frame
 
 HEADER = """#usda 1.0
 (

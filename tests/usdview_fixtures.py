@@ -13,7 +13,7 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.usdview.actions import run_action
+from usdsmoke.ui.usdview.actions import run_action
 
 __all__ = [
     "STAND_IN",

@@ -21,16 +21,16 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from usdsmoke.cluster import stylize_on_cluster
-    from usdsmoke.config import Config, resolve_config
-    from usdsmoke.errors import UsdSmokeError
-    from usdsmoke.inspection import inspect
+    from usdsmoke.audit.rerun import rerun
+    from usdsmoke.audit.verify import verify
+    from usdsmoke.base.config import Config, resolve_config
+    from usdsmoke.base.errors import UsdSmokeError
+    from usdsmoke.farm.dask import stylize_on_cluster
+    from usdsmoke.farm.openjd import submit
+    from usdsmoke.pictures.preview import preview
     from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
-    from usdsmoke.pipeline_rerun import rerun
-    from usdsmoke.pipeline_submit import submit
-    from usdsmoke.preview_stage import preview
-    from usdsmoke.provenance_verify import verify
-    from usdsmoke.validators import validate
+    from usdsmoke.usd.inspect import inspect
+    from usdsmoke.usd.rules import validate
 
 __all__ = [
     "Config",
@@ -53,20 +53,20 @@ __all__ = [
 __version__ = "0.1.0"
 
 _HOME = {
-    "Config": "usdsmoke.config",
-    "UsdSmokeError": "usdsmoke.errors",
+    "Config": "usdsmoke.base.config",
+    "UsdSmokeError": "usdsmoke.base.errors",
     "assemble": "usdsmoke.pipeline",
-    "inspect": "usdsmoke.inspection",
-    "preview": "usdsmoke.preview_stage",
-    "rerun": "usdsmoke.pipeline_rerun",
-    "resolve_config": "usdsmoke.config",
+    "inspect": "usdsmoke.usd.inspect",
+    "preview": "usdsmoke.pictures.preview",
+    "rerun": "usdsmoke.audit.rerun",
+    "resolve_config": "usdsmoke.base.config",
     "run_coarse": "usdsmoke.pipeline",
     "run_window": "usdsmoke.pipeline",
     "stylize": "usdsmoke.pipeline",
-    "stylize_on_cluster": "usdsmoke.cluster",
-    "submit": "usdsmoke.pipeline_submit",
-    "validate": "usdsmoke.validators",
-    "verify": "usdsmoke.provenance_verify",
+    "stylize_on_cluster": "usdsmoke.farm.dask",
+    "submit": "usdsmoke.farm.openjd",
+    "validate": "usdsmoke.usd.rules",
+    "verify": "usdsmoke.audit.verify",
 }
 
 

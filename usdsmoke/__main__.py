@@ -2,7 +2,7 @@
 
 import sys
 
-from usdsmoke.cli import main
+from usdsmoke.ui.cli.main import main
 
 __all__: list[str] = []
 

@@ -4,18 +4,23 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config
-from usdsmoke.errors import Interrupted, LayerError
-from usdsmoke.locks import lock_output
-from usdsmoke.pipeline_assemble import StylizeResult, assemble_run, summarize_result
-from usdsmoke.pipeline_coarse import run_coarse_step
-from usdsmoke.pipeline_finished import StepResult, check_same, is_whole, run_to_assemble
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, prepare_job, published_runs, requested_job
-from usdsmoke.pipeline_machine import machine_of, processor_note
-from usdsmoke.pipeline_originals import settle_output
-from usdsmoke.pipeline_room import check_room
-from usdsmoke.pipeline_runs import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import Interrupted, LayerError
+from usdsmoke.base.given_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    resolve_settings,
+    style_paths,
+)
+from usdsmoke.base.locks import lock_output
+from usdsmoke.base.torch_environment import prepare_torch_environment
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job, prepare_job, published_runs, requested_job
+from usdsmoke.planning.originals import settle_output
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.assemble import StylizeResult, assemble_run, summarize_result
+from usdsmoke.runs.begin import (
     begin_run,
     how_far,
     joined_run,
@@ -23,20 +28,15 @@ from usdsmoke.pipeline_runs import (
     settle_scenes,
     tidy_end,
 )
-from usdsmoke.pipeline_settings import (
-    FilePath,
-    Settings,
-    Styles,
-    resolve_settings,
-    style_paths,
-)
-from usdsmoke.pipeline_times import ELSEWHERE, PartClock
-from usdsmoke.pipeline_tolerance import foresee_tolerance, settle_tolerance
-from usdsmoke.pipeline_windows import check_frames, list_tasks, pick_task, stylize_windows
-from usdsmoke.plan import Plan
-from usdsmoke.run_progress import WAITING, RunProgress, RunProgressCallback
-from usdsmoke.run_windows import finished_window, manifest_path
-from usdsmoke.torch_environment import prepare_torch_environment
+from usdsmoke.runs.coarse import run_coarse_step
+from usdsmoke.runs.disk import check_room
+from usdsmoke.runs.finished import StepResult, check_same, is_whole, run_to_assemble
+from usdsmoke.runs.machine import machine_of, processor_note
+from usdsmoke.runs.manifests import finished_window, manifest_path
+from usdsmoke.runs.progress import WAITING, RunProgress, RunProgressCallback
+from usdsmoke.runs.times import ELSEWHERE, PartClock
+from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
+from usdsmoke.runs.window import check_frames, list_tasks, pick_task, stylize_windows
 
 __all__ = [
     "StepResult",
@@ -111,7 +111,7 @@ def stylize(
         planned: called once with the plan, before anything heavy is loaded.
 
     Raises:
-        UsdSmokeError: see ``usdsmoke.errors``; nothing is left behind but finished windows.
+        UsdSmokeError: see ``usdsmoke.base.errors``; nothing is left behind but finished windows.
         Interrupted: by Ctrl-C.
     """
     clock = PartClock()
@@ -156,7 +156,7 @@ def run_coarse(
     Where another process is at it, its end is waited for. See ``run_window`` for the arguments.
 
     Raises:
-        UsdSmokeError: see ``usdsmoke.errors``.
+        UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
     job = _prepare(stage, style, output, config, settings, planned)
@@ -207,7 +207,7 @@ def run_window(
     Raises:
         ConfigError: there is no such window.
         OutputExists: the folder holds a run or result of other settings or inputs.
-        UsdSmokeError: see ``usdsmoke.errors``.
+        UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
     job = _prepare(stage, style, output, config, settings, planned)
@@ -250,7 +250,7 @@ def assemble(
         LayerError: there is no run, or one of its windows is not finished; these are listed.
         ConfigError: there is no such mode.
         OutputExists: inputs have changed since the run began, or another process is at work.
-        UsdSmokeError: see ``usdsmoke.errors``.
+        UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
     output, clock = settle_output(output), PartClock()

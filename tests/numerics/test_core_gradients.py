@@ -9,22 +9,22 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
-from usdsmoke.config import LossesConfig
-from usdsmoke.core.colour import ColourView
-from usdsmoke.core.features import EmbeddedFeatures
-from usdsmoke.core.lattice import Lattice, surround
-from usdsmoke.core.losses import StyleTarget, total_variation
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.potential import border_mask
-from usdsmoke.core.project import colour_map, column_map
-from usdsmoke.core.resample import Pyramid, pyramid_shapes
-from usdsmoke.core.scene import fit_view
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.core.summed import sum_terms
-from usdsmoke.core.transport import warp
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.base.config import LossesConfig
+from usdsmoke.core.fields.lattice import Lattice, surround
+from usdsmoke.core.fields.potential import border_mask
+from usdsmoke.core.fields.resample import Pyramid, pyramid_shapes
+from usdsmoke.core.fields.transport import warp
+from usdsmoke.core.smoke.accumulate import sum_terms
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.steps.colour import ColourView
+from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.style.losses import StyleTarget, total_variation
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import colour_map, column_map
+from usdsmoke.core.views.scene import fit_view
 
 DOUBLE = torch.float64
 STEP = 1e-6

@@ -10,20 +10,20 @@ from scipy.special import erf
 from torch import Tensor
 
 from tests.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
-from usdsmoke.core.loss_tail import remaining_decrease, spread_of_mean
-from usdsmoke.core.optimize import minimize
-from usdsmoke.core.picture_errors import (
+from usdsmoke.core.fields.richardson import step_error
+from usdsmoke.core.fields.transport import Scheme, warp
+from usdsmoke.core.fields.transport_error import warp_error
+from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
     quadrature_error,
     resolution_error,
 )
-from usdsmoke.core.richardson import step_error
-from usdsmoke.core.scene import fit_view
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.transport import Scheme, warp
-from usdsmoke.core.transport_error import warp_error
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.steps.optimize import minimize
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.scene import fit_view
 
 WITHIN = 3.0  # times too large or too small
 WIDTH = 0.09  # of the Gaussian, whose box ends at 1/2: 2e-7 of it lies outside

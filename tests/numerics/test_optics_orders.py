@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from usdsmoke.core.optics import attenuation_ratio, transmittance_before
+from usdsmoke.core.views.optics import attenuation_ratio, transmittance_before
 
 WIDTH = 0.12
 COUNTS = (32, 64, 128, 256)

@@ -8,9 +8,9 @@ from torch import Tensor
 from benchmarks.raymarch import march_rays
 from tests.camera_fixtures import camera_picture
 from tests.smoke_fixtures import affine, gaussian_column, gaussian_smoke, puff, smoke_of
-from usdsmoke.core.project import colour_map, column_map
-from usdsmoke.core.smoke import ActiveSmoke, coarsen
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.project import colour_map, column_map
 
 ANGLES = [(0.0, 0.0), (12.0, 6.0), (37.0, 21.0)]
 GAMMA_W = 15.0  # the middle of the Gaussian is then 5.6 optical depths thick

@@ -15,13 +15,13 @@ from pxr import Sdf
 from tests.pipeline_fixtures import Shot, run
 from tests.smoke_fixtures import frame_of, puff, smoke_of
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.config import ViewsConfig, resolve_config
-from usdsmoke.core.project import column_map
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import StylizedFrame
-from usdsmoke.core.views import View, orbit_view, sample_angles
-from usdsmoke.errors import ConfigError
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.config import ViewsConfig, resolve_config
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.views.cameras import View, orbit_view, sample_angles
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(12)
 SHAPE = {"optimize": {"steps": ["shape"], "threads": 1, "tolerance": 0.0}}
@@ -200,7 +200,7 @@ def test_the_record_gives_back_versions_settings_views_and_losses(
         seen.append(sample_angles(config, n, seed))
         return seen[-1]
 
-    monkeypatch.setattr("usdsmoke.core.scene.sample_angles", noted)
+    monkeypatch.setattr("usdsmoke.core.views.scene.sample_angles", noted)
     result = run(
         shot, "optimize.iterations=3", "optimize.seed=5", "views.image_size=16", "views.pool=2",
         "optimize.threads=1", "features.layers=[oriented1]",

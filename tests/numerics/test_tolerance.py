@@ -15,21 +15,21 @@ import torch
 from tests.counters import Elements
 from tests.smoke_fixtures import frame_of, random_style
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.config import Config, config_to_dict, resolve_config
-from usdsmoke.core.calibrate import calibrate
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.link import Link
-from usdsmoke.core.picture_errors import Painted, fit_blocks
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.resample import upsample
-from usdsmoke.core.scene import frame_views, measure_scene
-from usdsmoke.core.smoke import activate
-from usdsmoke.core.stylize import finished_frame, make_job, open_frame
-from usdsmoke.error_bounds import part_of
-from usdsmoke.error_budget import make_budget
-from usdsmoke.error_choice import Choice, choose_settings
-from usdsmoke.storage_error import storage_errors
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, config_to_dict, resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.resample import upsample
+from usdsmoke.core.sequence.calibrate import calibrate
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.picture_errors import Painted, fit_blocks
+from usdsmoke.core.sequence.storage_error import storage_errors
+from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.smoke.active import activate
+from usdsmoke.core.views.scene import frame_views, measure_scene
+from usdsmoke.runs.error_bounds import part_of
+from usdsmoke.runs.error_budget import make_budget
+from usdsmoke.runs.error_choice import Choice, choose_settings
 
 N = 28  # voxels a side
 TOLERANCES = (0.6, 0.3)

@@ -5,10 +5,10 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.displacement import cap_displacement, from_mixed, from_stream
-from usdsmoke.core.resample import Pyramid, pyramid_shapes
-from usdsmoke.core.trace import backtrace
-from usdsmoke.core.transport import SCHEMES, advect, warp
+from usdsmoke.core.fields.displacement import cap_displacement, from_mixed, from_stream
+from usdsmoke.core.fields.resample import Pyramid, pyramid_shapes
+from usdsmoke.core.fields.trace import backtrace
+from usdsmoke.core.fields.transport import SCHEMES, advect, warp
 
 SHAPE = (4, 3, 5)
 

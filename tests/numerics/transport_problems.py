@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from usdsmoke.core.sample import Boundary, voxel_positions
-from usdsmoke.core.trace import backtrace
-from usdsmoke.core.transport import Scheme, advect, warp
+from usdsmoke.core.fields.sample import Boundary, voxel_positions
+from usdsmoke.core.fields.trace import backtrace
+from usdsmoke.core.fields.transport import Scheme, advect, warp
 
 __all__ = [
     "Outcome",

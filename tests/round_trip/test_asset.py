@@ -20,10 +20,10 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.errors import LayerError
-from usdsmoke.layer import check_asset
-from usdsmoke.stage import open_stage
-from usdsmoke.validators import validate
+from usdsmoke.base.errors import LayerError
+from usdsmoke.usd.look import check_asset
+from usdsmoke.usd.rules import validate
+from usdsmoke.usd.stage import open_stage
 
 ROOTS = ("/World", "/Caches")  # of the big shot: those that a look has opinions on
 RUNS = {"ember": "aaaaaaaa-0000-4000-8000-0", "frost": "bbbbbbbb-0000-4000-8000-0"}

@@ -20,8 +20,8 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.stage import open_stage
-from usdsmoke.validators import validate
+from usdsmoke.usd.rules import validate
+from usdsmoke.usd.stage import open_stage
 
 DENSITY, EMISSION = "/World/smoke/density", "/World/smoke/emission"
 

@@ -21,12 +21,12 @@ from tests.grids_fixtures import (
     shared_file,
     uniform,
 )
-from usdsmoke.grids.active_box import crop_to_active
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import write_frame
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.active_box import crop_to_active
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
 
 def again(folder: Path, *fields: DenseField, half: bool = False) -> list[DenseField]:

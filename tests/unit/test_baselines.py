@@ -16,12 +16,12 @@ from benchmarks.baselines import (
 )
 from tests.smoke_fixtures import puff, random_style
 from tests.stylize_fixtures import quick_config
-from usdsmoke.core.project import column_map
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.smoke import activate
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.views import orbit_view
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.active import activate
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import Scene
 
 SCENE = Scene(0.5, 0.5, 1.0, "Y", 1.0, 16)
 

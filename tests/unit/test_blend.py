@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usdsmoke.blend import blend_frames, relative_difference, tail_weights
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 
 
 def field(

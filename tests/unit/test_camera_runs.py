@@ -9,16 +9,16 @@ from tests.grids_fixtures import raw_grid, uniform, write_raw
 from tests.pipeline_fixtures import Shot, make_style, run, shown_files
 from tests.smoke_fixtures import puff
 from tests.usd_fixtures import HEADER, density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.cli import main
-from usdsmoke.config import GridsConfig, resolve_config
-from usdsmoke.errors import StageError
-from usdsmoke.estimate import FrameSize, estimate_run
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.pipeline_description import describe_run
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, prepare_job
-from usdsmoke.plan import Plan
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig, resolve_config
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.planning.estimate import FrameSize, estimate_run
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.description import describe_run
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 N = 16
 PATH = "/World/rig/camera"

@@ -5,9 +5,9 @@ import pytest
 from pxr import Gf, Usd, UsdGeom
 
 from tests.usd_fixtures import write_text
-from usdsmoke.core.views import view_of_camera
-from usdsmoke.errors import StageError
-from usdsmoke.stage import open_stage, read_camera
+from usdsmoke.base.errors import StageError
+from usdsmoke.core.views.cameras import view_of_camera
+from usdsmoke.usd.stage import open_stage, read_camera
 
 STAGE = """#usda 1.0
 (

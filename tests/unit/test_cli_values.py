@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from usdsmoke.cli_values import duration_value
+from usdsmoke.ui.cli.values import duration_value
 
 
 @pytest.mark.parametrize(

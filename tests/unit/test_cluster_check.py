@@ -15,11 +15,13 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import Shot
-from usdsmoke import __version__, cluster_check, cluster_connection
-from usdsmoke.cli import main
-from usdsmoke.cluster import stylize_on_cluster
-from usdsmoke.cluster_check import check_answer, look_around
-from usdsmoke.errors import ClusterError
+from usdsmoke import __version__
+from usdsmoke.base.errors import ClusterError
+from usdsmoke.farm import dask_check as cluster_check
+from usdsmoke.farm import dask_connection as cluster_connection
+from usdsmoke.farm.dask import stylize_on_cluster
+from usdsmoke.farm.dask_check import check_answer, look_around
+from usdsmoke.ui.cli.main import main
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from benchmarks.coherence import main
 from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
 from benchmarks.coherence_pictures import _round_values
 from benchmarks.coherence_runs import Outcome, Run, _joined
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.smoke import activate
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.volume import DenseField, VolumeFrame
-from usdsmoke.windows import Window
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.smoke.active import activate
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.planning.windows import Window
 
 GAMMA_W = 2.0
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdsmoke.colour_grids import absolute_emission, empty_colour_grids, make_colour_grids
-from usdsmoke.naming import channel_names, colour_names
-from usdsmoke.sections import LayerConfig
-from usdsmoke.volume import DenseField
+from usdsmoke.base.naming import channel_names, colour_names
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.colour_grids import absolute_emission, empty_colour_grids, make_colour_grids
 
 GAMMA_W = 0.37
 SETTINGS = st.builds(

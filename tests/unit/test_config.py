@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usdsmoke.config import (
+from usdsmoke.base.config import (
     Config,
     StyleConfig,
     config_to_dict,
@@ -20,7 +20,7 @@ from usdsmoke.config import (
     resolve_config,
     style_shares,
 )
-from usdsmoke.errors import ConfigError
+from usdsmoke.base.errors import ConfigError
 
 EVERY_SETTING = [
     (section.name, setting)

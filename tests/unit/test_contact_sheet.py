@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdsmoke.contact_sheet import compose_sheet, sheet_files
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.pictures.contact_sheet import compose_sheet, sheet_files
 
 
 def flat(colour: tuple[float, float, float], height: int = 40, width: int = 40) -> np.ndarray:

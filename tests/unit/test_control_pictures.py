@@ -11,7 +11,7 @@ from benchmarks.control_pictures import GRIDS, KINDS
 from benchmarks.control_scenes import fading_mask, frame_of, simulate_smoke
 from benchmarks.control_studio import Grid, Panel, Studio, draw_grid, save_grid
 from tests.smoke_fixtures import puff, random_style
-from usdsmoke.core.losses import StyleTarget
+from usdsmoke.core.style.losses import StyleTarget
 
 QUICK = [
     "shape.iterations=[1]",

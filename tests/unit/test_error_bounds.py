@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from usdsmoke.cli_budget import budget_text
-from usdsmoke.error_bounds import PARTS, Tolerance, judge
-from usdsmoke.error_budget import ErrorBudget, make_budget
+from usdsmoke.runs.error_bounds import PARTS, Tolerance, judge
+from usdsmoke.runs.error_budget import ErrorBudget, make_budget
+from usdsmoke.ui.cli.budget_text import budget_text
 
 REPORTS = [
     {

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from usdsmoke.cli_budget import budget_text
-from usdsmoke.config import GridsConfig
-from usdsmoke.error_budget import ErrorBudget, make_budget
-from usdsmoke.storage_error import pruned, storage_errors
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.sequence.storage_error import pruned, storage_errors
+from usdsmoke.runs.error_budget import ErrorBudget, make_budget
+from usdsmoke.ui.cli.budget_text import budget_text
 
 FIRST: dict[str, Any] = {
     "shape": {

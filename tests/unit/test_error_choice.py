@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from usdsmoke.config import Config, config_to_dict, resolve_config
-from usdsmoke.error_bounds import PICTURE_SAFETY, SAFETY
-from usdsmoke.error_choice import (
+from usdsmoke.base.config import Config, config_to_dict, resolve_config
+from usdsmoke.runs.error_bounds import PICTURE_SAFETY, SAFETY
+from usdsmoke.runs.error_choice import (
     USUAL_HALF,
     Choice,
     choose_settings,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.schedule import coarse_factor
-from usdsmoke.estimate import (
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.planning.estimate import (
     START,
     Estimate,
     FrameSize,

@@ -7,18 +7,18 @@ import pytest
 
 from tests.grids_fixtures import make_field, raw_grid, uniform, write_raw
 from tests.usd_fixtures import density_prim, volume_prim, world, write_text, write_vdb
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.errors import GridNotFound, UnsupportedGrid
-from usdsmoke.frames import (
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.volume import FrameSource, VolumeSource
+from usdsmoke.planning.frames import (
     VelocitySource,
     find_density,
     find_frame_velocity,
     read_frame,
     read_velocity_grids,
 )
-from usdsmoke.grids.header import FileHeader, read_header
-from usdsmoke.stage import find_volumes, open_stage
-from usdsmoke.volume import FrameSource, VolumeSource
+from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.vdb.header import FileHeader, read_header
 
 
 def only_frame(stage: Path, config: Config) -> tuple[VolumeSource, FrameSource]:

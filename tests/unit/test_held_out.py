@@ -16,8 +16,8 @@ from benchmarks.held_out import (
     score_result,
 )
 from benchmarks.stages import author_plume_stage, main
-from usdsmoke.grids.write import write_frame
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.write import write_frame
 
 VOXEL = 0.25
 

@@ -17,13 +17,13 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.config import LayerConfig, StageConfig
-from usdsmoke.errors import LayerError, WriteFailed
-from usdsmoke.layer import StylizedVolume, author_look, look_files
-from usdsmoke.layer.anchoring import anchored_asset, relative_asset_path
-from usdsmoke.provenance import RunFacts, build_provenance
-from usdsmoke.stage import find_volumes, open_stage
-from usdsmoke.volume import WrittenFrame
+from usdsmoke.base.asset_paths import anchored_asset, relative_asset_path
+from usdsmoke.base.config import LayerConfig, StageConfig
+from usdsmoke.base.errors import LayerError, WriteFailed
+from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.volume import WrittenFrame
+from usdsmoke.usd.look import StylizedVolume, author_look, look_files
+from usdsmoke.usd.stage import find_volumes, open_stage
 
 PROVENANCE = build_provenance(RunFacts("1", 0, {}))
 

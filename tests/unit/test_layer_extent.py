@@ -16,10 +16,10 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.config import LayerConfig, StageConfig
-from usdsmoke.layer import StylizedVolume, author_look
-from usdsmoke.provenance import RunFacts, build_provenance
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.base.config import LayerConfig, StageConfig
+from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.usd.look import StylizedVolume, author_look
+from usdsmoke.usd.stage import find_volumes, open_stage
 
 PROVENANCE = build_provenance(RunFacts("1", 0, {}))
 

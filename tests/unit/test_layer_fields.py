@@ -14,7 +14,7 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.stage import open_stage
+from usdsmoke.usd.stage import open_stage
 
 CODES = [1, 2]
 SHARED = "rel field:density = </World/fields/d>"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke import locks
-from usdsmoke.errors import OutputExists
-from usdsmoke.locks import hold_file, lock_output
+from usdsmoke.base import locks
+from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.locks import hold_file, lock_output
 
 
 def test_one_that_is_alone_keeps_everybody_out(

@@ -8,7 +8,7 @@ import pytest
 from tests.grids_fixtures import openvdb, raw_grid, uniform, write_raw
 from tests.mask_fixtures import PLACED, frames_of, make_stage, plan_of, write_mask
 from tests.usd_fixtures import density_prim, sampled, volume_prim, world, write_text, write_vdb
-from usdsmoke.errors import (
+from usdsmoke.base.errors import (
     AssetNotResolved,
     FieldNotFound,
     GridNotFound,

@@ -8,12 +8,12 @@ from pxr import Sdf
 from tests.grids_fixtures import openvdb, write_raw
 from tests.mask_fixtures import frames_of, make_stage, plan_of, write_mask
 from tests.pipeline_fixtures import FakeCore, Shot, make_style, run
-from usdsmoke.errors import Interrupted, OutputExists
-from usdsmoke.estimate import MASK_BYTES
-from usdsmoke.grids.content_hash import hash_fields
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.plan import Plan
-from usdsmoke.stage import open_stage
+from usdsmoke.base.errors import Interrupted, OutputExists
+from usdsmoke.planning.estimate import MASK_BYTES
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.plan import Plan
+from usdsmoke.usd.stage import open_stage
+from usdsmoke.vdb.content_hash import hash_fields
 
 
 def reason_for(plan: Plan, what: str) -> str:
@@ -70,7 +70,7 @@ def test_the_masks_box_counts_in_the_memory(masked_shot: Shot) -> None:
 def test_a_frame_is_remembered_when_density_and_mask_fit_together(
     masked_shot: Shot, monkeypatch: pytest.MonkeyPatch, missing: int, kept: bool
 ) -> None:
-    monkeypatch.setattr("usdsmoke.pipeline_frames.KEPT_BYTES", 4 * (24 + 12) - missing)
+    monkeypatch.setattr("usdsmoke.planning.frame_reader.KEPT_BYTES", 4 * (24 + 12) - missing)
     plan = plan_of(masked_shot.stage)
     reader, (volume,) = FrameReader(plan), plan.volumes
     first = reader.read(volume, volume.frames[0])

@@ -11,9 +11,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from usdsmoke import memory, pipeline_pictures
-from usdsmoke.config import Config
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base import memory
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.runs import sheet as pipeline_pictures
 
 PIECES = """
 import os
@@ -52,11 +53,11 @@ PICTURES = """
 import os
 import numpy as np
 import torch
-from usdsmoke.core.project import colour_map
-from usdsmoke.core.refine import refine_field
-from usdsmoke.core.views import orbit_view
-from usdsmoke.memory import give_back_memory
-from usdsmoke.volume import DenseField
+from usdsmoke.core.views.project import colour_map
+from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.volume import DenseField
 
 def status(name: str) -> int:
     with open("/proc/self/status") as stream:

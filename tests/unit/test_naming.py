@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdsmoke.errors import LayerError
-from usdsmoke.naming import frame_file_names, volume_stems
+from usdsmoke.base.errors import LayerError
+from usdsmoke.base.naming import frame_file_names, volume_stems
 
 PRIM_NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,5}", fullmatch=True)
 PRIM_PATHS = st.lists(PRIM_NAMES, min_size=1, max_size=3).map(lambda names: "/" + "/".join(names))

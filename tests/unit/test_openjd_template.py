@@ -10,11 +10,11 @@ import yaml
 
 from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes
-from usdsmoke.cli import main
-from usdsmoke.config import read_config, resolve_config
-from usdsmoke.errors import ConfigError, OutputExists, PlanError
-from usdsmoke.openjd_template import bundle_text, job_parameters, job_template
-from usdsmoke.pipeline_submit import JobBundle, submit
+from usdsmoke.base.config import read_config, resolve_config
+from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
+from usdsmoke.farm.openjd import JobBundle, submit
+from usdsmoke.farm.openjd_template import bundle_text, job_parameters, job_template
+from usdsmoke.ui.cli.main import main
 
 
 def make(shot: Shot, *settings: str, **options: Any) -> JobBundle:

@@ -19,8 +19,8 @@ from benchmarks.shape_cost import (
     measure_case,
     write_vgg19,
 )
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.vgg19 import Vgg19Features
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.vgg19 import Vgg19Features
 
 TINY = (10, 14, 10)
 COST = Cost(0.5, 0.4, 1.0, 0.1, 0.3, 0.2, 0.25, 76972, (40, 130, 40))

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import make_shot
-from usdsmoke.cli_budget import budget_text
-from usdsmoke.error_budget import ErrorBudget
 from usdsmoke.pipeline import plan_stylize
-from usdsmoke.pipeline_budget import run_budget
+from usdsmoke.runs.budget_inputs import run_budget
+from usdsmoke.runs.error_budget import ErrorBudget
+from usdsmoke.ui.cli.budget_text import budget_text
 
 _PAIR = {"temporal error": {"displacement": 0.1, "colour": 0.2}}
 

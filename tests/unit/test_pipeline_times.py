@@ -2,11 +2,11 @@
 
 import pytest
 
-from usdsmoke.cli_budget import budget_text
-from usdsmoke.error_budget import make_budget
-from usdsmoke.needs import Omission
-from usdsmoke.pipeline_times import ELSEWHERE, PartClock, run_seconds, timed_items
-from usdsmoke.run_windows import WindowRecord
+from usdsmoke.planning.needs import Omission
+from usdsmoke.runs.error_budget import make_budget
+from usdsmoke.runs.manifests import WindowRecord
+from usdsmoke.runs.times import ELSEWHERE, PartClock, run_seconds, timed_items
+from usdsmoke.ui.cli.budget_text import budget_text
 
 
 class FakeTime:

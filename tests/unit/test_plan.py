@@ -15,12 +15,12 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke import plan as plan_module
-from usdsmoke.config import resolve_config
-from usdsmoke.errors import PlanError, UnsupportedGrid
-from usdsmoke.grids.binding import find_binding
-from usdsmoke.plan import Plan, check_plan, make_plan
-from usdsmoke.stage import find_volumes, open_stage
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.errors import PlanError, UnsupportedGrid
+from usdsmoke.planning import plan as plan_module
+from usdsmoke.planning.plan import Plan, check_plan, make_plan
+from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.vdb.binding import find_binding
 
 
 def plan_of(stage: Path, *settings: str) -> Plan:
@@ -40,7 +40,7 @@ def no_voxels(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*arguments: object) -> None:
         raise AssertionError("the plan has read voxels")
 
-    monkeypatch.setattr("usdsmoke.grids.read.run_child", refuse)
+    monkeypatch.setattr("usdsmoke.vdb.read.run_child", refuse)
 
 
 def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -> None:

@@ -9,14 +9,14 @@ from pxr import Sdf
 
 from tests.mask_fixtures import make_stage, write_mask
 from tests.pipeline_fixtures import Shot, run, values_of
-from usdsmoke.config import resolve_config
-from usdsmoke.errors import ConfigError
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.plan import Plan, make_plan
-from usdsmoke.schema import STYLE_API
-from usdsmoke.stage import find_volumes, open_stage
-from usdsmoke.volume import FrameControls
-from usdsmoke.volume_settings import VolumeSettings
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.volume import FrameControls
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.plan import Plan, make_plan
+from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.usd.volume_settings import VolumeSettings
 
 
 def plan_of(stage: Path, *assignments: str, n_styles: int = 1, **values: list[Any]) -> Plan:

@@ -16,10 +16,10 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.errors import StageError, WriteFailed
-from usdsmoke.images import encode_srgb
-from usdsmoke.preview_smoke import GREY
-from usdsmoke.preview_stage import preview
+from usdsmoke.base.errors import StageError, WriteFailed
+from usdsmoke.pictures.png import encode_srgb
+from usdsmoke.pictures.preview import preview
+from usdsmoke.pictures.preview_smoke import GREY
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -250,7 +250,7 @@ def test_an_old_picture_is_replaced_as_a_whole_or_stays(
     def refuse(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("usdsmoke.publish.os.replace", refuse)
+    monkeypatch.setattr("usdsmoke.base.publish.os.replace", refuse)
     with pytest.raises(WriteFailed, match="free some space"):
         preview(look, target, frames="2", width=16)
     assert target.read_text() == "something older"

@@ -7,7 +7,7 @@ import pytest
 
 from tests.preview_fixtures import add_camera, look_of_four_frames
 from tests.usd_fixtures import file_hashes, plume_stage, world, write_text, write_vdb
-from usdsmoke.errors import (
+from usdsmoke.base.errors import (
     ConfigError,
     GridError,
     PlanError,
@@ -15,7 +15,7 @@ from usdsmoke.errors import (
     VolumeNotFound,
     WriteFailed,
 )
-from usdsmoke.preview_stage import preview
+from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -82,7 +82,7 @@ def test_a_grid_that_cannot_be_used_is_met_before_anything_is_written(tmp_path: 
 def test_a_frame_that_does_not_fit_the_memory_is_refused(
     look: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("usdsmoke.preview_smoke.available_memory_gib", lambda: 0.25)
+    monkeypatch.setattr("usdsmoke.pictures.preview_smoke.available_memory_gib", lambda: 0.25)
     with pytest.raises(PlanError, match=r"timeCode 1 needs about .* 24 voxels; there are 0\.2 GiB"):
         preview(look, tmp_path / "a.png")
     assert not (tmp_path / "a.png").exists()

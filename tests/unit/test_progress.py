@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.schedule import octave_iterations, warm_iterations
-from usdsmoke.progress import ConsoleProgress, format_seconds
-from usdsmoke.run_progress import RunProgress, WorkMeter
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
+from usdsmoke.runs.progress import RunProgress, WorkMeter
+from usdsmoke.ui.cli.progress_bar import ConsoleProgress, format_seconds
 
 
 def reports_of(config: Config, warm: list[bool]) -> list[tuple[int, Progress]]:

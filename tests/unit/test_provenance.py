@@ -7,8 +7,8 @@ import uuid
 
 import pytest
 
-from usdsmoke.errors import FileUnreadable
-from usdsmoke.provenance import (
+from usdsmoke.base.errors import FileUnreadable
+from usdsmoke.base.record_format import (
     SCHEMA_VERSION,
     RunFacts,
     authorship_inputs,
@@ -18,7 +18,7 @@ from usdsmoke.provenance import (
     short_run_id,
     utc_now,
 )
-from usdsmoke.run_figures import Figure
+from usdsmoke.runs.metrics import Figure
 
 FACTS = RunFacts(
     version="1.2.3",

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke import publish
-from usdsmoke.errors import DamagedFile, WriteFailed
-from usdsmoke.publish import publish_file, publish_new, remove_leftovers
+from usdsmoke.base import publish
+from usdsmoke.base.errors import DamagedFile, WriteFailed
+from usdsmoke.base.publish import publish_file, publish_new, remove_leftovers
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -92,8 +92,8 @@ def test_full_disk_is_named(tmp_path: Path) -> None:
     code = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from usdsmoke.errors import WriteFailed\n"
-        "from usdsmoke.publish import publish_file\n"
+        "from usdsmoke.base.errors import WriteFailed\n"
+        "from usdsmoke.base.publish import publish_file\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try:\n"
         "    publish_file(Path(sys.argv[1]), lambda path: path.write_bytes(bytes(5000)))\n"
@@ -150,7 +150,7 @@ def test_kill_during_the_write_keeps_the_old_file_and_a_later_run_clears_up(tmp_
     code = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from usdsmoke.publish import publish_file\n"
+        "from usdsmoke.base.publish import publish_file\n"
         "def write(path):\n"
         "    path.write_text('half')\n"
         "    print('written', flush=True)\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.raymarch import march_rays
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.core.views.cameras import View, orbit_view
 
 BOX = (24, 20, 16)
 

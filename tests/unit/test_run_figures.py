@@ -2,7 +2,7 @@
 
 import pytest
 
-from usdsmoke.run_figures import Figure, figures_of, step_seconds, summarize_figures
+from usdsmoke.runs.metrics import Figure, figures_of, step_seconds, summarize_figures
 
 FIRST = {
     "voxels": 5,

@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
-from usdsmoke.run_folder import RunFolder, find_runs
-from usdsmoke.run_windows import (
+from usdsmoke.runs.folder import RunFolder, find_runs
+from usdsmoke.runs.manifests import (
     CoarseRecord,
     WindowRecord,
     finish_coarse,

@@ -15,7 +15,7 @@ from benchmarks.equal_judge import Verdict
 from benchmarks.equal_report import Comparison, Point
 from benchmarks.scaling import fit_exponent, list_cases, render_report
 from benchmarks.scaling_cases import Case, Cost, make_smoke, measure_case, measure_peak
-from usdsmoke.core.losses import StyleTarget
+from usdsmoke.core.style.losses import StyleTarget
 
 COST = Cost(1000, 0.5, 0.4, 1.0, 0.2, 2.0)
 

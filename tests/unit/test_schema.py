@@ -16,15 +16,15 @@ from pathlib import Path
 import pytest
 from pxr import Sdf
 
-from usdsmoke import schema
-from usdsmoke.config import Config
-from usdsmoke.request_attributes import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.request_attributes import (
     CAMERA,
     MASK,
     REQUEST_ATTRIBUTES,
     REQUEST_PREFIX,
     STYLE_IMAGES,
 )
+from usdsmoke.usd import schema
 
 PROJECT = Path(__file__).resolve().parents[2]
 SOURCE = PROJECT / "schemas" / "usdSmoke" / "schema.usda"
@@ -44,7 +44,7 @@ REQUESTED = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTE
 PREPARE = """
 import json
 from pxr import Usd, UsdGeom, UsdVol
-from usdsmoke.schema import LOOK_API, register_schema
+from usdsmoke.usd.schema import LOOK_API, register_schema
 known = register_schema()
 stage = Usd.Stage.CreateInMemory()
 volume = UsdVol.Volume.Define(stage, "/volume").GetPrim()
@@ -92,7 +92,7 @@ def test_a_request_has_no_fallbacks_so_that_applying_it_says_nothing() -> None:
     found = run_python(
         PREPARE
         + """
-from usdsmoke.schema import STYLE_API
+from usdsmoke.usd.schema import STYLE_API
 volume.ApplyAPI(STYLE_API)
 ours = [p for p in volume.GetProperties() if p.GetName().startswith("usdSmoke:request:")]
 value = lambda p: p.Get() if hasattr(p, "Get") else list(p.GetTargets()) or None
@@ -131,7 +131,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 import usdsmoke
-from usdsmoke.schema import late_note
+from usdsmoke.usd.schema import late_note
 print(json.dumps(late_note()))
 """
     note = run_python(code, PXR_PLUGINPATH_NAME="")
@@ -146,7 +146,7 @@ import json
 from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
-from usdsmoke.schema import register_schema
+from usdsmoke.usd.schema import register_schema
 print(json.dumps([register_schema(), register_schema()]))
 """
     assert run_python(late, PXR_PLUGINPATH_NAME="") == [False, False]

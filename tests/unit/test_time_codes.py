@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdsmoke.errors import ConfigError
-from usdsmoke.time_codes import (
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.time_codes import (
     format_time_code,
     format_time_codes,
     parse_frames,

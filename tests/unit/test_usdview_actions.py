@@ -14,7 +14,7 @@ from tests.usd_fixtures import (
     write_text,
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.usdview.volumes import selected_volumes
+from usdsmoke.ui.usdview.volumes import selected_volumes
 
 
 @pytest.fixture
@@ -117,10 +117,10 @@ def test_what_nobody_foresaw_becomes_a_message(
     def fail(stage: Usd.Stage) -> None:
         raise KeyError("surprise")
 
-    monkeypatch.setattr("usdsmoke.usdview.looks.find_looks", fail)
+    monkeypatch.setattr("usdsmoke.ui.usdview.looks.find_looks", fail)
     api, _ = open_in_usdview(two_plumes)
     assert "unexpected KeyError: 'surprise'" in refusal("provenance", api)
-    monkeypatch.setitem(sys.modules, "usdsmoke.validators", None)
+    monkeypatch.setitem(sys.modules, "usdsmoke.usd.rules", None)
     assert "usdsmoke needs OpenUSD 26.11" in refusal("validate", api)
 
 

@@ -19,11 +19,11 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.cli_arguments import build_parser, given_settings
-from usdsmoke.config import config_to_dict, resolve_config
-from usdsmoke.layer import LookFiles
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
-from usdsmoke.run_folder import RunFolder
+from usdsmoke.base.config import config_to_dict, resolve_config
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.ui.cli.arguments import build_parser, given_settings
+from usdsmoke.usd.look import LookFiles
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from tests.usd_fixtures import (
     write_text,
 )
 from tests.usdview_fixtures import FakeApi, FakeWindow, open_in_usdview
-from usdsmoke.usdview.actions import run_action
-from usdsmoke.usdview.looks import find_looks
+from usdsmoke.ui.usdview.actions import run_action
+from usdsmoke.ui.usdview.looks import find_looks
 
 FIRST, SECOND = ("3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "77aa8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
 

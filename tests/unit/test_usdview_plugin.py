@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.usd_fixtures import make_look, plume_stage
 from tests.usdview_fixtures import STAND_IN
-from usdsmoke.usdview import PLUGIN_FOLDER
+from usdsmoke.ui.usdview import PLUGIN_FOLDER
 
 PROJECT = Path(__file__).resolve().parents[2]
 ITEMS = [
@@ -41,7 +41,7 @@ def in_usdview(code: str) -> Any:
 def test_the_plugin_is_found_loads_and_builds_its_menu_without_anything_heavy() -> None:
     found = in_usdview("""
 registry, builder = load_plugins()
-heavy = {"torch", "numpy", "yaml", "rich", "usdsmoke.usdview.actions"} & set(sys.modules)
+heavy = {"torch", "numpy", "yaml", "rich", "usdsmoke.ui.usdview.actions"} & set(sys.modules)
 labels = [registry.commands[name][0] for name in builder.menus["usdsmoke"].items if name != "-"]
 print(json.dumps([list(builder.menus), builder.menus["usdsmoke"].items, labels, sorted(heavy)]))
 """)
@@ -57,7 +57,7 @@ def test_every_menu_item_works_through_its_callback_and_loads_no_torch(tmp_path:
     found = in_usdview(f"""
 from pxr import Usd
 registry, builder = load_plugins()
-from usdsmoke.usdview import container
+from usdsmoke.ui.usdview import container
 said = []
 for method in ("show_text", "warn", "say", "copy"):
     def record(self, *texts, method=method):
@@ -94,10 +94,10 @@ print(json.dumps([seen, sorted(foreign)]))
 def test_a_part_that_is_missing_becomes_a_message() -> None:
     found = in_usdview("""
 registry, builder = load_plugins()
-from usdsmoke.usdview import container
+from usdsmoke.ui.usdview import container
 said = []
 container.QtWindow.warn = lambda self, title, message: said.append([title, message])
-sys.modules["usdsmoke.usdview.actions"] = None
+sys.modules["usdsmoke.ui.usdview.actions"] = None
 registry.commands["usdsmoke.inspect"][1](None)
 print(json.dumps(said))
 """)
@@ -126,7 +126,7 @@ def test_plugin_path_prints_the_folders_with_which_usd_finds_schemas_and_menu() 
     code = """
 from pxr import Plug
 names = {plugin.name for plugin in Plug.Registry().GetAllPlugins()}
-print({"usdSmoke", "usdsmoke.usdview.container"} <= names)
+print({"usdSmoke", "usdsmoke.ui.usdview.container"} <= names)
 """
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -19,8 +19,8 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.errors import StageError
-from usdsmoke.validators import PREFIX, Severity, facts, register_validators, validate
+from usdsmoke.base.errors import StageError
+from usdsmoke.usd.rules import PREFIX, Severity, facts, register_validators, validate
 
 DENSITY = "/World/smoke/density"
 FILE = "asset filePath = @./cache/smoke.0001.vdb@"
@@ -288,7 +288,7 @@ def test_validating_never_loads_torch_or_openvdb(tmp_path):
     stage_file = plume_stage(tmp_path)
     code = f"""
 import sys, json
-from usdsmoke.validators import validate
+from usdsmoke.usd.rules import validate
 found = validate({str(stage_file)!r})
 loaded = [name for name in ("torch", "openvdb", "pyopenvdb") if name in sys.modules]
 print(json.dumps([len(found), loaded]))

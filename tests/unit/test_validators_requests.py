@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
-from usdsmoke.validators import Finding, Severity, validate
+from usdsmoke.usd.rules import Finding, Severity, validate
 
 APPLIED = '(prepend apiSchemas = ["UsdSmokeStyleAPI"])'
 

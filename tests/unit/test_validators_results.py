@@ -3,9 +3,9 @@
 from pxr import Usd
 
 from tests.usd_fixtures import dense_field, make_look, plume_stage, write_text, write_vdb
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.write import write_frame
-from usdsmoke.validators import Severity, validate
+from usdsmoke.usd.rules import Severity, validate
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.write import write_frame
 
 
 def ours(stage_file):

@@ -8,11 +8,11 @@ from pxr import Usd
 
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import HEADER, write_text
-from usdsmoke.errors import AssetNotResolved, ConfigError, StageError
-from usdsmoke.schema import STYLE_API
-from usdsmoke.stage import open_stage
-from usdsmoke.volume import FrameControls, StyleRequest
-from usdsmoke.volume_requests import read_request, request_origins, request_problems
+from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError
+from usdsmoke.base.volume import FrameControls, StyleRequest
+from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.stage import open_stage
+from usdsmoke.usd.volume_requests import read_request, request_origins, request_problems
 
 _OPEN: list[Usd.Stage] = []  # a prim lives as long as its stage
 

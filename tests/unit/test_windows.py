@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usdsmoke.config import WindowsConfig
-from usdsmoke.errors import ShapeError
-from usdsmoke.windows import coarse_runs, find_cuts, split_windows
+from usdsmoke.base.config import WindowsConfig
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.planning.windows import coarse_runs, find_cuts, split_windows
 
 TIME_CODES = st.lists(st.integers(-1000, 1000), unique=True, max_size=40).map(
     lambda numbers: [number / 4 for number in sorted(numbers)]

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdsmoke.config import Config, config_to_dict, resolve_config
-from usdsmoke.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
-from usdsmoke.pipeline_features import features_hashes
-from usdsmoke.pipeline_frames import FrameReader, hash_sources
-from usdsmoke.pipeline_inputs import Job, requested_job
-from usdsmoke.pipeline_settings import settle_files
-from usdsmoke.provenance import hash_file
-from usdsmoke.provenance_records import LookRecord
-from usdsmoke.provenance_stage import stage_values
-from usdsmoke.stage import find_volumes, open_source, seen_through
-from usdsmoke.volume import StageSource
-from usdsmoke.volume_settings import resolve_volumes
+from usdsmoke.audit.records import LookRecord
+from usdsmoke.base.config import Config, config_to_dict, resolve_config
+from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
+from usdsmoke.base.given_settings import settle_files
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.volume import StageSource
+from usdsmoke.planning.features import features_hashes
+from usdsmoke.planning.frame_reader import FrameReader, hash_sources
+from usdsmoke.planning.job import Job, requested_job
+from usdsmoke.planning.stage_values import stage_values
+from usdsmoke.usd.stage import find_volumes, open_source, seen_through
+from usdsmoke.usd.volume_settings import resolve_volumes
 
 __all__ = ["Change", "check_inputs", "recorded_config", "shown"]
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from usdsmoke.provenance_records import LookRecord, split_pair
+from usdsmoke.audit.records import LookRecord, split_pair
 
 __all__ = ["prov_document"]
 

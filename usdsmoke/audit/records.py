@@ -10,11 +10,11 @@ from typing import Any
 
 from pxr import Ar, Sdf, Tf, Vt
 
-from usdsmoke.diagnostics import captured_diagnostics, short_reason
-from usdsmoke.errors import FileUnreadable, LayerError, StageError
-from usdsmoke.grids.content_hash import CONTENT_KEY
-from usdsmoke.grids.header import read_header
-from usdsmoke.layer.seal import RECORD_KEY
+from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
+from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.usd.look.digests import RECORD_KEY
+from usdsmoke.vdb.content_hash import CONTENT_KEY
+from usdsmoke.vdb.header import read_header
 
 __all__ = ["LookRecord", "find_records", "split_pair"]
 

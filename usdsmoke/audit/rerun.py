@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
-from usdsmoke.errors import LayerError
+from usdsmoke.audit.inputs import recorded_config, shown
+from usdsmoke.audit.records import LookRecord, find_records
+from usdsmoke.audit.verify import verify_inputs
+from usdsmoke.base.errors import LayerError
+from usdsmoke.base.given_settings import explicit_values
+from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pipeline import StylizeResult, stylize
-from usdsmoke.pipeline_settings import explicit_values
-from usdsmoke.plan import Plan
-from usdsmoke.provenance_inputs import recorded_config, shown
-from usdsmoke.provenance_records import LookRecord, find_records
-from usdsmoke.provenance_verify import verify_inputs
-from usdsmoke.run_progress import RunProgressCallback
-from usdsmoke.time_codes import format_time_code
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.progress import RunProgressCallback
 
 __all__ = ["Rerun", "rerun"]
 

@@ -13,15 +13,15 @@ from os import PathLike
 from pathlib import Path
 
 from usdsmoke import __version__
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import BindingMissing, ConfigError, UsdSmokeError
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_vdb_file
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import read_binding_version
-from usdsmoke.layer.seal import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
-from usdsmoke.provenance_inputs import Change, check_inputs, recorded_config, shown
-from usdsmoke.provenance_records import LookRecord, find_records
-from usdsmoke.provenance_versions import package_versions, platform_name
+from usdsmoke.audit.inputs import Change, check_inputs, recorded_config, shown
+from usdsmoke.audit.records import LookRecord, find_records
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import BindingMissing, ConfigError, UsdSmokeError
+from usdsmoke.base.versions import package_versions, platform_name
+from usdsmoke.usd.look.digests import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import read_binding_version
 
 __all__ = ["Change", "verify", "verify_inputs"]
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from usdsmoke.errors import ConfigError
-from usdsmoke.sections import (
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import (
     ColourConfig,
     Config,
     FeaturesConfig,
@@ -29,7 +29,7 @@ from usdsmoke.sections import (
     ViewsConfig,
     WindowsConfig,
 )
-from usdsmoke.setting_checks import check_setting, limits_text, nearest
+from usdsmoke.base.setting_checks import check_setting, limits_text, nearest
 
 __all__ = [
     "ColourConfig",

@@ -7,7 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import (
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.config import (
     Config,
     config_to_dict,
     explicit_names,
@@ -15,7 +16,6 @@ from usdsmoke.config import (
     read_config,
     resolve_config,
 )
-from usdsmoke.layer.anchoring import relative_asset_path
 
 __all__ = [
     "FilePath",

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from usdsmoke.errors import OutputExists, WriteFailed
-from usdsmoke.publish import make_folders, remove_empty
+from usdsmoke.base.errors import OutputExists, WriteFailed
+from usdsmoke.base.publish import make_folders, remove_empty
 
 try:
     import fcntl

@@ -1,8 +1,8 @@
-"""The settings that decide the look, for ``usdsmoke.sections``: import them from there."""
+"""The settings that decide the look, for ``usdsmoke.base.sections``: import them from there."""
 
 from dataclasses import dataclass
 
-from usdsmoke.setting_checks import setting
+from usdsmoke.base.setting_checks import setting
 
 __all__ = [
     "ColourConfig",

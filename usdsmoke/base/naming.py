@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Collection, Sequence
 
-from usdsmoke.errors import LayerError
+from usdsmoke.base.errors import LayerError
 
 __all__ = [
     "ASSET_SOURCE",

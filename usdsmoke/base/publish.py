@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from usdsmoke.errors import WriteFailed
+from usdsmoke.base.errors import WriteFailed
 
 __all__ = ["make_folders", "publish_file", "publish_new", "remove_empty", "remove_leftovers"]
 

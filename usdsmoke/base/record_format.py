@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from usdsmoke.errors import FileUnreadable
+from usdsmoke.base.errors import FileUnreadable
 
 __all__ = [
     "SCHEMA_VERSION",

@@ -2,13 +2,13 @@
 
 One frozen dataclass per step; a section is named like the module that uses it. ``None`` means "let
 the scene decide", and the plan says what was decided. Those that decide the look stand in
-``look_sections``. ``usdsmoke.config`` reads all of them from YAML and from the command line; import
+``look_sections``. ``usdsmoke.base.config`` reads all of them from YAML and from the command line; import
 them from there.
 """
 
 from dataclasses import dataclass, field
 
-from usdsmoke.look_sections import (
+from usdsmoke.base.look_sections import (
     ColourConfig,
     FeaturesConfig,
     LossesConfig,
@@ -18,7 +18,7 @@ from usdsmoke.look_sections import (
     StyleConfig,
     ViewsConfig,
 )
-from usdsmoke.setting_checks import setting
+from usdsmoke.base.setting_checks import setting
 
 __all__ = [
     "ColourConfig",

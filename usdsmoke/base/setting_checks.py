@@ -9,7 +9,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from usdsmoke.errors import ConfigError
+from usdsmoke.base.errors import ConfigError
 
 __all__ = ["check_setting", "limits_text", "nearest", "setting"]
 

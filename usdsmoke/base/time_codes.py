@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from usdsmoke.errors import ConfigError
+from usdsmoke.base.errors import ConfigError
 
 __all__ = [
     "FrameRange",

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
 
 __all__ = [
     "VELOCITY_NAMES",

@@ -14,27 +14,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.cluster_check import check_answer, look_around
-from usdsmoke.cluster_connection import asking, connected, lost
-from usdsmoke.config import Config
-from usdsmoke.errors import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import (
     ClusterError,
     FileUnreadable,
     Interrupted,
     UsdSmokeError,
     WriteFailed,
 )
-from usdsmoke.pipeline import (
-    StylizeResult,
-    assemble,
-    plan_stylize,
-    run_coarse,
-    run_window,
-)
-from usdsmoke.pipeline_inputs import Job, prepare_job
-from usdsmoke.pipeline_machine import settle_threads
-from usdsmoke.pipeline_runs import frames_again
-from usdsmoke.pipeline_settings import (
+from usdsmoke.base.given_settings import (
     FilePath,
     Settings,
     Styles,
@@ -42,9 +30,21 @@ from usdsmoke.pipeline_settings import (
     resolve_settings,
     style_paths,
 )
-from usdsmoke.plan import Plan
-from usdsmoke.publish import make_folders, remove_empty
-from usdsmoke.run_progress import RunProgress, RunProgressCallback
+from usdsmoke.base.publish import make_folders, remove_empty
+from usdsmoke.farm.dask_check import check_answer, look_around
+from usdsmoke.farm.dask_connection import asking, connected, lost
+from usdsmoke.pipeline import (
+    StylizeResult,
+    assemble,
+    plan_stylize,
+    run_coarse,
+    run_window,
+)
+from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.begin import frames_again
+from usdsmoke.runs.machine import settle_threads
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.errors import ClusterError
+from usdsmoke.base.errors import ClusterError
 
 __all__ = ["check_answer", "look_around"]
 

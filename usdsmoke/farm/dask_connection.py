@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usdsmoke.errors import ClusterError
+from usdsmoke.base.errors import ClusterError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -21,7 +21,7 @@ __all__ = ["asking", "connected", "lost"]
 _CONNECT_S = 5.0  # for the scheduler to answer
 _PROBE_S = 10.0  # for all of the first try, whatever answers
 _CLOSE_S = 3.0
-_PROBE = Path(__file__).with_name("cluster_probe.py")
+_PROBE = Path(__file__).with_name("dask_probe.py")
 _LOUD = ("distributed", "tornado")  # loggers that tell of a lost connection, at length
 
 

@@ -5,9 +5,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_yaml
-from usdsmoke.errors import ConfigError, OutputExists
-from usdsmoke.openjd_template import (
+from usdsmoke.base.config import Config, config_to_yaml
+from usdsmoke.base.errors import ConfigError, OutputExists
+from usdsmoke.base.given_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    explicit_values,
+    resolve_settings,
+    style_paths,
+)
+from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.farm.openjd_template import (
     FIRST_LINE,
     asset_references,
     bundle_text,
@@ -16,17 +25,8 @@ from usdsmoke.openjd_template import (
     parameter_values,
 )
 from usdsmoke.pipeline import plan_stylize
-from usdsmoke.pipeline_settings import (
-    FilePath,
-    Settings,
-    Styles,
-    explicit_values,
-    resolve_settings,
-    style_paths,
-)
-from usdsmoke.plan import Plan
-from usdsmoke.publish import make_folders, publish_file
-from usdsmoke.stage import open_stage
+from usdsmoke.planning.plan import Plan
+from usdsmoke.usd.stage import open_stage
 
 __all__ = ["JobBundle", "submit"]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from usdsmoke.errors import ConfigError, PlanError
+from usdsmoke.base.errors import ConfigError, PlanError
 
 __all__ = [
     "FIRST_LINE",

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from usdsmoke.errors import ShapeError
-from usdsmoke.naming import DEFAULT_LOOK, look_suffix
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.naming import DEFAULT_LOOK, look_suffix
 
 __all__ = ["BACKGROUND", "compose_cells", "compose_sheet", "sheet_files"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from usdsmoke.errors import ImageError, WriteFailed
-from usdsmoke.publish import publish_file
+from usdsmoke.base.errors import ImageError, WriteFailed
+from usdsmoke.base.publish import publish_file
 
 __all__ = ["write_exr"]
 

@@ -15,8 +15,8 @@ import numpy as np
 import OpenEXR
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from usdsmoke.errors import ImageError, WriteFailed
-from usdsmoke.publish import publish_file
+from usdsmoke.base.errors import ImageError, WriteFailed
+from usdsmoke.base.publish import publish_file
 
 __all__ = ["StyleImage", "encode_srgb", "read_style_image", "write_png"]
 

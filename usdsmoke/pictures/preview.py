@@ -12,21 +12,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.config import ViewsConfig
-from usdsmoke.contact_sheet import BACKGROUND, compose_cells
-from usdsmoke.errors import ConfigError
-from usdsmoke.images import encode_srgb, write_png
-from usdsmoke.images_exr import write_exr
-from usdsmoke.naming import frame_file_names
-from usdsmoke.preview_request import BACKGROUNDS, PreviewRequest, check_pixels, make_request
-from usdsmoke.preview_smoke import Smoke, find_smoke
-from usdsmoke.stage import open_original, open_stage, read_camera
-from usdsmoke.time_codes import format_time_code, spread
-from usdsmoke.volume import CameraSource
+from usdsmoke.base.config import ViewsConfig
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.naming import frame_file_names
+from usdsmoke.base.time_codes import format_time_code, spread
+from usdsmoke.base.volume import CameraSource
+from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_cells
+from usdsmoke.pictures.exr import write_exr
+from usdsmoke.pictures.png import encode_srgb, write_png
+from usdsmoke.pictures.preview_request import (
+    BACKGROUNDS,
+    PreviewRequest,
+    check_pixels,
+    make_request,
+)
+from usdsmoke.pictures.preview_smoke import Smoke, find_smoke
+from usdsmoke.usd.stage import open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
-    from usdsmoke.core.march import Picture
-    from usdsmoke.core.views import View
+    from usdsmoke.core.views.cameras import View
+    from usdsmoke.core.views.march import Picture
 
 __all__ = ["PreviewResult", "preview"]
 
@@ -127,7 +132,7 @@ def _open(request: PreviewRequest) -> dict[str, Smoke]:
 
 
 def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]) -> _Views:
-    from usdsmoke.core.views import frame_points, orbit_view, view_of_camera
+    from usdsmoke.core.views.cameras import frame_points, orbit_view, view_of_camera
 
     look = smokes[_LOOK]
     if request.camera:
@@ -167,7 +172,7 @@ def _draw(
     smokes: dict[str, Smoke], views: _Views, progress: Callable[[int, int], None] | None
 ) -> Iterator[tuple[str, float, "Picture"]]:
     """One picture after the other: the label, the timeCode, what is seen."""
-    from usdsmoke.core.march import march
+    from usdsmoke.core.views.march import march
 
     done, total = 0, len(smokes) * len(views)
     for label, smoke in smokes.items():
@@ -213,7 +218,7 @@ def _write_picture(
     drawn: Iterator[tuple[str, float, "Picture"]],
     n_pictures: int,
 ) -> tuple[Path, ...]:
-    from usdsmoke.core.render import display_picture
+    from usdsmoke.core.views.render import display_picture
 
     if request.background == "none":
         ((_, _, picture),) = drawn

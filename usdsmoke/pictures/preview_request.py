@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdsmoke.errors import ConfigError, WriteFailed
-from usdsmoke.time_codes import parse_frames
+from usdsmoke.base.errors import ConfigError, WriteFailed
+from usdsmoke.base.time_codes import parse_frames
 
 __all__ = ["BACKGROUNDS", "MOST_PIXELS", "PreviewRequest", "check_pixels", "make_request"]
 

@@ -8,17 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pxr import Usd
 
-from usdsmoke.colour_grids import absolute_emission
-from usdsmoke.config import Config, StageConfig
-from usdsmoke.errors import AssetNotResolved, PlanError, UsdSmokeError, VolumeNotFound
-from usdsmoke.estimate import GIB, available_memory_gib
-from usdsmoke.grids.header import GridHeader, read_header
-from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
-from usdsmoke.schema import EMISSION_PER_DENSITY
-from usdsmoke.stage import find_volumes, shown_volumes
-from usdsmoke.stage.originals import is_look_layer
-from usdsmoke.time_codes import format_time_code, spread
-from usdsmoke.volume import (
+from usdsmoke.base.config import Config, StageConfig
+from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError, VolumeNotFound
+from usdsmoke.base.time_codes import format_time_code, spread
+from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
     FrameSource,
@@ -27,10 +20,17 @@ from usdsmoke.volume import (
     VolumeFrame,
     VolumeSource,
 )
+from usdsmoke.planning.estimate import GIB, available_memory_gib
+from usdsmoke.usd.schema import EMISSION_PER_DENSITY
+from usdsmoke.usd.stage import find_volumes, shown_volumes
+from usdsmoke.usd.stage.originals import is_look_layer
+from usdsmoke.vdb.colour_grids import absolute_emission
+from usdsmoke.vdb.header import GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
 
 if TYPE_CHECKING:
-    from usdsmoke.core.media import Medium
-    from usdsmoke.core.scene import Scene
+    from usdsmoke.core.views.media import Medium
+    from usdsmoke.core.views.scene import Scene
 
 __all__ = ["GREY", "Smoke", "find_smoke"]
 
@@ -110,7 +110,7 @@ class Smoke:
             GridError, NonFiniteError: a grid cannot be used.
             ShapeError: a field is flattened on the stage.
         """
-        from usdsmoke.core.media import make_media
+        from usdsmoke.core.views.media import make_media
 
         media = []
         for volume in shown:
@@ -186,7 +186,7 @@ class Smoke:
         return gamma_w
 
     def _scene(self, prim_path: str) -> "Scene":
-        from usdsmoke.core.scene import measure_scene
+        from usdsmoke.core.views.scene import measure_scene
 
         if prim_path not in self._scenes:
             volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.core.frustum import frustum_of, pixel_footprint
-from usdsmoke.grids.header import GridHeader
-from usdsmoke.time_codes import format_time_codes
-from usdsmoke.volume import CameraSource, FieldSource, FrameSource
+from usdsmoke.base.config import Config
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
+from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
+from usdsmoke.vdb.header import GridHeader
 
 if TYPE_CHECKING:
-    from usdsmoke.plan import FramePlan, VolumePlan
+    from usdsmoke.planning.plan import FramePlan, VolumePlan
 
 __all__ = ["camera_needed", "camera_omitted", "seen_share"]
 

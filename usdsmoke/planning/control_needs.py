@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from usdsmoke.config import Config
-from usdsmoke.core.controls import SETTINGS, in_effect
-from usdsmoke.time_codes import format_time_codes
-from usdsmoke.volume import FrameControls
+from usdsmoke.base.config import Config
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.volume import FrameControls
+from usdsmoke.core.smoke.controls import SETTINGS, in_effect
 
 if TYPE_CHECKING:
-    from usdsmoke.plan import VolumePlan
+    from usdsmoke.planning.plan import VolumePlan
 
 __all__ = ["controls_needed", "controls_omitted", "takes_effect"]
 

@@ -29,11 +29,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from usdsmoke.config import Config, ViewsConfig
-from usdsmoke.core.schedule import OCTAVE_SCALE, coarse_factor, octave_iterations, warm_iterations
-from usdsmoke.grids.header import GridHeader
-from usdsmoke.naming import COLOUR_CHANNELS, colour_names
-from usdsmoke.sections import LayerConfig
+from usdsmoke.base.config import Config, ViewsConfig
+from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.core.smoke.schedule import (
+    OCTAVE_SCALE,
+    coarse_factor,
+    octave_iterations,
+    warm_iterations,
+)
+from usdsmoke.vdb.header import GridHeader
 
 __all__ = [
     "Estimate",

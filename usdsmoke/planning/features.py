@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-from usdsmoke.core.definition import embedded_hash
-from usdsmoke.core.layers import content_layers, style_layers
-from usdsmoke.core.vgg19_file import find_vgg19_file
-from usdsmoke.provenance import hash_file
-from usdsmoke.sections import FeaturesConfig
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.core.style.definition import embedded_hash
+from usdsmoke.core.style.layers import content_layers, style_layers
+from usdsmoke.core.style.vgg19_file import find_vgg19_file
 
 __all__ = ["check_features", "features_hash", "features_hashes"]
 

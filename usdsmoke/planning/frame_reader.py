@@ -1,9 +1,9 @@
 """The frames of a run as they are asked for: to be checked, measured, stylized, shown."""
 
-from usdsmoke.frames import read_frame
-from usdsmoke.grids.content_hash import hash_fields
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.planning.frames import read_frame
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.vdb.content_hash import hash_fields
 
 __all__ = ["KEPT_BYTES", "FrameReader", "hash_sources"]
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.errors import GridNotFound, UnsupportedGrid
-from usdsmoke.grids.header import FileHeader, GridHeader
-from usdsmoke.grids.read import GridRequest, check_readable, find_grid, read_grids
-from usdsmoke.grids.velocity import find_velocity, read_velocity
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.vdb.header import FileHeader, GridHeader
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
+from usdsmoke.vdb.velocity import find_velocity, read_velocity
 
 __all__ = [
     "MaskSource",

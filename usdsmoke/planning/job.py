@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.config import Config, resolve_config, style_shares
-from usdsmoke.contact_sheet import sheet_files
-from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import ConfigError
-from usdsmoke.images import StyleImage, read_style_image
-from usdsmoke.layer import LookFiles, check_asset, look_files
-from usdsmoke.layer.anchoring import relative_asset_path
-from usdsmoke.naming import colour_names
-from usdsmoke.needs import Omission
-from usdsmoke.pipeline_features import check_features
-from usdsmoke.pipeline_originals import check_originals, check_output_folder, settle_output
-from usdsmoke.pipeline_settings import portable_settings, settle_files
-from usdsmoke.plan import Plan, VolumePlan, check_plan, make_plan
-from usdsmoke.run_folder import find_runs
-from usdsmoke.stage import find_volumes, open_source, seen_through
-from usdsmoke.volume import EarlierLooks, StageSource, VolumeSource
-from usdsmoke.volume_settings import resolve_volumes
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.config import Config, resolve_config, style_shares
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.given_settings import portable_settings, settle_files
+from usdsmoke.base.naming import colour_names
+from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
+from usdsmoke.pictures.contact_sheet import sheet_files
+from usdsmoke.pictures.png import StyleImage, read_style_image
+from usdsmoke.planning.features import check_features
+from usdsmoke.planning.needs import Omission
+from usdsmoke.planning.originals import check_originals, check_output_folder, settle_output
+from usdsmoke.planning.plan import Plan, VolumePlan, check_plan, make_plan
+from usdsmoke.runs.folder import find_runs
+from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.look import LookFiles, check_asset, look_files
+from usdsmoke.usd.stage import find_volumes, open_source, seen_through
+from usdsmoke.usd.volume_settings import resolve_volumes
 
 __all__ = [
     "Job",

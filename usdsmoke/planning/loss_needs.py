@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from usdsmoke.config import Config
-from usdsmoke.core.definition import default_layers, learned_layers, oriented_layers
+from usdsmoke.base.config import Config
+from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
 __all__ = ["losses_omitted", "unneeded_layers"]
 

@@ -4,18 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from usdsmoke.camera_needs import camera_needed, camera_omitted
-from usdsmoke.config import Config
-from usdsmoke.control_needs import controls_needed, controls_omitted, takes_effect
-from usdsmoke.core.schedule import octave_iterations
-from usdsmoke.estimate import n_different_views
-from usdsmoke.loss_needs import losses_omitted
-from usdsmoke.naming import colour_names
-from usdsmoke.time_codes import format_time_code, format_time_codes
-from usdsmoke.volume import StageSource
+from usdsmoke.base.config import Config
+from usdsmoke.base.naming import colour_names
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.volume import StageSource
+from usdsmoke.core.smoke.schedule import octave_iterations
+from usdsmoke.planning.camera_needs import camera_needed, camera_omitted
+from usdsmoke.planning.control_needs import controls_needed, controls_omitted, takes_effect
+from usdsmoke.planning.estimate import n_different_views
+from usdsmoke.planning.loss_needs import losses_omitted
 
 if TYPE_CHECKING:
-    from usdsmoke.plan import FramePlan, VolumePlan
+    from usdsmoke.planning.plan import FramePlan, VolumePlan
 
 __all__ = ["Omission", "list_needed", "list_omitted"]
 

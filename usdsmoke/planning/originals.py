@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pxr import Usd
 
-from usdsmoke import schema
-from usdsmoke.errors import LayerError, StageError
-from usdsmoke.grids.header import read_header
-from usdsmoke.volume import StageSource
+from usdsmoke.base.errors import LayerError, StageError
+from usdsmoke.base.volume import StageSource
+from usdsmoke.usd import schema
+from usdsmoke.vdb.header import read_header
 
 __all__ = ["check_originals", "check_output_folder", "settle_output"]
 

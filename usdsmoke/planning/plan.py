@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.camera_needs import seen_share
-from usdsmoke.config import Config
-from usdsmoke.core.controls import check_controls, in_effect, is_computed
-from usdsmoke.core.schedule import coarse_factor
-from usdsmoke.errors import PlanError
-from usdsmoke.estimate import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.naming import frame_file_names, volume_stems
+from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.core.smoke.controls import check_controls, in_effect, is_computed
+from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.planning.camera_needs import seen_share
+from usdsmoke.planning.estimate import (
     Estimate,
     FrameSize,
     add_estimates,
@@ -22,7 +24,7 @@ from usdsmoke.estimate import (
     free_disk_bytes,
     grid_size,
 )
-from usdsmoke.frames import (
+from usdsmoke.planning.frames import (
     MaskSource,
     VelocitySource,
     find_density,
@@ -30,13 +32,11 @@ from usdsmoke.frames import (
     find_frame_velocity,
     is_copied,
 )
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.naming import frame_file_names, volume_stems
-from usdsmoke.needs import Omission, list_needed, list_omitted
-from usdsmoke.plan_record import describe_plan
-from usdsmoke.volume import FrameSource, StageSource, VolumeSource
-from usdsmoke.volume_settings import VolumeSettings
-from usdsmoke.windows import Window, coarse_runs, find_cuts, split_windows
+from usdsmoke.planning.needs import Omission, list_needed, list_omitted
+from usdsmoke.planning.plan_record import describe_plan
+from usdsmoke.planning.windows import Window, coarse_runs, find_cuts, split_windows
+from usdsmoke.usd.volume_settings import VolumeSettings
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
 __all__ = [
     "FramePlan",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from usdsmoke.plan import FramePlan, Plan, VolumePlan
+    from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 
 __all__ = ["describe_plan"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.volume import StageSource, VolumeSource
+from usdsmoke.base.volume import StageSource, VolumeSource
 
 __all__ = ["stage_pieces", "stage_values"]
 

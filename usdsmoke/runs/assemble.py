@@ -6,43 +6,43 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.blend import blend_frames, relative_difference, tail_weights
-from usdsmoke.contact_sheet import sheet_files
-from usdsmoke.error_budget import ErrorBudget
-from usdsmoke.errors import LayerError, UsdSmokeError
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import write_frame
-from usdsmoke.layer import author_look
-from usdsmoke.layer.records import EMISSION
-from usdsmoke.memory import give_back_memory
-from usdsmoke.pipeline_budget import run_budget
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_request
-from usdsmoke.pipeline_machine import processor_warnings
-from usdsmoke.pipeline_outputs import (
-    collect_volume,
-    frame_record,
-    result_fields,
-    with_storage,
-)
-from usdsmoke.pipeline_pictures import write_contact_sheet
-from usdsmoke.pipeline_records import frame_metadata, make_provenance
-from usdsmoke.pipeline_times import PartClock, run_seconds
-from usdsmoke.pipeline_windows import list_tasks
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.run_figures import mean_entries, mixed_errors
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.run_progress import RunProgress, RunProgressCallback
-from usdsmoke.run_windows import (
+from usdsmoke.base.errors import LayerError, UsdSmokeError
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.volume import DenseField
+from usdsmoke.pictures.contact_sheet import sheet_files
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job, describe_request
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.runs.budget_inputs import run_budget
+from usdsmoke.runs.error_budget import ErrorBudget
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.frame_records import frame_metadata, make_provenance
+from usdsmoke.runs.machine import processor_warnings
+from usdsmoke.runs.manifests import (
     WindowRecord,
     finished_coarse,
     finished_window,
     part_file_name,
     remove_locks,
 )
-from usdsmoke.schema import late_note
-from usdsmoke.time_codes import format_time_codes
-from usdsmoke.volume import DenseField
+from usdsmoke.runs.metrics import mean_entries, mixed_errors
+from usdsmoke.runs.outputs import (
+    collect_volume,
+    frame_record,
+    result_fields,
+    with_storage,
+)
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.sheet import write_contact_sheet
+from usdsmoke.runs.times import PartClock, run_seconds
+from usdsmoke.runs.window import list_tasks
+from usdsmoke.usd.look import author_look
+from usdsmoke.usd.look.records import EMISSION
+from usdsmoke.usd.schema import late_note
+from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
 __all__ = ["StylizeResult", "assemble_run", "collect_windows", "summarize_result"]
 

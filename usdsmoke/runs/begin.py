@@ -7,28 +7,28 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config
-from usdsmoke.errors import Interrupted, OutputExists
-from usdsmoke.locks import OutputLock, lock_output
-from usdsmoke.pipeline_coarse import measure_scenes, missing_starts
-from usdsmoke.pipeline_description import describe_run
-from usdsmoke.pipeline_features import features_hashes
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job, describe_request, published_runs
-from usdsmoke.pipeline_machine import machine_of, settle_description, with_settled
-from usdsmoke.pipeline_windows import WindowTask, list_tasks
-from usdsmoke.plan import Plan
-from usdsmoke.run_changes import list_changes
-from usdsmoke.run_choice import Describe, find_equal, open_run, taken_up
-from usdsmoke.run_folder import RunFolder, find_runs
-from usdsmoke.run_progress import WAITING, RunProgressCallback
-from usdsmoke.run_windows import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import Interrupted, OutputExists
+from usdsmoke.base.locks import OutputLock, lock_output
+from usdsmoke.planning.features import features_hashes
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job, describe_request, published_runs
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.changes import list_changes
+from usdsmoke.runs.choice import Describe, find_equal, open_run, taken_up
+from usdsmoke.runs.coarse import measure_scenes, missing_starts
+from usdsmoke.runs.description import describe_run
+from usdsmoke.runs.folder import RunFolder, find_runs
+from usdsmoke.runs.machine import machine_of, settle_description, with_settled
+from usdsmoke.runs.manifests import (
     finished_window,
     forget_beginning,
     hold_beginning,
     is_useless,
     remove_locks,
 )
+from usdsmoke.runs.progress import WAITING, RunProgressCallback
+from usdsmoke.runs.window import WindowTask, list_tasks
 
 __all__ = [
     "begin_run",

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from usdsmoke.error_budget import ErrorBudget, make_budget
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.runs.error_budget import ErrorBudget, make_budget
 
 __all__ = ["run_budget"]
 

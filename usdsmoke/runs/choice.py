@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.errors import OutputExists
-from usdsmoke.run_changes import list_changes
-from usdsmoke.run_folder import RunFolder, find_runs, new_run
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.runs.changes import list_changes
+from usdsmoke.runs.folder import RunFolder, find_runs, new_run
 
 __all__ = ["Describe", "find_equal", "open_run", "taken_up"]
 

@@ -10,31 +10,31 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.errors import FileUnreadable
-from usdsmoke.memory import give_back_memory
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_outputs import plain_values
-from usdsmoke.pipeline_pictures import sample_frames
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.provenance import hash_file
-from usdsmoke.publish import make_folders, publish_file
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.run_progress import RunProgress, RunProgressCallback
-from usdsmoke.run_windows import (
+from usdsmoke.base.errors import FileUnreadable
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.manifests import (
     CoarseRecord,
     coarse_file_name,
     finish_coarse,
     finished_coarse,
     hold_work,
 )
+from usdsmoke.runs.outputs import plain_values
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
-    from usdsmoke.core.coarse import CoarseStart
-    from usdsmoke.core.device import Machine
-    from usdsmoke.core.progress import Progress
-    from usdsmoke.core.scene import Scene
-    from usdsmoke.core.start import Carried
+    from usdsmoke.base.core_progress import Progress
+    from usdsmoke.core.sequence.coarse import CoarseStart
+    from usdsmoke.core.sequence.start import Carried
+    from usdsmoke.core.smoke.device import Machine
+    from usdsmoke.core.views.scene import Scene
 
 __all__ = ["coarse_starts", "measure_scenes", "missing_starts", "read_scene", "run_coarse_step"]
 
@@ -48,8 +48,8 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
-    from usdsmoke.core.device import describe_machine
-    from usdsmoke.core.scene import measure_scene
+    from usdsmoke.core.smoke.device import describe_machine
+    from usdsmoke.core.views.scene import measure_scene
 
     describe_machine(plan.config.optimize)  # sets threads: sums depend on the number of threads
     scenes = []
@@ -62,7 +62,7 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
 
 def read_scene(run: RunFolder, volume_number: int) -> "Scene":
     """The scene of a Volume as it was measured when the run began."""
-    from usdsmoke.core.scene import Scene
+    from usdsmoke.core.views.scene import Scene
 
     return Scene(**run.scenes[volume_number])
 
@@ -117,7 +117,7 @@ def coarse_starts(
     """
     if not volume.coarse_frames:
         return None
-    from usdsmoke.core.coarse import load_start
+    from usdsmoke.core.sequence.coarse import load_start
 
     names = {
         frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
@@ -175,8 +175,8 @@ def _run_chain(
     The manifest is written after every frame: who goes on begins with the last frame that is there
     and that others start from.
     """
-    from usdsmoke.core.coarse import coarse_frames, save_start
-    from usdsmoke.core.device import describe_machine
+    from usdsmoke.core.sequence.coarse import coarse_frames, save_start
+    from usdsmoke.core.smoke.device import describe_machine
 
     (number, volume, frames), (done, n_frames) = chain, counted
     record, started = finished_coarse(run), time.monotonic()
@@ -220,7 +220,7 @@ def _resumed(
         frames: of the sequence.
         here: the machine; what another kind of processor has made is not gone on with.
     """
-    from usdsmoke.core.coarse import load_carried
+    from usdsmoke.core.sequence.coarse import load_carried
 
     names = [coarse_file_name(frame.file_name) for frame in frames]
     n_done = next((n for n, name in enumerate(names) if name not in record.frames), len(names))

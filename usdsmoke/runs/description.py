@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import Config, config_to_dict
-from usdsmoke.images import StyleImage
-from usdsmoke.pipeline_inputs import Job, frame_files
-from usdsmoke.plan import Plan, VolumePlan
-from usdsmoke.provenance import hash_file
-from usdsmoke.provenance_stage import stage_pieces
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
-from usdsmoke.time_codes import format_time_code
+from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.pictures.png import StyleImage
+from usdsmoke.planning.job import Job, frame_files
+from usdsmoke.planning.plan import Plan, VolumePlan
+from usdsmoke.planning.stage_values import stage_pieces
 
 __all__ = ["describe_run", "requested_values"]
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Collection
 
-from usdsmoke.estimate import written_bytes
-from usdsmoke.pipeline_coarse import missing_starts
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_windows import WindowTask
-from usdsmoke.plan import check_disk
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.run_windows import is_useless
+from usdsmoke.planning.estimate import written_bytes
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import check_disk
+from usdsmoke.runs.coarse import missing_starts
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.manifests import is_useless
+from usdsmoke.runs.window import WindowTask
 
 __all__ = ["check_room"]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
-from usdsmoke.error_bounds import Tolerance, judge
+from usdsmoke.runs.error_bounds import Tolerance, judge
 
 __all__ = ["ErrorBudget", "ErrorEstimate", "make_budget"]
 

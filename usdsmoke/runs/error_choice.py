@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from usdsmoke.error_bounds import PICTURE_SAFETY, SAFETY, part_of
+from usdsmoke.runs.error_bounds import PICTURE_SAFETY, SAFETY, part_of
 
 __all__ = ["Choice", "choose_settings", "user_values"]
 

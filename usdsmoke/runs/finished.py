@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdsmoke.errors import LayerError, OutputExists
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_runs import describing
-from usdsmoke.plan import Plan
-from usdsmoke.run_changes import list_changes
-from usdsmoke.run_folder import RunFolder, find_runs
+from usdsmoke.base.errors import LayerError, OutputExists
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.begin import describing
+from usdsmoke.runs.changes import list_changes
+from usdsmoke.runs.folder import RunFolder, find_runs
 
 __all__ = ["StepResult", "check_same", "is_whole", "run_to_assemble"]
 

@@ -21,15 +21,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.naming import DEFAULT_LOOK
-from usdsmoke.provenance import hash_file, new_run_id, utc_now
-from usdsmoke.publish import (
+from usdsmoke.base.naming import DEFAULT_LOOK
+from usdsmoke.base.publish import (
     make_folders,
     publish_file,
     publish_new,
     remove_empty,
     remove_leftovers,
 )
+from usdsmoke.base.record_format import hash_file, new_run_id, utc_now
 
 __all__ = ["RunFolder", "find_runs", "new_run", "write_json"]
 

@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.config import GridsConfig, merge_settings
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import read_binding_version
-from usdsmoke.images import StyleImage
-from usdsmoke.layer.anchoring import relative_asset_path
-from usdsmoke.pipeline_budget import run_budget
-from usdsmoke.pipeline_machine import machine_texts
-from usdsmoke.pipeline_settings import portable_settings
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.provenance import Provenance, RunFacts, build_provenance
-from usdsmoke.provenance_stage import stage_values
-from usdsmoke.provenance_versions import package_versions, platform_name
-from usdsmoke.run_figures import step_seconds, summarize_figures
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.run_windows import WindowRecord, finished_coarse
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.config import GridsConfig, merge_settings
+from usdsmoke.base.given_settings import portable_settings
+from usdsmoke.base.record_format import Provenance, RunFacts, build_provenance
+from usdsmoke.base.versions import package_versions, platform_name
+from usdsmoke.pictures.png import StyleImage
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.stage_values import stage_values
+from usdsmoke.runs.budget_inputs import run_budget
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.machine import machine_texts
+from usdsmoke.runs.manifests import WindowRecord, finished_coarse
+from usdsmoke.runs.metrics import step_seconds, summarize_figures
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import read_binding_version
 
 __all__ = ["frame_metadata", "make_provenance"]
 

@@ -10,16 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.config import Config
-from usdsmoke.estimate import usable_cpus
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.run_choice import taken_up
-from usdsmoke.run_folder import RunFolder, find_runs
-from usdsmoke.run_windows import made_on
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.base.config import Config
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.planning.estimate import usable_cpus
+from usdsmoke.planning.job import Job
+from usdsmoke.runs.choice import taken_up
+from usdsmoke.runs.folder import RunFolder, find_runs
+from usdsmoke.runs.manifests import made_on
 
 if TYPE_CHECKING:
-    from usdsmoke.core.device import Machine
+    from usdsmoke.core.smoke.device import Machine
 
 __all__ = [
     "machine_of",
@@ -38,7 +38,7 @@ def machine_of(job: Job) -> "Machine":
     Raises:
         ConfigError: the device is not there.
     """
-    from usdsmoke.core.device import describe_machine
+    from usdsmoke.core.smoke.device import describe_machine
 
     return describe_machine(job.config.optimize)
 

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.locks import hold_file
-from usdsmoke.publish import make_folders, remove_empty
-from usdsmoke.run_folder import RunFolder, write_json
+from usdsmoke.base.locks import hold_file
+from usdsmoke.base.publish import make_folders, remove_empty
+from usdsmoke.runs.folder import RunFolder, write_json
 
 __all__ = [
     "CoarseRecord",

@@ -7,24 +7,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke import __version__
-from usdsmoke.colour_grids import empty_colour_grids, make_colour_grids
-from usdsmoke.config import Config, GridsConfig
-from usdsmoke.frames import read_velocity_grids
-from usdsmoke.grids.transform import field_extent
-from usdsmoke.grids.write import write_frame
-from usdsmoke.images import StyleImage
-from usdsmoke.layer.records import EMISSION, StylizedVolume
-from usdsmoke.naming import colour_names
-from usdsmoke.pipeline_records import frame_metadata
-from usdsmoke.plan import FramePlan, VolumePlan, result_file_names
-from usdsmoke.provenance import hash_file
-from usdsmoke.publish import make_folders
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.storage_error import pruned, storage_errors
-from usdsmoke.volume import DenseField, WrittenFrame
+from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.naming import colour_names
+from usdsmoke.base.publish import make_folders
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.volume import DenseField, WrittenFrame
+from usdsmoke.core.sequence.storage_error import pruned, storage_errors
+from usdsmoke.pictures.png import StyleImage
+from usdsmoke.planning.frames import read_velocity_grids
+from usdsmoke.planning.plan import FramePlan, VolumePlan, result_file_names
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.frame_records import frame_metadata
+from usdsmoke.usd.look.records import EMISSION, StylizedVolume
+from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
+from usdsmoke.vdb.transform import field_extent
+from usdsmoke.vdb.write import write_frame
 
 if TYPE_CHECKING:
-    from usdsmoke.core.stylize import StylizedFrame
+    from usdsmoke.core.sequence.stylize import StylizedFrame
 
 __all__ = [
     "collect_volume",

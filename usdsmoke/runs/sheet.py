@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.colour_grids import absolute_emission
-from usdsmoke.config import Config
-from usdsmoke.contact_sheet import BACKGROUND, compose_sheet
-from usdsmoke.core.controls import frame_config
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.images import write_png
-from usdsmoke.layer.records import EMISSION
-from usdsmoke.memory import give_back_memory
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.time_codes import format_time_code, spread
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.time_codes import format_time_code, spread
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.controls import frame_config
+from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_sheet
+from usdsmoke.pictures.png import write_png
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.usd.look.records import EMISSION
+from usdsmoke.vdb.colour_grids import absolute_emission
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["sample_frames", "write_contact_sheet"]
 
@@ -85,7 +85,7 @@ def _frame_scene(
     own = frame_config(config, source.controls, source.time_code)
     if own is config:
         return scene
-    from usdsmoke.core.scene import Scene, frame_scene
+    from usdsmoke.core.views.scene import Scene, frame_scene
 
     return dataclasses.asdict(frame_scene(Scene(**scene), own))
 
@@ -117,7 +117,7 @@ def _picture(
     scene: Mapping[str, Any],
     config: Config,
 ) -> np.ndarray:
-    from usdsmoke.core.render import display_picture, grey_picture, render_view
+    from usdsmoke.core.views.render import display_picture, grey_picture, render_view
 
     picture = render_view(
         density,

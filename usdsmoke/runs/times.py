@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar
 
-from usdsmoke.run_windows import WindowRecord
+from usdsmoke.runs.manifests import WindowRecord
 
 __all__ = ["ELSEWHERE", "PartClock", "run_seconds", "timed_items"]
 

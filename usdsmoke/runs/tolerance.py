@@ -11,16 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict, resolve_config
-from usdsmoke.error_choice import choose_settings, user_values
-from usdsmoke.pipeline_description import describe_run
-from usdsmoke.pipeline_features import features_hashes
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_outputs import plain_values
-from usdsmoke.pipeline_pictures import sample_frames
-from usdsmoke.plan import Plan, VolumePlan
-from usdsmoke.publish import make_folders, publish_new
+from usdsmoke.base.config import Config, config_to_dict, resolve_config
+from usdsmoke.base.publish import make_folders, publish_new
+from usdsmoke.planning.features import features_hashes
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import Plan, VolumePlan
+from usdsmoke.runs.description import describe_run
+from usdsmoke.runs.error_choice import choose_settings, user_values
+from usdsmoke.runs.outputs import plain_values
+from usdsmoke.runs.sheet import sample_frames
 
 __all__ = ["choice_notes", "foresee_tolerance", "settle_tolerance"]
 
@@ -114,7 +114,7 @@ def _calibration(job: Job) -> dict[str, Any]:
 
 
 def _measure(job: Job) -> dict[str, Any]:
-    from usdsmoke.core.calibrate import calibrate
+    from usdsmoke.core.sequence.calibrate import calibrate
 
     volume = max(job.plan.volumes, key=_most_voxels)
     frames = sample_frames(volume)

@@ -4,27 +4,27 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from usdsmoke.errors import ConfigError
-from usdsmoke.memory import give_back_memory
-from usdsmoke.pipeline_coarse import coarse_starts, read_scene
-from usdsmoke.pipeline_frames import FrameReader, hash_sources
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.pipeline_outputs import write_result
-from usdsmoke.pipeline_times import PartClock, timed_items
-from usdsmoke.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.run_folder import RunFolder
-from usdsmoke.run_progress import RunProgress, RunProgressCallback, WorkMeter
-from usdsmoke.run_windows import (
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.planning.frame_reader import FrameReader, hash_sources
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.windows import Window
+from usdsmoke.runs.coarse import coarse_starts, read_scene
+from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.manifests import (
     WindowRecord,
     finish_window,
     finished_window,
     hold_work,
     part_file_name,
 )
-from usdsmoke.windows import Window
+from usdsmoke.runs.outputs import write_result
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
+from usdsmoke.runs.times import PartClock, timed_items
 
 if TYPE_CHECKING:
-    from usdsmoke.core.progress import Progress
+    from usdsmoke.base.core_progress import Progress
 
 __all__ = ["WindowTask", "check_frames", "list_tasks", "pick_task", "stylize_windows"]
 
@@ -183,8 +183,8 @@ def _stylize_window(
     source_hashes: Mapping[str, Mapping[str, str]],
     progress: _Counter,
 ) -> None:
-    from usdsmoke.core.device import describe_machine
-    from usdsmoke.core.stylize import stylize_window
+    from usdsmoke.core.sequence.stylize import stylize_window
+    from usdsmoke.core.smoke.device import describe_machine
 
     config, clock = task.volume.config, PartClock()
     gamma_w = float(run.scenes[task.volume_number]["gamma_w"])

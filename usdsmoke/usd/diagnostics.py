@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from pxr import Tf, Usd, UsdUtils
 
-from usdsmoke.errors import StageError
+from usdsmoke.base.errors import StageError
 
 __all__ = ["captured_diagnostics", "open_quietly", "short_reason"]
 

@@ -8,15 +8,15 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.errors import StageError, UsdSmokeError
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.grids.read import GridRequest, check_readable, find_grid
-from usdsmoke.grids.velocity import find_velocity
-from usdsmoke.inspection_requests import GivenSettings, describe_requests
-from usdsmoke.pipeline_settings import Settings, Styles
-from usdsmoke.schema import STYLE_API, late_note
-from usdsmoke.stage import find_volumes, open_stage, seen_through
-from usdsmoke.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.base.errors import StageError, UsdSmokeError
+from usdsmoke.base.given_settings import Settings, Styles
+from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.usd.inspection_requests import GivenSettings, describe_requests
+from usdsmoke.usd.schema import STYLE_API, late_note
+from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
+from usdsmoke.vdb.velocity import find_velocity
 
 __all__ = ["inspect", "inspect_stage"]
 

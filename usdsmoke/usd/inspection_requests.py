@@ -8,12 +8,12 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.config import Config, config_to_dict, explicit_names, merge_settings, read_config
-from usdsmoke.pipeline_settings import Settings, Styles, resolve_settings, style_paths
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES
-from usdsmoke.volume import StageSource, VolumeSource
-from usdsmoke.volume_requests import has_request, request_origins
-from usdsmoke.volume_settings import ResolvedVolumes, VolumeSettings, resolve_volumes
+from usdsmoke.base.config import Config, config_to_dict, explicit_names, merge_settings, read_config
+from usdsmoke.base.given_settings import Settings, Styles, resolve_settings, style_paths
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
+from usdsmoke.base.volume import StageSource, VolumeSource
+from usdsmoke.usd.volume_requests import has_request, request_origins
+from usdsmoke.usd.volume_settings import ResolvedVolumes, VolumeSettings, resolve_volumes
 
 __all__ = ["GivenSettings", "describe_requests"]
 

@@ -25,7 +25,7 @@ __all__ = [
     "register_schema",
 ]
 
-PLUGIN_FOLDER = Path(__file__).resolve().parent / "plugin"
+PLUGIN_FOLDER = Path(__file__).resolve().parents[1] / "plugin"
 
 LOOK_API = "UsdSmokeLookAPI"  # the schemas' names, as they stand in apiSchemas
 STYLE_API = "UsdSmokeStyleAPI"

@@ -12,10 +12,9 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.config import check_value
-from usdsmoke.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
-from usdsmoke.relationships import field_prim, field_targets
-from usdsmoke.request_attributes import (
+from usdsmoke.base.config import check_value
+from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
+from usdsmoke.base.request_attributes import (
     CAMERA,
     MASK,
     REQUEST_ATTRIBUTES,
@@ -23,7 +22,11 @@ from usdsmoke.request_attributes import (
     STYLE_IMAGES,
     RequestAttribute,
 )
-from usdsmoke.request_values import (
+from usdsmoke.base.setting_checks import nearest
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import FrameControls, StyleRequest
+from usdsmoke.usd.relationships import field_prim, field_targets
+from usdsmoke.usd.request_values import (
     authoring_layer,
     forwarded_targets,
     image_paths,
@@ -31,10 +34,7 @@ from usdsmoke.request_values import (
     plain_value,
     values_at,
 )
-from usdsmoke.schema import STYLE_API
-from usdsmoke.setting_checks import nearest
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import FrameControls, StyleRequest
+from usdsmoke.usd.schema import STYLE_API
 
 __all__ = [
     "has_request",

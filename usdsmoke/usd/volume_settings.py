@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
-from usdsmoke.errors import ConfigError, ImageError
-from usdsmoke.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import FrameControls, StageSource, StyleRequest, VolumeSource
+from usdsmoke.base.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.base.errors import ConfigError, ImageError
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import FrameControls, StageSource, StyleRequest, VolumeSource
 
 __all__ = ["ResolvedVolumes", "VolumeSettings", "resolve_volumes"]
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
 
 __all__ = ["active_box", "active_mask", "crop_to_active"]
 

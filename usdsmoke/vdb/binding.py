@@ -15,7 +15,7 @@ from types import ModuleType
 
 import numpy as np
 
-from usdsmoke.errors import BindingMissing
+from usdsmoke.base.errors import BindingMissing
 
 __all__ = ["binding_version", "find_binding"]
 

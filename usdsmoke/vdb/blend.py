@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField
 
 __all__ = ["blend_frames", "relative_difference", "tail_weights"]
 

@@ -4,7 +4,7 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from usdsmoke.errors import DamagedFile
+from usdsmoke.base.errors import DamagedFile
 
 __all__ = ["ByteReader"]
 

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke import errors
-from usdsmoke.config import GridsConfig
+from usdsmoke.base import errors
+from usdsmoke.base.config import GridsConfig
 
 __all__ = ["ChildFailure", "run_child"]
 
@@ -45,7 +45,7 @@ class ChildFailure(Exception):
 def run_child(
     request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: GridsConfig
 ) -> tuple[Any, list[np.ndarray]]:
-    """What ``usdsmoke.grids.worker`` answers to a request.
+    """What ``usdsmoke.vdb.worker`` answers to a request.
 
     Args:
         request: JSON values; ``action`` names one of the worker's functions.
@@ -109,7 +109,7 @@ def _run(request: str, folder: str, config: GridsConfig) -> None:
     with open(Path(folder) / "stderr", "wb+") as messages:
         try:
             ended = subprocess.run(
-                [sys.executable, "-P", "-m", "usdsmoke.grids.worker"],
+                [sys.executable, "-P", "-m", "usdsmoke.vdb.worker"],
                 input=request.encode(),
                 stdout=subprocess.DEVNULL,
                 stderr=messages,

@@ -14,9 +14,9 @@ import dataclasses
 
 import numpy as np
 
-from usdsmoke.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names, colour_names
-from usdsmoke.sections import LayerConfig
-from usdsmoke.volume import DenseField
+from usdsmoke.base.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names, colour_names
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.volume import DenseField
 
 __all__ = ["absolute_emission", "empty_colour_grids", "make_colour_grids"]
 

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.grids.active_box import active_mask, crop_to_active
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.active_box import active_mask, crop_to_active
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["CONTENT_KEY", "hash_fields", "hash_vdb_file"]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.errors import AssetNotResolved, UnsupportedGrid
-from usdsmoke.grids.byte_reader import ByteReader
+from usdsmoke.base.errors import AssetNotResolved, UnsupportedGrid
+from usdsmoke.vdb.byte_reader import ByteReader
 
 __all__ = ["FileHeader", "GridHeader", "read_header"]
 

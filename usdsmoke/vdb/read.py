@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import (
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import (
     BindingMissing,
     DamagedFile,
     GridNotFound,
@@ -18,9 +18,9 @@ from usdsmoke.errors import (
     NonFiniteError,
     UnsupportedGrid,
 )
-from usdsmoke.grids.child import ChildFailure, run_child
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.child import ChildFailure, run_child
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
 __all__ = ["GridRequest", "check_readable", "find_grid", "read_binding_version", "read_grids"]
 

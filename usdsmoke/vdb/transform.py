@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.grids.active_box import active_box
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.active_box import active_box
 
 __all__ = ["box_extent", "field_extent", "index_to_world"]
 

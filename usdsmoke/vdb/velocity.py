@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import UnsupportedGrid
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.grids.read import GridRequest, find_grid, read_grids
-from usdsmoke.volume import VELOCITY_NAMES, DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import UnsupportedGrid
+from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, find_grid, read_grids
 
 __all__ = ["centre_staggered", "find_velocity", "join_components", "read_velocity"]
 

@@ -1,6 +1,6 @@
-"""The process that touches VDB files through OpenVDB; started by ``usdsmoke.grids.child``.
+"""The process that touches VDB files through OpenVDB; started by ``usdsmoke.vdb.child``.
 
-``python -m usdsmoke.grids.worker`` reads one request as JSON from stdin, and leaves ``answer.json``
+``python -m usdsmoke.vdb.worker`` reads one request as JSON from stdin, and leaves ``answer.json``
 and arrays in the folder that the request names. It holds no rules of its own: what may be read was
 decided from the file's header before, and what came out is checked by the parent.
 """
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.errors import BindingMissing, GridTooLarge
-from usdsmoke.grids.binding import binding_version, find_binding
+from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.vdb.binding import binding_version, find_binding
 
 __all__ = ["main"]
 

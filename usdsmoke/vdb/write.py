@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import GridError, NonFiniteError, WriteFailed
-from usdsmoke.grids.child import ChildFailure, run_child
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.publish import publish_file
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import GridError, NonFiniteError, WriteFailed
+from usdsmoke.base.publish import publish_file
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.child import ChildFailure, run_child
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["clean_metadata", "write_frame"]
 

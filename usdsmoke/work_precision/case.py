@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.errors import PlanError
-from usdsmoke.frames import find_frame_velocity, read_frame
-from usdsmoke.grids.header import read_header
-from usdsmoke.pipeline_frames import FrameReader
-from usdsmoke.pipeline_inputs import Job
-from usdsmoke.plan import FramePlan, VolumePlan
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.frames import find_frame_velocity, read_frame
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.vdb.header import read_header
 
 if TYPE_CHECKING:
     import torch
 
-    from usdsmoke.core.scene import Scene
-    from usdsmoke.core.smoke import ActiveSmoke
-    from usdsmoke.report.reference import Reference
+    from usdsmoke.core.smoke.active import ActiveSmoke
+    from usdsmoke.core.views.scene import Scene
+    from usdsmoke.work_precision.reference import Reference
 
 __all__ = ["Case", "open_case"]
 
@@ -70,7 +70,7 @@ class Case:
     @cached_property
     def device(self) -> "torch.device":
         """Where the core computes."""
-        from usdsmoke.core.device import choose_device
+        from usdsmoke.core.smoke.device import choose_device
 
         return choose_device(self.config.optimize)
 
@@ -82,7 +82,7 @@ class Case:
     @cached_property
     def smoke(self) -> "ActiveSmoke":
         """The frame's active voxels."""
-        from usdsmoke.core.smoke import activate
+        from usdsmoke.core.smoke.active import activate
 
         return activate(self.frame.density, self.frame.density_to_stage, self.device)
 
@@ -94,7 +94,7 @@ class Case:
     @cached_property
     def small_smoke(self) -> "ActiveSmoke":
         """Its active voxels."""
-        from usdsmoke.core.smoke import activate
+        from usdsmoke.core.smoke.active import activate
 
         return activate(self.small.density, self.small.density_to_stage, self.device)
 
@@ -125,7 +125,7 @@ class Case:
 
     def shrunk(self, frame: VolumeFrame) -> VolumeFrame:
         """A frame with its density as coarse as the small copy's; without its mask."""
-        from usdsmoke.core.smoke import activate, coarsen
+        from usdsmoke.core.smoke.active import activate, coarsen
 
         smoke = activate(frame.density, frame.density_to_stage, self.device)
         for _ in range(self.halvings):
@@ -168,8 +168,8 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
         PlanError: there is no smoke in any frame.
         GridError, NonFiniteError: a file cannot be used.
     """
-    from usdsmoke.core.scene import Scene
-    from usdsmoke.pipeline_coarse import measure_scenes
+    from usdsmoke.core.views.scene import Scene
+    from usdsmoke.runs.coarse import measure_scenes
 
     filled = [
         (volume, frames)
@@ -206,7 +206,7 @@ def _halvings(smoke: "ActiveSmoke", longest: int) -> int:
 
 def _field_of(smoke: "ActiveSmoke", like: DenseField) -> DenseField:
     """Smoke as a dense field whose grid world is stage space."""
-    from usdsmoke.core.smoke import densify
+    from usdsmoke.core.smoke.active import densify
 
     if len(smoke.ijk) == 0:
         return replace(like, values=np.zeros((0, 0, 0), np.float32))

@@ -7,10 +7,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from usdsmoke import __version__
-from usdsmoke.provenance_versions import package_versions
-from usdsmoke.report.case import Case
-from usdsmoke.report.records import Figures
-from usdsmoke.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.versions import package_versions
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.records import Figures
 
 __all__ = ["machine_figures", "processor_name", "scene_figures", "version_figures"]
 

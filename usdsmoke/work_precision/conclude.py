@@ -8,8 +8,8 @@ so, names both and calls the ratio between them what it is: about so much.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from usdsmoke.report.fit import Crossing, crossing, fitted_order
-from usdsmoke.report.records import Plan, Point, SweepResult
+from usdsmoke.work_precision.fit import Crossing, crossing, fitted_order
+from usdsmoke.work_precision.records import Plan, Point, SweepResult
 
 __all__ = ["conclude", "times"]
 

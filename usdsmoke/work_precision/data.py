@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from usdsmoke.report.records import Point, Report, Spread, SweepResult
+from usdsmoke.work_precision.records import Point, Report, Spread, SweepResult
 
 __all__ = ["COLUMNS", "report_as_csv", "report_as_dict", "report_as_json"]
 

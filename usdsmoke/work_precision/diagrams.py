@@ -4,8 +4,8 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from usdsmoke.errors import MissingExtra
-from usdsmoke.report.records import Point, Spread, SweepResult
+from usdsmoke.base.errors import MissingExtra
+from usdsmoke.work_precision.records import Point, Spread, SweepResult
 
 __all__ = ["check_matplotlib", "draw_sweep"]
 

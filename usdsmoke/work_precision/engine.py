@@ -9,11 +9,11 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from usdsmoke.errors import UsdSmokeError
-from usdsmoke.report.budget import Budget
-from usdsmoke.report.conclude import conclude
-from usdsmoke.report.measure import Clock, Measured, Run, summarize, timed_runs
-from usdsmoke.report.records import (
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.work_precision.budget import Budget
+from usdsmoke.work_precision.conclude import conclude
+from usdsmoke.work_precision.measure import Clock, Measured, Run, summarize, timed_runs
+from usdsmoke.work_precision.records import (
     CPU_TIME,
     WALL_TIME,
     LeftOut,
@@ -25,7 +25,7 @@ from usdsmoke.report.records import (
 )
 
 if TYPE_CHECKING:
-    from usdsmoke.report.case import Case
+    from usdsmoke.work_precision.case import Case
 
 __all__ = ["Sweep", "Tell", "run_sweeps"]
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from usdsmoke.errors import Interrupted, OutputExists, WriteFailed
-from usdsmoke.publish import make_folders, publish_file, remove_empty
+from usdsmoke.base.errors import Interrupted, OutputExists, WriteFailed
+from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 
 __all__ = ["DATA", "PAGE", "TABLE", "ReportFolder", "report_folder"]
 

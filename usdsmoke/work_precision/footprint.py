@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from usdsmoke.core.views import View
+    from usdsmoke.core.views.cameras import View
 
 __all__ = ["column_depths", "footprint"]
 

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.report.case import Case
+from usdsmoke.base.config import Config
+from usdsmoke.work_precision.case import Case
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.colour import ColourView
-    from usdsmoke.core.optimize import Minimum
-    from usdsmoke.core.picture_loss import PictureLoss
-    from usdsmoke.core.smoke import ActiveSmoke
-    from usdsmoke.core.views import View
+    from usdsmoke.core.smoke.active import ActiveSmoke
+    from usdsmoke.core.steps.colour import ColourView
+    from usdsmoke.core.steps.optimize import Minimum
+    from usdsmoke.core.style.picture_loss import PictureLoss
+    from usdsmoke.core.views.cameras import View
 
 __all__ = ["Judge", "Outcome"]
 
@@ -46,7 +46,7 @@ class Judge:
     """
 
     def __init__(self, case: Case, step: str, config: Config) -> None:
-        from usdsmoke.core.targets import StyleTargets
+        from usdsmoke.core.style.targets import StyleTargets
 
         self._case, self._step, self._config = case, step, config
         self._scene = case.small_scene
@@ -66,7 +66,7 @@ class Judge:
 
         The same measure as a run's ``unseen views``.
         """
-        from usdsmoke.core.scene import frame_views
+        from usdsmoke.core.views.scene import frame_views
 
         config = outcome.config or self._config
         seed = config.optimize.seed + outcome.n_octaves - 1  # of the last octave's pool
@@ -88,7 +88,7 @@ class Judge:
 
     def start(self, smoke: "ActiveSmoke", density: Any, place: Hashable) -> float:
         """The loss before the step: of noise, or of density that was not moved."""
-        from usdsmoke.core.colour import initial_colours
+        from usdsmoke.core.steps.colour import initial_colours
 
         found = density
         if self._step == "colour":
@@ -117,7 +117,7 @@ class Judge:
         """Style loss and what left the smoke's outline, by view."""
         import torch
 
-        from usdsmoke.core.colour import prepare_views
+        from usdsmoke.core.steps.colour import prepare_views
 
         if self._step == "shape":
             with torch.no_grad():
@@ -140,7 +140,7 @@ class Judge:
     def _seen(
         self, outcome: Outcome, views: Sequence["ColourView"]
     ) -> Iterator[tuple["Tensor", "Tensor"]]:
-        from usdsmoke.core.style import decode_srgb
+        from usdsmoke.core.smoke.srgb import decode_srgb
 
         for view in views:
             linear = decode_srgb(outcome.found)
@@ -149,10 +149,10 @@ class Judge:
     def _shape_losses(
         self, outcome: Outcome, views: Sequence["View"]
     ) -> Iterator[tuple[float, float]]:
-        from usdsmoke.core.grey import look_at
-        from usdsmoke.core.optics import opacity
-        from usdsmoke.core.project import column_map
-        from usdsmoke.core.smoke import activate
+        from usdsmoke.core.smoke.active import activate
+        from usdsmoke.core.steps.grey import look_at
+        from usdsmoke.core.views.optics import opacity
+        from usdsmoke.core.views.project import column_map
 
         scene, smoke = self._scene, outcome.smoke
         judge: PictureLoss = self._targets.at(1, grey=True)
@@ -167,7 +167,7 @@ class Judge:
             yield float(loss), float(look.leaving(grey))
 
     def _unseen_views(self, outcome: Outcome) -> Sequence["ColourView"]:
-        from usdsmoke.core.colour import prepare_views
+        from usdsmoke.core.steps.colour import prepare_views
 
         if outcome.place not in self._prepared:
             scene, views = self._scene, self._angles(outcome.smoke)
@@ -176,7 +176,7 @@ class Judge:
         return self._prepared[outcome.place]
 
     def _angles(self, smoke: "ActiveSmoke") -> Sequence["View"]:
-        from usdsmoke.core.scene import frame_views
+        from usdsmoke.core.views.scene import frame_views
 
         views = replace(self._config.views, pool=_N_VIEWS, sampling="poisson")
         return frame_views(smoke, replace(self._config, views=views), self._scene, _SEED)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from usdsmoke.report.records import Spread
+from usdsmoke.work_precision.records import Spread
 
 __all__ = ["Clock", "Measured", "Run", "measure", "spread_of", "summarize", "timed_runs"]
 

@@ -4,7 +4,7 @@ import base64
 from collections.abc import Mapping
 from html import escape
 
-from usdsmoke.report.records import Figures, Point, Report, Spread, SweepResult
+from usdsmoke.work_precision.records import Figures, Point, Report, Spread, SweepResult
 
 __all__ = ["make_page", "number"]
 

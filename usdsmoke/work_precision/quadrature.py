@@ -37,7 +37,7 @@ def integrate(rule: str, emission: "Tensor", extinction: "Tensor", step: float) 
     """
     import torch
 
-    from usdsmoke.core.optics import attenuation_ratio, transmittance_before
+    from usdsmoke.core.views.optics import attenuation_ratio, transmittance_before
 
     depth = extinction * step
     before = transmittance_before(depth)

@@ -2,10 +2,17 @@
 
 from dataclasses import dataclass, replace
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.judge import Outcome
-from usdsmoke.report.records import LeftOut
-from usdsmoke.report.trial import Setting, Trial, base_iterations, scaled, trial_seconds, untiring
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.judge import Outcome
+from usdsmoke.work_precision.records import LeftOut
+from usdsmoke.work_precision.trial import (
+    Setting,
+    Trial,
+    base_iterations,
+    scaled,
+    trial_seconds,
+    untiring,
+)
 
 __all__ = ["EXCESS", "Reference", "reference_of", "reference_seconds"]
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config
-from usdsmoke.errors import Interrupted
-from usdsmoke.pipeline_inputs import Job, prepare_job
-from usdsmoke.pipeline_settings import FilePath, Settings, Styles, resolve_settings, style_paths
-from usdsmoke.pipeline_tolerance import choice_notes, settle_tolerance
-from usdsmoke.report import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import Interrupted
+from usdsmoke.base.given_settings import FilePath, Settings, Styles, resolve_settings, style_paths
+from usdsmoke.base.torch_environment import prepare_torch_environment
+from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
+from usdsmoke.work_precision import (
     sweep_backtrace,
     sweep_files,
     sweep_interpolation,
@@ -24,18 +25,17 @@ from usdsmoke.report import (
     sweep_views,
     sweep_windows,
 )
-from usdsmoke.report.budget import Budget
-from usdsmoke.report.case import Case, open_case
-from usdsmoke.report.circumstances import machine_figures, scene_figures, version_figures
-from usdsmoke.report.data import report_as_csv, report_as_json
-from usdsmoke.report.diagrams import check_matplotlib, draw_sweep
-from usdsmoke.report.engine import Sweep, Tell, run_sweeps
-from usdsmoke.report.folder import DATA, PAGE, TABLE, ReportFolder, report_folder
-from usdsmoke.report.measure import Clock
-from usdsmoke.report.page import make_page
-from usdsmoke.report.records import Omission, Report
-from usdsmoke.report.sweep_network import check_network
-from usdsmoke.torch_environment import prepare_torch_environment
+from usdsmoke.work_precision.budget import Budget
+from usdsmoke.work_precision.case import Case, open_case
+from usdsmoke.work_precision.circumstances import machine_figures, scene_figures, version_figures
+from usdsmoke.work_precision.data import report_as_csv, report_as_json
+from usdsmoke.work_precision.diagrams import check_matplotlib, draw_sweep
+from usdsmoke.work_precision.engine import Sweep, Tell, run_sweeps
+from usdsmoke.work_precision.folder import DATA, PAGE, TABLE, ReportFolder, report_folder
+from usdsmoke.work_precision.measure import Clock
+from usdsmoke.work_precision.page import make_page
+from usdsmoke.work_precision.records import Omission, Report
+from usdsmoke.work_precision.sweep_network import check_network
 
 __all__ = ["SWEEPS", "ReportResult", "make_report"]
 

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.errors import ShapeError
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan, Task
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +40,7 @@ def _applies(case: Case) -> str:
 
 
 def _plan(case: Case) -> Plan:
-    from usdsmoke.core.trace import backtrace, choose_substeps
+    from usdsmoke.core.fields.trace import backtrace, choose_substeps
 
     rates, places = _flow(case)
     seconds = time_step(case)

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.transport import Scheme
+    from usdsmoke.core.fields.transport import Scheme
 
 __all__ = ["SWEEP", "Turn"]
 
@@ -50,7 +50,7 @@ class Turn:
         """
         import torch
 
-        from usdsmoke.core.sample import voxel_positions
+        from usdsmoke.core.fields.sample import voxel_positions
 
         a, b = sorted(int(axis) for axis in np.argsort(values.shape, kind="stable")[-2:])
         room = math.ceil(math.hypot(values.shape[a], values.shape[b])) + 4
@@ -69,7 +69,7 @@ class Turn:
 
     def turned(self, scheme: "Scheme", limiter: bool, n_steps: int) -> "Tensor":
         """The box after so many steps."""
-        from usdsmoke.core.transport import warp
+        from usdsmoke.core.fields.transport import warp
 
         moved = self.box
         for _ in range(n_steps):
@@ -126,7 +126,7 @@ def _plan(case: Case) -> Plan:
 
 def _values(case: Case, factor: float) -> np.ndarray:
     """The small frame's density on voxels ``1 / factor`` times as large."""
-    from usdsmoke.core.refine import refine_field
+    from usdsmoke.core.fields.refine import refine_field
 
     if factor >= 1:
         return np.clip(refine_field(case.small.density, int(factor)).values, 0, None)

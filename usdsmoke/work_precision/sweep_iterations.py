@@ -3,12 +3,12 @@
 from dataclasses import replace
 from functools import partial
 
-from usdsmoke.config import Config
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.report.reference import EXCESS, reference_of, reference_seconds
-from usdsmoke.report.trial import (
+from usdsmoke.base.config import Config
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
+from usdsmoke.work_precision.reference import EXCESS, reference_of, reference_seconds
+from usdsmoke.work_precision.trial import (
     N_RUNS,
     Setting,
     base_iterations,

@@ -3,13 +3,13 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.core.vgg19_file import find_vgg19_file, named_vgg19_file
-from usdsmoke.errors import FeatureError
-from usdsmoke.plan import Plan as RunPlan
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan
-from usdsmoke.report.trial import Setting, Trial, base_iterations, scaled
+from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.style.vgg19_file import find_vgg19_file, named_vgg19_file
+from usdsmoke.planning.plan import Plan as RunPlan
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan
+from usdsmoke.work_precision.trial import Setting, Trial, base_iterations, scaled
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,7 +42,7 @@ def check_network(plan: RunPlan) -> None:
 
 
 def _load(configured: str) -> None:
-    from usdsmoke.core.vgg19 import Vgg19Features
+    from usdsmoke.core.style.vgg19 import Vgg19Features
 
     Vgg19Features.from_file(configured)
 
@@ -102,7 +102,7 @@ def _style_patches(case: Case) -> "Tensor":
     """Patches of the first style at the pictures' size, [N D]."""
     import torch
 
-    from usdsmoke.core.style import scale_style
+    from usdsmoke.core.smoke.srgb import scale_style
 
     style = scale_style(
         case.styles[0], case.small_scene.image_size, case.config.style, torch.zeros(())

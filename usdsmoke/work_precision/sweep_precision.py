@@ -3,14 +3,14 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan, Task
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.picture_loss import PictureLoss
+    from usdsmoke.core.style.picture_loss import PictureLoss
 
 __all__ = ["SWEEP", "double_gradient", "gradient"]
 
@@ -160,10 +160,10 @@ def _Convolutions(dtype: Any, layout: Any) -> Any:
 
 def _problem(case: Case) -> tuple["Tensor", "Tensor", "PictureLoss"]:
     """A picture of the frame as the first iteration of the finest octave has it."""
-    from usdsmoke.core.colour import initial_colours, prepare_views
-    from usdsmoke.core.scene import frame_views
-    from usdsmoke.core.style import decode_srgb
-    from usdsmoke.core.targets import StyleTargets
+    from usdsmoke.core.smoke.srgb import decode_srgb
+    from usdsmoke.core.steps.colour import initial_colours, prepare_views
+    from usdsmoke.core.style.targets import StyleTargets
+    from usdsmoke.core.views.scene import frame_views
 
     scene, smoke, config = case.scene, case.smoke, case.config
     targets = StyleTargets(case.styles, scene, config, case.device)

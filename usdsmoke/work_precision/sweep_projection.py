@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
-    from usdsmoke.core.views import View
+    from usdsmoke.core.views.cameras import View
 
 __all__ = ["SWEEP", "tent_mean"]
 
@@ -86,8 +86,8 @@ def _plan(case: Case) -> Plan:
 def _exact(case: Case, view: "View") -> np.ndarray:
     import torch
 
-    from usdsmoke.core.smoke import activate
-    from usdsmoke.report.footprint import column_depths
+    from usdsmoke.core.smoke.active import activate
+    from usdsmoke.work_precision.footprint import column_depths
 
     density = case.small.density
     smoke = activate(density, np.eye(4), torch.device("cpu"))
@@ -118,7 +118,7 @@ def _askew(view: "View") -> float:
 
 def _view(case: Case) -> "View":
     """The most oblique view that a run draws; a parallel one also where there is a camera."""
-    from usdsmoke.core.scene import frame_views
+    from usdsmoke.core.views.scene import frame_views
 
     scene = replace(case.small_scene, camera=None)
     pool = frame_views(case.small_smoke, case.config, scene, case.config.optimize.seed)
@@ -128,15 +128,15 @@ def _view(case: Case) -> "View":
 
 
 def _refined(case: Case, factor: int) -> DenseField:
-    from usdsmoke.core.refine import refine_field
+    from usdsmoke.core.fields.refine import refine_field
 
     return refine_field(case.small.density, factor)
 
 
 def _splatted(case: Case, view: "View", field: DenseField) -> np.ndarray:
     """The map is made anew, as it is for every view of an octave."""
-    from usdsmoke.core.project import column_map
-    from usdsmoke.core.smoke import activate
+    from usdsmoke.core.smoke.active import activate
+    from usdsmoke.core.views.project import column_map
 
     smoke = activate(field, np.eye(4), case.device)
     image = column_map(smoke.positions, smoke.voxel_volume, view)
@@ -146,8 +146,8 @@ def _splatted(case: Case, view: "View", field: DenseField) -> np.ndarray:
 
 
 def _marched(case: Case, view: "View", n: int) -> np.ndarray:
-    from usdsmoke.core.march import march
-    from usdsmoke.core.media import make_media
+    from usdsmoke.core.views.march import march
+    from usdsmoke.core.views.media import make_media
 
     gamma_w = case.small_scene.gamma_w_shape
     media = make_media(case.small.density, None, np.eye(4), None, gamma_w, 1.0)

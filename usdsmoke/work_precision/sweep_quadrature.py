@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.quadrature import RULES, integrate
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.quadrature import RULES, integrate
+from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.views import View
+    from usdsmoke.core.views.cameras import View
 
 __all__ = ["SWEEP"]
 
@@ -39,7 +39,7 @@ class _Rays:
         """Light of every ray with segments of about ``per_voxel`` voxels, [R]."""
         import torch
 
-        from usdsmoke.core.sample import sample_linear
+        from usdsmoke.core.fields.sample import sample_linear
 
         n_steps = max(1, round(self.length / (per_voxel * self.voxel)))
         step = self.length / n_steps
@@ -107,7 +107,7 @@ def _steps(finest: float) -> list[float]:
 
 
 def _middle_view(case: Case) -> "View":
-    from usdsmoke.core.scene import frame_views
+    from usdsmoke.core.views.scene import frame_views
 
     views = replace(case.config.views, pool=1, sampling="fixed")
     config = replace(case.config, views=views)
@@ -144,7 +144,7 @@ def _rays(case: Case, view: "View") -> tuple[_Rays, np.ndarray]:
     """Rays of pixels that see smoke, and which pixels these are."""
     import torch
 
-    from usdsmoke.core.views import view_rays
+    from usdsmoke.core.views.cameras import view_rays
 
     density, emission = _fields(case)
     sigma = case.small_scene.gamma_w * np.clip(density.values, 0, None)
@@ -172,8 +172,8 @@ def _rays(case: Case, view: "View") -> tuple[_Rays, np.ndarray]:
 
 
 def _marched(case: Case, view: "View") -> np.ndarray:
-    from usdsmoke.core.march import march
-    from usdsmoke.core.media import make_media
+    from usdsmoke.core.views.march import march
+    from usdsmoke.core.views.media import make_media
 
     density, emission = _fields(case)
     place = np.eye(4)

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import Plan
-from usdsmoke.report.reference import EXCESS, reference_of, reference_seconds
-from usdsmoke.report.trial import (
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan
+from usdsmoke.work_precision.reference import EXCESS, reference_of, reference_seconds
+from usdsmoke.work_precision.trial import (
     N_RUNS,
     Setting,
     Trial,

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.judge import Outcome
-from usdsmoke.report.records import Plan, Task
-from usdsmoke.report.reference import EXCESS, Reference, reference_of, reference_seconds
-from usdsmoke.report.sweep_backtrace import ONE_FRAME
-from usdsmoke.report.trial import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.judge import Outcome
+from usdsmoke.work_precision.records import Plan, Task
+from usdsmoke.work_precision.reference import EXCESS, Reference, reference_of, reference_seconds
+from usdsmoke.work_precision.sweep_backtrace import ONE_FRAME
+from usdsmoke.work_precision.trial import (
     N_RUNS,
     base_iterations,
     copy_text,
@@ -23,13 +24,12 @@ from usdsmoke.report.trial import (
     need_seconds,
     trial_seconds,
 )
-from usdsmoke.volume import VolumeFrame
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.smoke import ActiveSmoke
-    from usdsmoke.core.stylize import StylizedFrame
+    from usdsmoke.core.sequence.stylize import StylizedFrame
+    from usdsmoke.core.smoke.active import ActiveSmoke
 
 __all__ = ["SWEEPS"]
 
@@ -77,7 +77,7 @@ class _Shot:
     @cached_property
     def smokes(self) -> list["ActiveSmoke"]:
         """The source's."""
-        from usdsmoke.core.smoke import activate
+        from usdsmoke.core.smoke.active import activate
 
         return [activate(frame.density, np.eye(4), self.case.device) for frame in self.frames]
 
@@ -92,7 +92,7 @@ class _Shot:
 
     def stylized(self, size: int, run: int) -> list["StylizedFrame"]:
         """All frames, in windows of this size."""
-        from usdsmoke.core.stylize import stylize_window
+        from usdsmoke.core.sequence.stylize import stylize_window
 
         case, seed = self.case, self.config.optimize.seed + run
         config = replace(self.config, optimize=replace(self.config.optimize, seed=seed))
@@ -181,7 +181,7 @@ def _effort(n_frames: int, size: int, warm: float) -> float:
 
 
 def _warm_share(case: Case) -> float:
-    from usdsmoke.core.schedule import warm_iterations
+    from usdsmoke.core.smoke.schedule import warm_iterations
 
     base = base_iterations(case, main_step(case))
     return 1.2 * sum(warm_iterations(base, case.config.windows.warm_iterations)) / sum(base)
@@ -204,7 +204,7 @@ def _cut_text(configured: int, n: int) -> str:
 
 def _frames(case: Case, n_frames: int) -> list[VolumeFrame]:
     """The neighbouring frames, small, with the velocity that carries each to the next."""
-    from usdsmoke.core.motion import estimate_velocity
+    from usdsmoke.core.sequence.motion import estimate_velocity
 
     plans = case.neighbours(n_frames)
     frames = [case.shrunk(case.read_with_velocity(plan)) for plan in plans]
@@ -230,7 +230,7 @@ def _config(case: Case) -> Config:
 
 
 def _temporal_error(shot: _Shot, found: Sequence["StylizedFrame"]) -> float:
-    from usdsmoke.core.coherence import colour_error
+    from usdsmoke.core.sequence.coherence import colour_error
 
     case, frames, rate = shot.case, shot.frames, shot.rate
     painted = [_painted(case, *pair) for pair in zip(frames, found, strict=True)]
@@ -252,8 +252,8 @@ def _painted(
     """
     import torch
 
-    from usdsmoke.core.smoke import activate
-    from usdsmoke.core.style import encode_srgb
+    from usdsmoke.core.smoke.active import activate
+    from usdsmoke.core.smoke.srgb import encode_srgb
 
     density = found.density if found.emission is not None else _union(source, found)
     smoke = activate(density, source.density_to_stage, case.device)

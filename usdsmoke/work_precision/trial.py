@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.config import Config
-from usdsmoke.report.case import Case
-from usdsmoke.report.judge import Judge, Outcome
-from usdsmoke.report.records import LeftOut, Task
+from usdsmoke.base.config import Config
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.judge import Judge, Outcome
+from usdsmoke.work_precision.records import LeftOut, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.scene import Scene
-    from usdsmoke.core.smoke import ActiveSmoke
-    from usdsmoke.core.targets import StyleTargets
+    from usdsmoke.core.smoke.active import ActiveSmoke
+    from usdsmoke.core.style.targets import StyleTargets
+    from usdsmoke.core.views.scene import Scene
 
 __all__ = [
     "N_RUNS",
@@ -66,7 +66,7 @@ def copy_text(case: Case) -> str:
 
 def base_iterations(case: Case, step: str) -> tuple[int, ...]:
     """The configured iterations per octave, which are also those of a trial."""
-    from usdsmoke.core.schedule import octave_iterations
+    from usdsmoke.core.smoke.schedule import octave_iterations
 
     whole = getattr(case.config, step).iterations
     return tuple(octave_iterations(whole, case.config.optimize.iterations))
@@ -196,7 +196,7 @@ class Trial:
 
     def run(self, setting: Setting, run: int) -> Outcome:
         """The result of one run. Runs differ in their seed alone."""
-        from usdsmoke.core.colour import run_colour_step
+        from usdsmoke.core.steps.colour import run_colour_step
 
         config, per_octave = setting.config, setting.per_octave
         config = replace(config, optimize=replace(config.optimize, seed=config.optimize.seed + run))
@@ -222,9 +222,9 @@ class Trial:
         return self.judge.pictures(outcome)
 
     def _moved(self, setting: Setting, config: Config) -> Any:
-        from usdsmoke.core.move import move_density
-        from usdsmoke.core.potential import Displacement, hold
-        from usdsmoke.core.shape import longest_move, run_shape_step
+        from usdsmoke.core.fields.potential import Displacement, hold
+        from usdsmoke.core.steps.move import move_density
+        from usdsmoke.core.steps.shape import longest_move, run_shape_step
 
         smoke, targets = self._smoke_of(setting), self._targets_of(setting)
         scene = self._scene_of(setting)
@@ -248,7 +248,7 @@ class Trial:
         )
 
     def _targets_of(self, setting: Setting) -> "StyleTargets":
-        from usdsmoke.core.targets import StyleTargets
+        from usdsmoke.core.style.targets import StyleTargets
 
         scene, features = self._scene_of(setting), setting.config.features
         key = (scene.image_size, features.network, tuple(features.layers))
@@ -258,7 +258,7 @@ class Trial:
         return self._targets[key]
 
     def _smoke_of(self, setting: Setting) -> "ActiveSmoke":
-        from usdsmoke.core.smoke import activate
+        from usdsmoke.core.smoke.active import activate
 
         if setting.refine not in self._smokes:
             field = self._field_of(setting)
@@ -266,7 +266,7 @@ class Trial:
         return self._smokes[setting.refine]
 
     def _field_of(self, setting: Setting) -> Any:
-        from usdsmoke.core.refine import refine_field
+        from usdsmoke.core.fields.refine import refine_field
 
         return refine_field(self._case.small.density, setting.refine)
 

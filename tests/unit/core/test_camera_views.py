@@ -10,10 +10,10 @@ import torch
 from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.stylize_fixtures import quick_config
-from usdsmoke.core.scene import crop_view, frame_views, measure_scene
-from usdsmoke.core.sight import visible_part
-from usdsmoke.core.views import orbit_view
-from usdsmoke.volume import CameraSource
+from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.core.views.scene import crop_view, frame_views, measure_scene
+from usdsmoke.core.views.visibility import visible_part
 
 
 @pytest.mark.parametrize("matrix", [np.eye(4), affine(3), affine(5, mirrored=True)])

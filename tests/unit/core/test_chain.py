@@ -9,19 +9,19 @@ import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.coarse import (
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.coarse import (
     coarse_frames,
     coarsen_field,
     load_carried,
     load_start,
     save_start,
 )
-from usdsmoke.core.coherence import colour_error
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.schedule import coarse_factor
-from usdsmoke.core.stylize import make_job, open_frame, stylize_window
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.coherence import colour_error
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.stylize import make_job, open_frame, stylize_window
+from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.core.views.scene import measure_scene
 
 BOX = (20, 16, 16)
 STEP = 2  # voxels a frame

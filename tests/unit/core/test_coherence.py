@@ -10,11 +10,11 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.smoke_fixtures import frame_of, puff, smoke_of
-from usdsmoke.core import lattice as lattice_module
-from usdsmoke.core.coherence import carry_displacement
-from usdsmoke.core.lattice import surround
-from usdsmoke.core.potential import Displacement
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields import lattice as lattice_module
+from usdsmoke.core.fields.lattice import surround
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.coherence import carry_displacement
 
 
 class LargeTensors(TorchDispatchMode):

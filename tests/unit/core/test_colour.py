@@ -5,19 +5,19 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.colour import (
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, scale_style
+from usdsmoke.core.steps.colour import (
     ColourView,
     initial_colours,
     optimize_colours,
     prepare_views,
     run_colour_step,
 )
-from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.scene import Scene, frame_views, measure_scene
-from usdsmoke.core.smoke import ActiveSmoke, make_octaves, sample_colours
-from usdsmoke.core.style import decode_srgb, encode_srgb, scale_style
-from usdsmoke.core.targets import StyleTargets
+from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
 BACKGROUND = torch.tensor([0.4, 0.3, 0.2])
@@ -197,7 +197,7 @@ def test_the_coarse_result_is_what_the_finer_octave_starts_from(smoke):
         return colours, None
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("usdsmoke.core.colour.optimize_colours", first_start)
+        patch.setattr("usdsmoke.core.steps.colour.optimize_colours", first_start)
         run_colour_step(smoke, None, targets_of(config), SCENE, config, [5, 5])
     assert torch.equal(seen[0], coarse) and torch.equal(seen[1], wanted)
 
@@ -228,7 +228,8 @@ def test_a_style_of_weight_zero_is_not_looked_at(smoke, monkeypatch):
     seen = []
     real = scale_style
     monkeypatch.setattr(
-        "usdsmoke.core.targets.scale_style", lambda style, *a: seen.append(style) or real(style, *a)
+        "usdsmoke.core.style.targets.scale_style",
+        lambda style, *a: seen.append(style) or real(style, *a),
     )
     images = [random_style(16, 20, seed) for seed in range(2)]
     config = config_of(style={"weights": [0.0, 3.0]})

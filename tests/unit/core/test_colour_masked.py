@@ -4,11 +4,11 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import puff, random_style, smoke_of
-from usdsmoke.config import Config, resolve_config
-from usdsmoke.core.colour import initial_colours, run_colour_step
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.targets import StyleTargets
+from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.steps.colour import initial_colours, run_colour_step
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
 

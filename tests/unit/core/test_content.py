@@ -6,8 +6,8 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.content import content_distance, laplacian_distance, photorealism_distance
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 
 DOUBLE = torch.float64
 PICTURES = [laplacian_distance, photorealism_distance]

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.content import laplacian_distance, photorealism_distance
+from usdsmoke.core.style.content import laplacian_distance, photorealism_distance
 
 DOUBLE = torch.float64
 

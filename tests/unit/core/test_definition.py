@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke.core import definition
-from usdsmoke.core.definition import embedded_hash
-from usdsmoke.core.learned import LearnedFeatures
-from usdsmoke.core.oriented import OrientedFeatures
+from usdsmoke.core.style import definition
+from usdsmoke.core.style.definition import embedded_hash
+from usdsmoke.core.style.learned import LearnedFeatures
+from usdsmoke.core.style.oriented import OrientedFeatures
 
 FOLDER = Path(definition.__file__).parent
 NUMBERS = [name for name in vars(definition) if name.isupper()]

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from usdsmoke.config import OptimizeConfig
-from usdsmoke.core.device import choose_device
-from usdsmoke.errors import ConfigError
+from usdsmoke.base.config import OptimizeConfig
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.core.smoke.device import choose_device
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.displacement import (
+from usdsmoke.base.errors import NonFiniteError, ShapeError
+from usdsmoke.core.fields.displacement import (
     cap_displacement,
     curl,
     divergence,
@@ -15,7 +16,6 @@ from usdsmoke.core.displacement import (
     from_stream,
     smooth_mask,
 )
-from usdsmoke.errors import NonFiniteError, ShapeError
 
 SHAPE = (7, 5, 6)
 SPACING = (0.5, 0.2, 1.7)

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.config import FeaturesConfig, StyleConfig
-from usdsmoke.core.definition import default_layers
-from usdsmoke.core.features import EmbeddedFeatures, build_network
-from usdsmoke.core.layers import layer_names, style_layers
-from usdsmoke.core.learned import LearnedFeatures
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.oriented import OrientedFeatures, colour_whitening
-from usdsmoke.core.style import match_grey, scale_style
-from usdsmoke.errors import ConfigError
+from usdsmoke.base.config import FeaturesConfig, StyleConfig
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.core.smoke.srgb import match_grey, scale_style
+from usdsmoke.core.style.definition import default_layers
+from usdsmoke.core.style.features import EmbeddedFeatures, build_network
+from usdsmoke.core.style.layers import layer_names, style_layers
+from usdsmoke.core.style.learned import LearnedFeatures
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.oriented import OrientedFeatures, colour_whitening
 
 STYLE = torch.from_numpy(random_style(40, 48))
 
@@ -83,7 +83,7 @@ def test_filters_are_not_learned_when_no_learned_layer_is_wanted(monkeypatch):
     def refuse(*_: object) -> None:
         raise AssertionError("learned without need")
 
-    monkeypatch.setattr("usdsmoke.core.features.LearnedFeatures.__init__", refuse)
+    monkeypatch.setattr("usdsmoke.core.style.features.LearnedFeatures.__init__", refuse)
     assert set(EmbeddedFeatures(STYLE)(STYLE, frozenset({"oriented2"}))) == {"oriented2"}
 
 

@@ -11,14 +11,14 @@ import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core import targets as targets_module
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.coarse import coarse_frames
-from usdsmoke.core.scene import frame_scene, measure_scene
-from usdsmoke.core.stylize import StylizedFrame, make_job, open_frame
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.errors import ConfigError
-from usdsmoke.volume import FrameControls, VolumeFrame
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.volume import FrameControls, VolumeFrame
+from usdsmoke.core.sequence.coarse import coarse_frames
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.stylize import StylizedFrame, make_job, open_frame
+from usdsmoke.core.style import targets as targets_module
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import frame_scene, measure_scene
 
 STYLES = [random_style(seed=0), 1 - random_style(20, 30, seed=1)]
 STEPS = {name: {"steps": [name], "threads": 1, "tolerance": 0.0} for name in ("shape", "colour")}

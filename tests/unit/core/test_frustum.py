@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from usdsmoke.core.frustum import frustum_of, pixel_footprint
-from usdsmoke.core.views import view_of_camera
-from usdsmoke.volume import CameraSource
+from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.views.cameras import view_of_camera
+from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
 
 MARGIN = 0.05
 

@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from usdsmoke.config import resolve_config
-from usdsmoke.core.colour import ColourView, prepare_views, run_colour_step
-from usdsmoke.core.content import photorealism_distance
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.project import column_map
-from usdsmoke.core.scene import frame_views, measure_scene
-from usdsmoke.core.style import decode_srgb, luminance
-from usdsmoke.core.targets import StyleTargets
+from usdsmoke.base.config import resolve_config
+from usdsmoke.core.smoke.srgb import decode_srgb, luminance
+from usdsmoke.core.steps.colour import ColourView, prepare_views, run_colour_step
+from usdsmoke.core.style.content import photorealism_distance
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import frame_views, measure_scene
 
 
 def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:

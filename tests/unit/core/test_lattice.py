@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, puff, smoke_of
-from usdsmoke.core import lattice as lattice_module
-from usdsmoke.core.lattice import field_from_box, grow, surround
-from usdsmoke.core.smoke import ActiveSmoke, make_octaves
-from usdsmoke.errors import PlanError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields import lattice as lattice_module
+from usdsmoke.core.fields.lattice import field_from_box, grow, surround
+from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves
 
 
 def test_the_box_holds_the_smoke_with_room_around():

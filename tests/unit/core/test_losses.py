@@ -6,9 +6,9 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.core.definition import default_layers
-from usdsmoke.core.features import EmbeddedFeatures
-from usdsmoke.core.losses import StyleTarget, gram_matrix, total_variation
+from usdsmoke.core.style.definition import default_layers
+from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.style.losses import StyleTarget, gram_matrix, total_variation
 
 DOUBLE = torch.float64
 

@@ -9,14 +9,14 @@ from scipy.ndimage import map_coordinates
 
 from benchmarks.raymarch import march_rays
 from tests.smoke_fixtures import affine, puff
-from usdsmoke.core.march import march
-from usdsmoke.core.media import Medium, make_media
-from usdsmoke.core.project import project_voxels
-from usdsmoke.core.render import render_fields
-from usdsmoke.core.views import View, orbit_view, view_rays
-from usdsmoke.errors import ShapeError
-from usdsmoke.images import encode_srgb
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.views.cameras import View, orbit_view, view_rays
+from usdsmoke.core.views.march import march
+from usdsmoke.core.views.media import Medium, make_media
+from usdsmoke.core.views.project import project_voxels
+from usdsmoke.core.views.render import render_fields
+from usdsmoke.pictures.png import encode_srgb
 
 EIGHT_BITS = 1 / 255
 BOX = (12, 10, 8)

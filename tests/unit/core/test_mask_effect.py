@@ -8,12 +8,12 @@ import torch
 
 from tests.smoke_fixtures import frame_of, masked, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core import colour
-from usdsmoke.core.scene import Scene, measure_scene
-from usdsmoke.core.stylize import StylizedFrame
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.errors import NonFiniteError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.steps import colour
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene, measure_scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)

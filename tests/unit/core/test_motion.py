@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from usdsmoke.core.motion import MotionOptions, estimate_velocity
-from usdsmoke.core.warm import departure_points
-from usdsmoke.errors import NonFiniteError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.motion import MotionOptions, estimate_velocity
+from usdsmoke.core.sequence.warm import departure_points
 
 SECONDS = 1 / 24
 Move = Callable[[np.ndarray], np.ndarray]

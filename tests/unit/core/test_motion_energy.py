@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from usdsmoke.core.motion_energy import (
+from usdsmoke.core.sequence.motion_energy import (
     PAIRS,
     Prior,
     apply_prior,

@@ -8,8 +8,8 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from usdsmoke.core.noise import white_noise
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.smoke.noise import white_noise
 
 
 def box(*ranges: tuple[int, int]) -> Tensor:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from usdsmoke.core.on_demand import OnDemand
+from usdsmoke.core.smoke.lazy import OnDemand
 
 
 def test_an_item_is_made_when_it_is_first_looked_at_and_only_once():

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.optics import attenuation_ratio, opacity, transmittance_before
+from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
 DEPTHS = [10.0**e for e in range(-12, 4)] + [0.9e-4, 1.1e-4, 0.9e-2, 1.1e-2, 0.5, 3.0]
 

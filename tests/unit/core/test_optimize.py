@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from usdsmoke.core.optimize import Adam, Minimum, minimize
-from usdsmoke.errors import NonFiniteError
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
 
 GOAL = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
 SCALES = torch.tensor([1.0, 30.0, 0.1], dtype=torch.float64)

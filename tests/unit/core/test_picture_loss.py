@@ -10,15 +10,15 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.config import Config, LossesConfig, resolve_config
-from usdsmoke.core import losses, picture_loss
-from usdsmoke.core.features import EmbeddedFeatures
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.optimize import minimize
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.core.targets import StyleTargets
+from usdsmoke.base.config import Config, LossesConfig, resolve_config
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.steps.optimize import minimize
+from usdsmoke.core.style import losses, picture_loss
+from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene
 
 DOUBLE = torch.float64
 DISTRIBUTIONS = [{"statistic": "sliced_wasserstein"}, {"histogram": 1.0}]

@@ -5,16 +5,16 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, held_in_voxels, puff, smoke_of
-from usdsmoke.core.displacement import divergence
-from usdsmoke.core.lattice import Lattice, surround
-from usdsmoke.core.potential import (
+from usdsmoke.core.fields.displacement import divergence
+from usdsmoke.core.fields.lattice import Lattice, surround
+from usdsmoke.core.fields.potential import (
     Displacement,
     Potential,
     border_mask,
     carry_levels,
 )
-from usdsmoke.core.resample import pyramid_shapes
-from usdsmoke.core.smoke import make_octaves
+from usdsmoke.core.fields.resample import pyramid_shapes
+from usdsmoke.core.smoke.active import make_octaves
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from tests.camera_fixtures import camera_picture
 from tests.smoke_fixtures import affine, puff, smoke_of
-from usdsmoke.core import project
-from usdsmoke.core.project import MOST_CELLS, SparseImage, colour_map, column_map
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.views import project
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.project import MOST_CELLS, SparseImage, colour_map, column_map
 
 KINDS = ["orthographic", "perspective"]
 PLACES = [(0, False), (1, False), (2, True), (3, True)]  # seeds of transforms, mirrored or not
@@ -220,7 +220,7 @@ def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(mon
         light_up(depths)
 
     monkeypatch.setattr(project, "_light_up", counted)
-    monkeypatch.setattr("usdsmoke.core.project.MOST_CELLS", MOST_CELLS // 1000)
+    monkeypatch.setattr("usdsmoke.core.views.project.MOST_CELLS", MOST_CELLS // 1000)
     image, alpha = colour_map(positions, torch.full((2,), 1e10), 1.0, 1.0, view, 1.0)
     assert 64 * 4 < max(cells) <= MOST_CELLS // 1000 + 2 * 4 * 64
     assert 0.9 < float(alpha.max()) <= 1.0

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.quantiles import quantile_distance, quantile_table, random_directions
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 
 DOUBLE = torch.float64
 

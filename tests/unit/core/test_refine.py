@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.smoke_fixtures import affine, puff
-from usdsmoke.core.refine import refine_field
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.refine import refine_field
 
 
 def integral(field: DenseField) -> float:

@@ -5,18 +5,18 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, puff
-from usdsmoke.core.render import (
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.render import (
     MOST_PIXELS,
     display_picture,
     grey_picture,
     render_fields,
     render_view,
 )
-from usdsmoke.core.scene import fit_view
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.style import encode_srgb
-from usdsmoke.core.views import View, orbit_view
-from usdsmoke.volume import DenseField
+from usdsmoke.core.views.scene import fit_view
 
 GAMMA_W = 0.4
 DENSITY = puff(10)
@@ -105,8 +105,8 @@ def test_two_voxels_far_apart_are_drawn_without_the_emptiness_between(monkeypatc
         sizes.append(max(made.height, made.width))
         return made
 
-    monkeypatch.setattr("usdsmoke.core.render.fit_view", noted)
-    monkeypatch.setattr("usdsmoke.core.project.MOST_CELLS", 2**20)
+    monkeypatch.setattr("usdsmoke.core.views.render.fit_view", noted)
+    monkeypatch.setattr("usdsmoke.core.views.project.MOST_CELLS", 2**20)
     picture = render_view(field(density), None, np.eye(4), 1.0, "Y", 20.0, image_size=16)
     assert sizes[-1] <= 2 * MOST_PIXELS * 16 + 8
     assert np.isfinite(picture).all() and picture[..., 3].max() > 0.01

@@ -6,8 +6,8 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from usdsmoke.core.resample import Pyramid, pyramid_shapes, smooth, upsample
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.fields.resample import Pyramid, pyramid_shapes, smooth, upsample
 
 METHODS = ("linear", "cubic")
 

@@ -7,16 +7,17 @@ from scipy import ndimage
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core import sample, taps
-from usdsmoke.core.sample import (
+from usdsmoke.base.errors import NonFiniteError, ShapeError
+from usdsmoke.core.fields import gather as taps
+from usdsmoke.core.fields import sample
+from usdsmoke.core.fields.gather import planar
+from usdsmoke.core.fields.sample import (
     BOUNDARIES,
     sample_bounds,
     sample_cubic,
     sample_linear,
     voxel_positions,
 )
-from usdsmoke.core.taps import planar
-from usdsmoke.errors import NonFiniteError, ShapeError
 
 SAMPLERS = (sample_linear, sample_cubic)
 SHAPE = (5, 4, 7)  # asymmetric, so that exchanged axes cannot go unseen

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
-from usdsmoke.config import Config, OpticsConfig, ViewsConfig, resolve_config
-from usdsmoke.core.project import column_map
-from usdsmoke.core.scene import Scene, face_view, fit_view, frame_views, measure_scene
-from usdsmoke.core.views import View, orbit_view
+from usdsmoke.base.config import Config, OpticsConfig, ViewsConfig, resolve_config
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views, measure_scene
 
 DENSITY = puff(12)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from usdsmoke.core.schedule import octave_iterations, warm_iterations
+from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 
 
 @pytest.mark.parametrize("total", [3, 7, 10, 100, 1000])

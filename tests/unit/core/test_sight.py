@@ -8,12 +8,12 @@ import pytest
 from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
 from tests.smoke_fixtures import frame_of, masked, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core import colour, shape
-from usdsmoke.core.coarse import coarse_frames
-from usdsmoke.core.frustum import frustum_of
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import StylizedFrame
-from usdsmoke.volume import CameraSource, VolumeFrame
+from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.sequence.coarse import coarse_frames
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.steps import colour, shape
+from usdsmoke.core.views.frustum import frustum_of
+from usdsmoke.core.views.scene import measure_scene
 
 
 def half_camera(distance: float = 60.0) -> CameraSource:

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, puff, smoke_of
-from usdsmoke.core.smoke import (
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.active import (
     FAINTEST,
     ActiveSmoke,
     activate,
@@ -14,7 +15,6 @@ from usdsmoke.core.smoke import (
     make_octaves,
     sample_colours,
 )
-from usdsmoke.volume import DenseField
 
 CPU = torch.device("cpu")
 

@@ -11,14 +11,14 @@ from torch import Tensor
 
 from tests.smoke_fixtures import affine, held_in_voxels, masked, puff, smoke_of
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.core.displacement import slope_matrix
-from usdsmoke.core.lattice import Lattice, grow, surround
-from usdsmoke.core.potential import border_mask, free_displacement
-from usdsmoke.core.resample import Pyramid, interpolation_matrix, pyramid_shapes
-from usdsmoke.core.sparse_displacement import SparseDisplacement
-from usdsmoke.core.sparse_map import Nodes, Taps, map_along, nodes_read
-from usdsmoke.core.sparse_pyramid import SparsePyramid
-from usdsmoke.core.transport import warp
+from usdsmoke.core.fields.displacement import slope_matrix
+from usdsmoke.core.fields.lattice import Lattice, grow, surround
+from usdsmoke.core.fields.potential import border_mask, free_displacement
+from usdsmoke.core.fields.resample import Pyramid, interpolation_matrix, pyramid_shapes
+from usdsmoke.core.fields.sparse_displacement import SparseDisplacement
+from usdsmoke.core.fields.sparse_map import Nodes, Taps, map_along, nodes_read
+from usdsmoke.core.fields.sparse_pyramid import SparsePyramid
+from usdsmoke.core.fields.transport import warp
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 LEVELS = 5
@@ -153,7 +153,7 @@ def test_sums_that_are_put_together_in_parts_are_the_same(monkeypatch: pytest.Mo
     matrix = interpolation_matrix(10, 5, "cubic")
     assert matrix is not None
     whole = map_along(rows, columns, 2, matrix, matrix)
-    monkeypatch.setattr("usdsmoke.core.sparse_map.PIECE", 7)
+    monkeypatch.setattr("usdsmoke.core.fields.sparse_map.PIECE", 7)
     parts = map_along(rows, columns, 2, matrix, matrix)
     for one, other in ((whole.forth, parts.forth), (whole.back, parts.back)):
         assert torch.equal(one.index, other.index) and torch.equal(one.weight, other.weight)
@@ -210,7 +210,7 @@ def test_the_shape_step_moves_what_the_whole_box_would(
         )
         return (moved * octave._arrivals[:, 0]).sum()
 
-    monkeypatch.setattr("usdsmoke.core.shape._Octave.loss", loss)
+    monkeypatch.setattr("usdsmoke.core.steps.shape._Octave.loss", loss)
     half = np.broadcast_to(np.linspace(0, 1, 12)[:, None, None], (12, 12, 12))
     frames = [masked(half), replace(masked(half), time_code=2.0)]
     run_core(frames, quick_config(shape={"displacement": kind}, optimize={"steps": ["shape"]}))

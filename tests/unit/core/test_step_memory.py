@@ -7,7 +7,7 @@ import pytest
 
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.core import optimize, shape
+from usdsmoke.core.steps import optimize, shape
 
 
 @pytest.mark.parametrize("iterations", [[2, 2, 2], [2, 2, 0]])

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.config import StyleConfig
-from usdsmoke.core.style import SMALLEST, decode_srgb, encode_srgb, match_grey, scale_style
+from usdsmoke.base.config import StyleConfig
+from usdsmoke.core.smoke.srgb import SMALLEST, decode_srgb, encode_srgb, match_grey, scale_style
 
 LIKE = torch.zeros(())
 

@@ -5,12 +5,12 @@ import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.config import resolve_config
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.scene import Scene, measure_scene
-from usdsmoke.core.stylize import StylizedFrame
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.errors import FeatureError, NonFiniteError
+from usdsmoke.base.config import resolve_config
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.errors import FeatureError, NonFiniteError
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.scene import Scene, measure_scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -95,8 +95,8 @@ def refuse_targets(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("features or views were asked for without need")
 
     monkeypatch.setattr(StyleTargets, "at", refuse)
-    monkeypatch.setattr("usdsmoke.core.shape.frame_views", refuse)
-    monkeypatch.setattr("usdsmoke.core.colour.frame_views", refuse)
+    monkeypatch.setattr("usdsmoke.core.steps.shape.frame_views", refuse)
+    monkeypatch.setattr("usdsmoke.core.steps.colour.frame_views", refuse)
 
 
 @pytest.mark.parametrize("values", [np.zeros((0, 0, 0)), np.zeros((4, 4, 4)), -np.ones((2, 2, 2))])

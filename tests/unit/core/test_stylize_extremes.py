@@ -9,10 +9,10 @@ import torch
 
 from tests.smoke_fixtures import affine, frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import StylizedFrame
-from usdsmoke.errors import NonFiniteError, PlanError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.errors import NonFiniteError, PlanError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(10)
 COLOUR_ONLY = {"optimize": {"steps": ["colour"], "threads": 1}}
@@ -255,6 +255,8 @@ def test_features_that_overflow_are_a_named_error(monkeypatch):
         maps = picture.permute(2, 0, 1)[None]
         return {name: maps * (1 + 1e38) * 1e38 for name in wanted}
 
-    monkeypatch.setattr("usdsmoke.core.targets.build_network", lambda *_: lambda style: infinite)
+    monkeypatch.setattr(
+        "usdsmoke.core.style.targets.build_network", lambda *_: lambda style: infinite
+    )
     with pytest.raises(NonFiniteError, match="look for extreme values"):
         run_core([frame_of(DENSITY)], quick_config(**COLOUR_ONLY))

@@ -7,9 +7,9 @@ import pytest
 
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core import losses, picture_loss
-from usdsmoke.core.optimize import minimize
-from usdsmoke.core.stylize import StylizedFrame
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.steps.optimize import minimize
+from usdsmoke.core.style import losses, picture_loss
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -61,7 +61,7 @@ def test_content_pictures_are_not_made_when_no_loss_looks_at_them(monkeypatch):
     def refuse(*_: object) -> None:
         raise AssertionError("a content picture was made that nobody looks at")
 
-    monkeypatch.setattr("usdsmoke.core.colour._content_picture", refuse)
+    monkeypatch.setattr("usdsmoke.core.steps.colour._content_picture", refuse)
     monkeypatch.setattr(picture_loss.PictureLoss, "remember", refuse)
     monkeypatch.setattr(losses.StyleTarget, "content", refuse)
     run_core([FRAME], quick_config(losses={"histogram": 1.0, "total_variation": 1.0}))

@@ -7,10 +7,10 @@ import pytest
 
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
-from usdsmoke.core.progress import Progress
-from usdsmoke.core.scene import measure_scene
-from usdsmoke.core.stylize import stylize_window
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.summed import sum_terms
+from usdsmoke.core.smoke.accumulate import sum_terms
 
 DOUBLE = torch.float64
 TERMS: list[Callable[[Tensor], Tensor]] = [

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from usdsmoke.core.sample import BOUNDARIES, sample_linear, voxel_positions
-from usdsmoke.core.trace import backtrace, choose_substeps
-from usdsmoke.core.transport import SCHEMES, advect, correct_mass, warp
-from usdsmoke.errors import NonFiniteError, PlanError, ShapeError
+from usdsmoke.base.errors import NonFiniteError, PlanError, ShapeError
+from usdsmoke.core.fields.sample import BOUNDARIES, sample_linear, voxel_positions
+from usdsmoke.core.fields.trace import backtrace, choose_substeps
+from usdsmoke.core.fields.transport import SCHEMES, advect, correct_mass, warp
 
 SHAPE = (9, 7, 8)
 

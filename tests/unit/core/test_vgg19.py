@@ -9,12 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.config import FeaturesConfig
-from usdsmoke.core.features import build_network
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.vgg19 import Vgg19Features
-from usdsmoke.core.vgg19_file import FILE_NAME, find_vgg19_file
-from usdsmoke.errors import FeatureError
+from usdsmoke.base.config import FeaturesConfig
+from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.style.features import build_network
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.vgg19 import Vgg19Features
+from usdsmoke.core.style.vgg19_file import FILE_NAME, find_vgg19_file
 
 WIDTHS = (64, 64, "M", 128, 128, "M", *[256] * 4, "M", *[512] * 4, "M", *[512] * 4)
 PICTURE = torch.from_numpy(random_style(20, 24))

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from tests.camera_fixtures import camera_picture
-from usdsmoke.config import ViewsConfig
-from usdsmoke.core.project import project_voxels
-from usdsmoke.core.views import (
+from usdsmoke.base.config import ViewsConfig
+from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.views.cameras import (
     View,
     draw_views,
     frame_points,
@@ -17,7 +17,7 @@ from usdsmoke.core.views import (
     sample_angles,
     view_of_camera,
 )
-from usdsmoke.volume import CameraSource
+from usdsmoke.core.views.project import project_voxels
 
 SAMPLINGS = ["fixed", "uniform", "poisson"]
 RANGES = [(12.0, 6.0), (180.0, 0.0), (180.0, 90.0), (0.0, 6.0), (0.0, 0.0), (1e-3, 90.0)]

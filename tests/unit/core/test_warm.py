@@ -6,11 +6,11 @@ import torch
 from scipy.linalg import expm
 
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
-from usdsmoke.core.noise import white_noise
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.warm import carry_colours, departure_points
-from usdsmoke.errors import PlanError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.warm import carry_colours, departure_points
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.noise import white_noise
 
 DENSITY = puff(10)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdsmoke.errors import BindingMissing
-from usdsmoke.grids import binding
-from usdsmoke.grids.binding import binding_version, find_binding
+from usdsmoke.base.errors import BindingMissing
+from usdsmoke.vdb import binding
+from usdsmoke.vdb.binding import binding_version, find_binding
 
 MODULE = """
 LIBRARY_VERSION = (12, 0, 1)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, uniform
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import BindingMissing, DamagedFile, UsdSmokeError, WriteFailed
-from usdsmoke.grids import child
-from usdsmoke.grids.child import ChildFailure, run_child
-from usdsmoke.grids.read import GridRequest, read_binding_version, read_grids
-from usdsmoke.grids.write import write_frame
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import BindingMissing, DamagedFile, UsdSmokeError, WriteFailed
+from usdsmoke.vdb import child
+from usdsmoke.vdb.child import ChildFailure, run_child
+from usdsmoke.vdb.read import GridRequest, read_binding_version, read_grids
+from usdsmoke.vdb.write import write_frame
 
 DENSITY = [GridRequest("density", where="field </plume/density>, timeCode 3")]
 # A small file gets a share of the time limit: 1.2 s of these 8 s.
@@ -113,7 +113,7 @@ def test_every_end_of_the_process_is_told(
 
 def test_the_worker_ends_itself_when_its_processor_time_is_used_up() -> None:
     """By the clock it has ten times as long, or a busy machine would make sound files suspect."""
-    code = "from usdsmoke.grids.worker import _set_limits; _set_limits(2**33, 1)\nwhile 1: pass"
+    code = "from usdsmoke.vdb.worker import _set_limits; _set_limits(2**33, 1)\nwhile 1: pass"
     ended = subprocess.run([sys.executable, "-c", code], timeout=300, check=False)
     assert ended.returncode == -signal.SIGXCPU
 

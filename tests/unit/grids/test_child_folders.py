@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke.grids.child import _HELD, _PREFIX, _STALE, _private_folder, _sweep
+from usdsmoke.vdb.child import _HELD, _PREFIX, _STALE, _private_folder, _sweep
 
 
 @pytest.fixture()

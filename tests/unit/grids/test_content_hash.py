@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.grids_fixtures import TIGHT, check_content, make_field, make_vectors, rotated
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.write import write_frame
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.write import write_frame
 
 FIELD = make_field()
 BASE = hash_fields([FIELD])

@@ -15,7 +15,7 @@ from tests.grids_fixtures import (
     write_raw,
 )
 from tests.vdb_bytes import SCALE, entry, metadata, vdb
-from usdsmoke.grids.header import read_header
+from usdsmoke.vdb.header import read_header
 
 
 def test_houdini_plume_is_described_as_vdb_print_does() -> None:

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from tests.grids_fixtures import make_field, make_vectors, rotated
 from tests.vdb_bytes import SCALE, entry, metadata, text, vdb
-from usdsmoke.errors import AssetNotResolved, DamagedFile, GridError, UnsupportedGrid
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.write import write_frame
+from usdsmoke.base.errors import AssetNotResolved, DamagedFile, GridError, UnsupportedGrid
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.write import write_frame
 
 
 @pytest.fixture(scope="module")

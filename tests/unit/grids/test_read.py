@@ -15,22 +15,22 @@ from tests.grids_fixtures import (
     shared_file,
     write_raw,
 )
-from usdsmoke.errors import (
+from usdsmoke.base.errors import (
     AssetNotResolved,
     GridNotFound,
     GridTooLarge,
     NonFiniteError,
     UnsupportedGrid,
 )
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.grids.read import (
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.read import (
     GridRequest,
     check_readable,
     find_grid,
     read_binding_version,
     read_grids,
 )
-from usdsmoke.grids.write import write_frame
+from usdsmoke.vdb.write import write_frame
 
 WHERE = "field </shot/plume/density>, timeCode 42"
 

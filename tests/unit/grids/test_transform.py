@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import make_field, make_vectors, rotated, uniform
-from usdsmoke.grids.active_box import active_box, active_mask, crop_to_active
-from usdsmoke.grids.transform import box_extent, field_extent, index_to_world
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.active_box import active_box, active_mask, crop_to_active
+from usdsmoke.vdb.transform import box_extent, field_extent, index_to_world
 
 
 def test_point_is_a_row_and_the_translation_stands_in_the_last_row() -> None:

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, make_vectors, uniform
-from usdsmoke.errors import GridNotFound, UnsupportedGrid
-from usdsmoke.grids.header import FileHeader, GridHeader
-from usdsmoke.grids.read import GridRequest
-from usdsmoke.grids.velocity import (
+from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.header import FileHeader, GridHeader
+from usdsmoke.vdb.read import GridRequest
+from usdsmoke.vdb.velocity import (
     centre_staggered,
     find_velocity,
     join_components,
     read_velocity,
 )
-from usdsmoke.grids.write import write_frame
-from usdsmoke.volume import DenseField
+from usdsmoke.vdb.write import write_frame
 
 ANY = GridRequest("")
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, make_vectors
-from usdsmoke.errors import NonFiniteError, WriteFailed
-from usdsmoke.grids import write
-from usdsmoke.grids.child import ChildFailure
-from usdsmoke.grids.header import read_header
-from usdsmoke.grids.read import GridRequest, read_grids
-from usdsmoke.grids.write import clean_metadata, write_frame
+from usdsmoke.base.errors import NonFiniteError, WriteFailed
+from usdsmoke.vdb import write
+from usdsmoke.vdb.child import ChildFailure
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import clean_metadata, write_frame
 
 PROJECT = Path(__file__).resolve().parents[3]
 
@@ -95,9 +95,9 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
         "import resource, sys\n"
         "import numpy as np\n"
         "from tests.grids_fixtures import make_field\n"
-        "from usdsmoke.errors import WriteFailed\n"
-        "from usdsmoke.grids import child\n"
-        "from usdsmoke.grids.write import write_frame\n"
+        "from usdsmoke.base.errors import WriteFailed\n"
+        "from usdsmoke.vdb import child\n"
+        "from usdsmoke.vdb.write import write_frame\n"
         "def limited(*arguments):\n"  # only the writing process: the hand-over needs room too
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, hard))\n"
         "    try:\n"
@@ -196,7 +196,7 @@ def test_kill_while_writing_leaves_the_old_file_and_the_next_run_finishes(tmp_pa
     code = (
         "import sys\n"
         "from tests.grids_fixtures import make_field\n"
-        "from usdsmoke.grids.write import write_frame\n"
+        "from usdsmoke.vdb.write import write_frame\n"
         "print('started', flush=True)\n"
         "write_frame(sys.argv[1], [make_field(shape=(60, 60, 60))], {}, half=False)\n"
     )

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from tests.report_fixtures import point, result_of
-from usdsmoke.report.conclude import conclude
-from usdsmoke.report.records import Spread
+from usdsmoke.work_precision.conclude import conclude
+from usdsmoke.work_precision.records import Spread
 
 
 def test_a_cheaper_point_of_the_same_error_is_named_with_its_ratio() -> None:

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from tests.report_fixtures import point, result_of
-from usdsmoke.report.diagrams import draw_sweep
-from usdsmoke.report.records import Point, Spread
+from usdsmoke.work_precision.diagrams import draw_sweep
+from usdsmoke.work_precision.records import Point, Spread
 
 EXACT = point("float", "0", 0.0, 100.0, configured=True)
 ROUGH = point("half", "0", 3e-3, 50.0)

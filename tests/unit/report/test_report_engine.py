@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from usdsmoke.errors import FeatureError
-from usdsmoke.report.budget import Budget
-from usdsmoke.report.engine import Sweep, run_sweeps
-from usdsmoke.report.measure import Clock, measure
-from usdsmoke.report.records import LeftOut, Plan, Task
+from usdsmoke.base.errors import FeatureError
+from usdsmoke.work_precision.budget import Budget
+from usdsmoke.work_precision.engine import Sweep, run_sweeps
+from usdsmoke.work_precision.measure import Clock, measure
+from usdsmoke.work_precision.records import LeftOut, Plan, Task
 
 
 class FakeTime:

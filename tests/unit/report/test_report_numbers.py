@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import puff
-from usdsmoke.core.march import march
-from usdsmoke.core.media import make_media
-from usdsmoke.core.views import orbit_view
-from usdsmoke.report.fit import crossing, fitted_order
-from usdsmoke.report.footprint import column_depths, footprint
-from usdsmoke.report.quadrature import RULES, integrate
-from usdsmoke.report.sweep_interpolation import Turn
-from usdsmoke.report.sweep_projection import tent_mean
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.core.views.march import march
+from usdsmoke.core.views.media import make_media
+from usdsmoke.work_precision.fit import crossing, fitted_order
+from usdsmoke.work_precision.footprint import column_depths, footprint
+from usdsmoke.work_precision.quadrature import RULES, integrate
+from usdsmoke.work_precision.sweep_interpolation import Turn
+from usdsmoke.work_precision.sweep_projection import tent_mean
 
 
 def light(rule: str, n: int, k: float) -> float:

@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from tests.report_fixtures import case_of, make_scene
-from usdsmoke.report.case import Case
-from usdsmoke.report.engine import Sweep
-from usdsmoke.report.records import LeftOut, Plan
-from usdsmoke.report.reference import reference_of
-from usdsmoke.report.run import SWEEPS
-from usdsmoke.report.sweep_windows import _label
-from usdsmoke.report.trial import Setting, _Taken, base_iterations, scaled
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import LeftOut, Plan
+from usdsmoke.work_precision.reference import reference_of
+from usdsmoke.work_precision.run import SWEEPS
+from usdsmoke.work_precision.sweep_windows import _label
+from usdsmoke.work_precision.trial import Setting, _Taken, base_iterations, scaled
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -137,10 +137,10 @@ def test_a_window_longer_than_the_frames_is_told_to_be_cut(tmp_path: Path) -> No
 def test_the_small_copy_gets_smaller_where_trials_take_too_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from usdsmoke.report import trial
+    from usdsmoke.work_precision import trial
 
     case = case_of(make_scene(tmp_path, n_frames=1, n=12))
-    monkeypatch.setattr("usdsmoke.report.case._SHORTEST", 3)
+    monkeypatch.setattr("usdsmoke.work_precision.case._SHORTEST", 3)
     monkeypatch.setattr(trial, "_guess", lambda case, step: taken(case.longest))
     case.longest, case.seconds = 12, 200.0  # 20 trials of 12 s are more than half of it
     assert trial.trial_seconds(case, "colour") == 3.0 and case.longest == 3
@@ -150,10 +150,10 @@ def test_the_small_copy_gets_smaller_where_trials_take_too_long(
 def test_a_smaller_copy_that_takes_nearly_as_long_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from usdsmoke.report import trial
+    from usdsmoke.work_precision import trial
 
     case = case_of(make_scene(tmp_path, n_frames=1, n=12))
-    monkeypatch.setattr("usdsmoke.report.case._SHORTEST", 3)
+    monkeypatch.setattr("usdsmoke.work_precision.case._SHORTEST", 3)
     monkeypatch.setattr(trial, "_guess", lambda case, step: taken(10 + case.longest / 100))
     case.longest = 12
     assert trial.trial_seconds(case, "colour") == pytest.approx(10.12)

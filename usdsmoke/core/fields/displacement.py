@@ -20,8 +20,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from usdsmoke.core.resample import smooth
-from usdsmoke.errors import NonFiniteError, ShapeError
+from usdsmoke.base.errors import NonFiniteError, ShapeError
+from usdsmoke.core.fields.resample import smooth
 
 __all__ = [
     "cap_displacement",

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.pieces import cut
+from usdsmoke.core.smoke.chunks import cut
 
 __all__ = ["iterate_cells", "planar", "sum_taps"]
 

@@ -10,11 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.pieces import cut
-from usdsmoke.core.sample import Boundary, sample_linear
-from usdsmoke.core.smoke import ActiveSmoke, densify
-from usdsmoke.errors import PlanError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.sample import Boundary, sample_linear
+from usdsmoke.core.smoke.active import ActiveSmoke, densify
+from usdsmoke.core.smoke.chunks import cut
 
 __all__ = ["Lattice", "field_from_box", "grow", "surround"]
 

@@ -6,15 +6,15 @@ from functools import partial
 
 from torch import Tensor
 
-from usdsmoke.core.displacement import (
+from usdsmoke.core.fields.displacement import (
     cap_displacement,
     from_mixed,
     from_potential,
     from_stream,
     smooth_mask,
 )
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.taps import planar
+from usdsmoke.core.fields.gather import planar
+from usdsmoke.core.fields.lattice import Lattice
 
 __all__ = [
     "MIXED_SHARE",

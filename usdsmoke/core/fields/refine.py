@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from usdsmoke.core.sample import sample_linear
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.sample import sample_linear
 
 __all__ = ["refine_field"]
 

@@ -15,7 +15,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
 
 __all__ = ["Method", "Pyramid", "interpolation_matrix", "pyramid_shapes", "smooth", "upsample"]
 

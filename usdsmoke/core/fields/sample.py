@@ -25,10 +25,10 @@ from functools import reduce
 import torch
 from torch import Tensor
 
-from usdsmoke.core.pieces import cut
-from usdsmoke.core.spline import SPLINE_REACH, Boundary, spline_coefficients
-from usdsmoke.core.taps import iterate_cells, planar, sum_taps
-from usdsmoke.errors import NonFiniteError, ShapeError
+from usdsmoke.base.errors import NonFiniteError, ShapeError
+from usdsmoke.core.fields.gather import iterate_cells, planar, sum_taps
+from usdsmoke.core.fields.spline import SPLINE_REACH, Boundary, spline_coefficients
+from usdsmoke.core.smoke.chunks import cut
 
 __all__ = [
     "BOUNDARIES",

@@ -7,9 +7,9 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from usdsmoke.core.displacement import slope_matrix
-from usdsmoke.core.potential import MIXED_SHARE
-from usdsmoke.core.sparse_map import Nodes, SparseMap, SparseSums, Table, Taps, read_along
+from usdsmoke.core.fields.displacement import slope_matrix
+from usdsmoke.core.fields.potential import MIXED_SHARE
+from usdsmoke.core.fields.sparse_map import Nodes, SparseMap, SparseSums, Table, Taps, read_along
 
 __all__ = ["SparseDisplacement"]
 

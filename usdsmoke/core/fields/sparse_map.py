@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.pieces import PIECE, cut
+from usdsmoke.core.smoke.chunks import PIECE, cut
 
 __all__ = [
     "Nodes",

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from usdsmoke.core.resample import interpolation_matrix, pyramid_shapes
-from usdsmoke.core.sparse_map import Nodes, SparseMap, Taps, map_along, nodes_read
+from usdsmoke.core.fields.resample import interpolation_matrix, pyramid_shapes
+from usdsmoke.core.fields.sparse_map import Nodes, SparseMap, Taps, map_along, nodes_read
 
 __all__ = ["LevelNodes", "SparsePyramid"]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from usdsmoke.core.sample import Boundary, sample_linear
-from usdsmoke.errors import NonFiniteError, PlanError, ShapeError
+from usdsmoke.base.errors import NonFiniteError, PlanError, ShapeError
+from usdsmoke.core.fields.sample import Boundary, sample_linear
 
 __all__ = ["Velocity", "backtrace", "check_finite", "choose_substeps"]
 

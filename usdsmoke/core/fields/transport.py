@@ -23,7 +23,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from usdsmoke.core.sample import (
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.fields.sample import (
     BOUNDARIES,
     Boundary,
     sample_bounds,
@@ -31,8 +32,7 @@ from usdsmoke.core.sample import (
     sample_linear,
     voxel_positions,
 )
-from usdsmoke.core.trace import Velocity, backtrace, check_finite, choose_substeps
-from usdsmoke.errors import ShapeError
+from usdsmoke.core.fields.trace import Velocity, backtrace, check_finite, choose_substeps
 
 __all__ = ["SCHEMES", "Scheme", "advect", "correct_mass", "warp"]
 

@@ -3,8 +3,8 @@ coarse."""
 
 from torch import Tensor
 
-from usdsmoke.core.richardson import StepError, step_error
-from usdsmoke.core.transport import Scheme, warp
+from usdsmoke.core.fields.richardson import StepError, step_error
+from usdsmoke.core.fields.transport import Scheme, warp
 
 __all__ = ["warp_error"]
 

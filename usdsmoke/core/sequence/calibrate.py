@@ -15,17 +15,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config, GridsConfig
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.error_estimates import painted_frame
-from usdsmoke.core.link import Link
-from usdsmoke.core.picture_errors import fit_blocks, resolution_error
-from usdsmoke.core.scene import Scene, frame_views, measure_scene
-from usdsmoke.core.stylize import finished_frame, make_job, open_frame
-from usdsmoke.core.transport import Scheme, warp
-from usdsmoke.core.transport_error import warp_error
-from usdsmoke.storage_error import storage_errors
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.transport import Scheme, warp
+from usdsmoke.core.fields.transport_error import warp_error
+from usdsmoke.core.sequence.error_estimates import painted_frame
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.picture_errors import fit_blocks, resolution_error
+from usdsmoke.core.sequence.storage_error import storage_errors
+from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
 __all__ = ["calibrate"]
 

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from usdsmoke.config import Config
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.link import Job, Link
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.progress import ProgressCallback
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.schedule import coarse_factor
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.start import Carried, CoarseStart
-from usdsmoke.core.stylize import make_job, open_frame
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.core_progress import ProgressCallback
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.frame_state import Job, Link
+from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.stylize import make_job, open_frame
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.core.views.scene import Scene
 
 __all__ = [
     "CoarseStart",

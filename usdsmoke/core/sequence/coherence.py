@@ -12,11 +12,11 @@ neighbour's carried result, and one backward, which averages a frame with the on
 import torch
 from torch import Tensor
 
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.smoke import ActiveSmoke, sample_colours
-from usdsmoke.core.warm import departure_points, trace_back
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.warm import departure_points, trace_back
+from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
 __all__ = [
     "average_colours",

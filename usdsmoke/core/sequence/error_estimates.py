@@ -13,17 +13,22 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.colour import prepare_views
-from usdsmoke.core.grey import look_at
-from usdsmoke.core.link import Link
-from usdsmoke.core.loss_tail import remaining_decrease, spread_of_mean
-from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.picture_errors import Painted, fit_blocks, quadrature_error, resolution_error
-from usdsmoke.core.project import column_map
-from usdsmoke.core.richardson import StepError
-from usdsmoke.core.scene import frame_views
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.core.views import View
+from usdsmoke.core.fields.richardson import StepError
+from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.picture_errors import (
+    Painted,
+    fit_blocks,
+    quadrature_error,
+    resolution_error,
+)
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.steps.colour import prepare_views
+from usdsmoke.core.steps.grey import look_at
+from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import frame_views
 
 __all__ = ["frame_errors", "painted_frame", "tail_figures"]
 

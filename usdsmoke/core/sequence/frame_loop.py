@@ -18,26 +18,26 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from usdsmoke.config import Config
-from usdsmoke.core.coherence import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.fields.potential import Displacement, hold
+from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
     colour_error,
     displacement_error,
 )
-from usdsmoke.core.colour import run_colour_step
-from usdsmoke.core.error_estimates import tail_figures
-from usdsmoke.core.link import Job, Link
-from usdsmoke.core.motion import estimate_velocity
-from usdsmoke.core.move import move_density, shares_on
-from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.potential import Displacement, hold
-from usdsmoke.core.schedule import octave_iterations, warm_iterations
-from usdsmoke.core.shape import Start, longest_move, run_shape_step
-from usdsmoke.core.smoke import activate
-from usdsmoke.core.start import Carried, start_colours, start_displacement
-from usdsmoke.memory import give_back_memory
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.core.sequence.error_estimates import tail_figures
+from usdsmoke.core.sequence.frame_state import Job, Link
+from usdsmoke.core.sequence.motion import estimate_velocity
+from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
+from usdsmoke.core.smoke.active import activate
+from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
+from usdsmoke.core.steps.colour import run_colour_step
+from usdsmoke.core.steps.move import move_density, shares_on
+from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.steps.shape import Start, longest_move, run_shape_step
 
 __all__ = ["run_chain"]
 

@@ -7,16 +7,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.mask import EffectMask
-from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.sight import Sight
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.start import Carried, CoarseStart
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.mask import EffectMask
+from usdsmoke.core.views.scene import Scene
+from usdsmoke.core.views.visibility import Sight
 
 __all__ = ["Job", "Link", "Watch"]
 

@@ -24,12 +24,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool3d, pad
 
-from usdsmoke.core.motion_energy import PAIRS, Prior, central_difference, solve_increment
-from usdsmoke.core.resample import upsample
-from usdsmoke.core.sample import sample_linear, voxel_positions
-from usdsmoke.core.trace import backtrace, check_finite, choose_substeps
-from usdsmoke.errors import NonFiniteError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.resample import upsample
+from usdsmoke.core.fields.sample import sample_linear, voxel_positions
+from usdsmoke.core.fields.trace import backtrace, check_finite, choose_substeps
+from usdsmoke.core.sequence.motion_energy import PAIRS, Prior, central_difference, solve_increment
 
 __all__ = ["MotionOptions", "estimate_velocity"]
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.project import colour_map, column_map
-from usdsmoke.core.resample import upsample
-from usdsmoke.core.richardson import StepError, step_error
-from usdsmoke.core.smoke import ActiveSmoke, coarsen
-from usdsmoke.core.views import View
+from usdsmoke.core.fields.resample import upsample
+from usdsmoke.core.fields.richardson import StepError, step_error
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import colour_map, column_map
 
 __all__ = ["Painted", "fit_blocks", "quadrature_error", "resolution_error"]
 

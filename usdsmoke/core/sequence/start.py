@@ -11,12 +11,12 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.core.coherence import carry_displacement
-from usdsmoke.core.lattice import Lattice
-from usdsmoke.core.potential import Displacement
-from usdsmoke.core.smoke import ActiveSmoke, sample_colours
-from usdsmoke.core.warm import carry_colours, fill_colours
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.coherence import carry_displacement
+from usdsmoke.core.sequence.warm import carry_colours, fill_colours
+from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
 __all__ = ["Carried", "CoarseStart", "start_colours", "start_displacement"]
 

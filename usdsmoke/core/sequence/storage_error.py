@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.sections import GridsConfig
-from usdsmoke.volume import DenseField
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.volume import DenseField
 
 __all__ = ["pruned", "storage_errors"]
 

@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.chain import run_chain
-from usdsmoke.core.controls import frame_config
-from usdsmoke.core.device import choose_device
-from usdsmoke.core.error_estimates import frame_errors
-from usdsmoke.core.link import Job, Link, Watch
-from usdsmoke.core.mask import EffectMask, effect_mask
-from usdsmoke.core.optimize import Minimum
-from usdsmoke.core.progress import Progress, ProgressCallback
-from usdsmoke.core.refine import refine_field
-from usdsmoke.core.scene import Scene, frame_scene
-from usdsmoke.core.shape import longest_move
-from usdsmoke.core.sight import Sight, sight_of
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.start import CoarseStart
-from usdsmoke.core.style import decode_srgb
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.errors import NonFiniteError
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.core_progress import Progress, ProgressCallback
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.sequence.error_estimates import frame_errors
+from usdsmoke.core.sequence.frame_loop import run_chain
+from usdsmoke.core.sequence.frame_state import Job, Link, Watch
+from usdsmoke.core.sequence.start import CoarseStart
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.controls import frame_config
+from usdsmoke.core.smoke.device import choose_device
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.steps.shape import longest_move
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.mask import EffectMask, effect_mask
+from usdsmoke.core.views.scene import Scene, frame_scene
+from usdsmoke.core.views.visibility import Sight, sight_of
 
 __all__ = ["StylizedFrame", "finished_frame", "make_job", "open_frame", "stylize_window"]
 

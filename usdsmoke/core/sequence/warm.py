@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.noise import white_noise
-from usdsmoke.core.pieces import PIECE, cut
-from usdsmoke.core.sample import sample_linear
-from usdsmoke.core.smoke import ActiveSmoke, coarsen, sample_colours
-from usdsmoke.core.trace import backtrace, choose_substeps
-from usdsmoke.volume import DenseField, VolumeFrame
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.fields.trace import backtrace, choose_substeps
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.smoke.chunks import PIECE, cut
+from usdsmoke.core.smoke.noise import white_noise
 
 __all__ = ["carry_colours", "departure_points", "fill_colours", "trace_back"]
 

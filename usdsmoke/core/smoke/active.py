@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.schedule import OCTAVE_SCALE
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
 __all__ = [
     "ActiveSmoke",

@@ -6,9 +6,9 @@ No torch here, so that the plan can ask too.
 from collections.abc import Sequence
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict, resolve_config, style_shares
-from usdsmoke.errors import ConfigError
-from usdsmoke.volume import FrameControls, VolumeSource
+from usdsmoke.base.config import Config, config_to_dict, resolve_config, style_shares
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.volume import FrameControls, VolumeSource
 
 __all__ = ["SETTINGS", "check_controls", "frame_config", "in_effect", "is_computed"]
 

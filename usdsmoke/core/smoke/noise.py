@@ -10,7 +10,7 @@ products are used, so the bits are the same everywhere.
 import torch
 from torch import Tensor
 
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
 
 __all__ = ["white_noise"]
 

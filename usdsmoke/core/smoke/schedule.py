@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from usdsmoke.config import Config
+from usdsmoke.base.config import Config
 
 __all__ = ["OCTAVE_SCALE", "coarse_factor", "octave_iterations", "warm_iterations"]
 

@@ -14,20 +14,20 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.mask import EffectMask
-from usdsmoke.core.noise import white_noise
-from usdsmoke.core.on_demand import OnDemand
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.optimize import Adam, Minimum, minimize
-from usdsmoke.core.picture_loss import Content, PictureLoss
-from usdsmoke.core.project import SparseImage, colour_map, column_map
-from usdsmoke.core.scene import Scene, frame_views
-from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do, sample_colours
-from usdsmoke.core.style import decode_srgb, encode_srgb, luminance
-from usdsmoke.core.summed import sum_terms
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.views import View, draw_views
+from usdsmoke.base.config import Config
+from usdsmoke.core.smoke.accumulate import sum_terms
+from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
+from usdsmoke.core.smoke.lazy import OnDemand
+from usdsmoke.core.smoke.noise import white_noise
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
+from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
+from usdsmoke.core.style.picture_loss import Content, PictureLoss
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.cameras import View, draw_views
+from usdsmoke.core.views.mask import EffectMask
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import SparseImage, colour_map, column_map
+from usdsmoke.core.views.scene import Scene, frame_views
 
 __all__ = ["ColourView", "initial_colours", "optimize_colours", "prepare_views", "run_colour_step"]
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from usdsmoke.core.optics import opacity
-from usdsmoke.core.picture_loss import Content
-from usdsmoke.core.project import SparseImage
+from usdsmoke.core.style.picture_loss import Content
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import SparseImage
 
 __all__ = ["GreyView", "look_at"]
 

@@ -7,14 +7,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.lattice import Lattice, field_from_box
-from usdsmoke.core.mask import EffectMask
-from usdsmoke.core.potential import Displacement, border_mask
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.core.transport import Scheme, correct_mass, warp
-from usdsmoke.core.transport_error import warp_error
-from usdsmoke.volume import DenseField
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.lattice import Lattice, field_from_box
+from usdsmoke.core.fields.potential import Displacement, border_mask
+from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
+from usdsmoke.core.fields.transport_error import warp_error
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.views.mask import EffectMask
 
 __all__ = ["ROOM", "effect_on", "move_density", "shares_on"]
 

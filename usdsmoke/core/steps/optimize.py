@@ -11,8 +11,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.errors import NonFiniteError
-from usdsmoke.memory import give_back_memory
+from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.memory import give_back_memory
 
 __all__ = ["Adam", "Minimum", "minimize"]
 

@@ -25,34 +25,34 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.grey import GreyView, look_at
-from usdsmoke.core.lattice import Lattice, grow, surround
-from usdsmoke.core.mask import EffectMask
-from usdsmoke.core.move import ROOM, effect_on, shares_on
-from usdsmoke.core.on_demand import OnDemand
-from usdsmoke.core.optimize import Adam, Minimum, minimize
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.potential import (
+from usdsmoke.base.config import Config
+from usdsmoke.base.memory import give_back_memory
+from usdsmoke.core.fields.lattice import Lattice, grow, surround
+from usdsmoke.core.fields.potential import (
     Displacement,
     Potential,
     carry_levels,
     free_displacement,
     hold,
 )
-from usdsmoke.core.project import column_map
-from usdsmoke.core.resample import Pyramid
-from usdsmoke.core.sample import sample_linear
-from usdsmoke.core.scene import Scene, frame_views
-from usdsmoke.core.smoke import ActiveSmoke, octaves_to_do
-from usdsmoke.core.sparse_displacement import SparseDisplacement
-from usdsmoke.core.sparse_map import Nodes
-from usdsmoke.core.sparse_pyramid import LevelNodes, SparsePyramid
-from usdsmoke.core.summed import sum_terms
-from usdsmoke.core.targets import StyleTargets
-from usdsmoke.core.transport import warp
-from usdsmoke.core.views import draw_views
-from usdsmoke.memory import give_back_memory
+from usdsmoke.core.fields.resample import Pyramid
+from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.fields.sparse_displacement import SparseDisplacement
+from usdsmoke.core.fields.sparse_map import Nodes
+from usdsmoke.core.fields.sparse_pyramid import LevelNodes, SparsePyramid
+from usdsmoke.core.fields.transport import warp
+from usdsmoke.core.smoke.accumulate import sum_terms
+from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
+from usdsmoke.core.smoke.lazy import OnDemand
+from usdsmoke.core.steps.grey import GreyView, look_at
+from usdsmoke.core.steps.move import ROOM, effect_on, shares_on
+from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.views.cameras import draw_views
+from usdsmoke.core.views.mask import EffectMask
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import Scene, frame_views
 
 __all__ = ["Start", "longest_move", "run_shape_step"]
 

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
 
 __all__ = ["content_distance", "laplacian_distance", "photorealism_distance"]
 

@@ -9,10 +9,10 @@ from typing import Protocol
 
 from torch import Tensor
 
-from usdsmoke.config import FeaturesConfig
-from usdsmoke.core.learned import LearnedFeatures
-from usdsmoke.core.oriented import OrientedFeatures
-from usdsmoke.core.vgg19 import Vgg19Features
+from usdsmoke.base.config import FeaturesConfig
+from usdsmoke.core.style.learned import LearnedFeatures
+from usdsmoke.core.style.oriented import OrientedFeatures
+from usdsmoke.core.style.vgg19 import Vgg19Features
 
 __all__ = [
     "EmbeddedFeatures",

@@ -1,8 +1,8 @@
 """Which of a network's layers pictures are compared by; torch is not needed to tell."""
 
-from usdsmoke.core.definition import default_layers, learned_layers, oriented_layers
-from usdsmoke.errors import ConfigError
-from usdsmoke.sections import FeaturesConfig
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
 __all__ = ["VGG19_BLOCKS", "content_layers", "layer_names", "style_layers", "vgg19_layers"]
 

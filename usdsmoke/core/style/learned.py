@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.definition import (
+from usdsmoke.core.style.definition import (
     COLOUR_RELATIVE,
     DEVIATION_SHARE,
     LEAST_DEVIATION,
@@ -28,7 +28,7 @@ from usdsmoke.core.definition import (
     WHITENING_FLOOR,
     learned_layers,
 )
-from usdsmoke.core.oriented import colour_whitening
+from usdsmoke.core.style.oriented import colour_whitening
 
 __all__ = ["LearnedFeatures"]
 

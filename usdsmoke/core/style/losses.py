@@ -22,10 +22,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.config import LossesConfig
-from usdsmoke.core.content import content_distance
-from usdsmoke.core.features import Network
-from usdsmoke.core.quantiles import quantile_distance, quantile_table, random_directions
+from usdsmoke.base.config import LossesConfig
+from usdsmoke.core.style.content import content_distance
+from usdsmoke.core.style.features import Network
+from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 
 __all__ = ["StyleTarget", "gram_matrix", "total_variation"]
 

@@ -18,7 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.definition import (
+from usdsmoke.core.style.definition import (
     BINOMIAL,
     COLOUR_FLOOR,
     ENERGY_FLOOR,

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from usdsmoke.config import LossesConfig
-from usdsmoke.core.content import laplacian_distance, photorealism_distance
-from usdsmoke.core.losses import StyleTarget, total_variation
-from usdsmoke.core.style import luminance
+from usdsmoke.base.config import LossesConfig
+from usdsmoke.core.smoke.srgb import luminance
+from usdsmoke.core.style.content import laplacian_distance, photorealism_distance
+from usdsmoke.core.style.losses import StyleTarget, total_variation
 
 __all__ = ["Content", "PictureLoss"]
 

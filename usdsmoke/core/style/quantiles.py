@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.errors import ShapeError
+from usdsmoke.base.errors import ShapeError
 
 __all__ = ["quantile_distance", "quantile_table", "random_directions"]
 

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config, StyleConfig, style_shares
-from usdsmoke.core.features import Network, build_network
-from usdsmoke.core.layers import content_layers, style_layers
-from usdsmoke.core.losses import StyleTarget
-from usdsmoke.core.picture_loss import PictureLoss
-from usdsmoke.core.scene import Scene
-from usdsmoke.core.style import decode_srgb, luminance, match_grey, scale_style
+from usdsmoke.base.config import Config, StyleConfig, style_shares
+from usdsmoke.core.smoke.srgb import decode_srgb, luminance, match_grey, scale_style
+from usdsmoke.core.style.features import Network, build_network
+from usdsmoke.core.style.layers import content_layers, style_layers
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.views.scene import Scene
 
 __all__ = ["StyleTargets"]
 

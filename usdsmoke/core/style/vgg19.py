@@ -15,9 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.layers import VGG19_BLOCKS, vgg19_layers
-from usdsmoke.core.vgg19_file import FILE_NAME, find_vgg19_file
-from usdsmoke.errors import FeatureError
+from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.style.layers import VGG19_BLOCKS, vgg19_layers
+from usdsmoke.core.style.vgg19_file import FILE_NAME, find_vgg19_file
 
 __all__ = ["Vgg19Features"]
 

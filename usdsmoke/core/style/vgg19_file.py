@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from usdsmoke.errors import FeatureError
+from usdsmoke.base.errors import FeatureError
 
 __all__ = ["FILE_NAME", "find_vgg19_file", "named_vgg19_file"]
 

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from usdsmoke.config import ViewsConfig
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import CameraSource
+from usdsmoke.base.config import ViewsConfig
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import CameraSource
 
 __all__ = [
     "View",

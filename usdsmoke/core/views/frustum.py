@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdsmoke.core.views import APERTURE_UNIT, rigid_axes
-from usdsmoke.volume import CameraSource
+from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.views.cameras import APERTURE_UNIT, rigid_axes
 
 __all__ = ["Frustum", "frustum_of", "pixel_footprint"]
 

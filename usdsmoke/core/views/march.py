@@ -23,9 +23,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.media import EXTINCTION, Medium
-from usdsmoke.core.optics import attenuation_ratio, opacity
-from usdsmoke.core.views import View, view_rays
+from usdsmoke.core.views.cameras import View, view_rays
+from usdsmoke.core.views.media import EXTINCTION, Medium
+from usdsmoke.core.views.optics import attenuation_ratio, opacity
 
 __all__ = ["Picture", "march"]
 

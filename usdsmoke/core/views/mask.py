@@ -4,9 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.sample import sample_linear
-from usdsmoke.core.sight import Sight
-from usdsmoke.volume import VolumeFrame
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.views.visibility import Sight
 
 __all__ = ["EffectMask", "effect_mask"]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import DenseField
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField
 
 __all__ = ["EXTINCTION", "Medium", "make_media"]
 

@@ -18,9 +18,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.optics import attenuation_ratio, opacity, transmittance_before
-from usdsmoke.core.pieces import PIECE, cut
-from usdsmoke.core.views import View
+from usdsmoke.core.smoke.chunks import PIECE, cut
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 

@@ -8,13 +8,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.project import colour_map
-from usdsmoke.core.refine import refine_field
-from usdsmoke.core.scene import fit_view
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.style import encode_srgb
-from usdsmoke.core.views import View, orbit_view
-from usdsmoke.volume import DenseField
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.project import colour_map
+from usdsmoke.core.views.scene import fit_view
 
 __all__ = ["display_picture", "grey_picture", "render_fields", "render_view"]
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from usdsmoke.config import Config
-from usdsmoke.core.project import column_map
-from usdsmoke.core.sight import nearest_footprint, visible_part
-from usdsmoke.core.smoke import ActiveSmoke, activate
-from usdsmoke.core.views import View, camera_orbit, orbit_view, sample_angles
-from usdsmoke.errors import ShapeError
-from usdsmoke.volume import CameraSource, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.visibility import nearest_footprint, visible_part
 
 __all__ = [
     "Scene",

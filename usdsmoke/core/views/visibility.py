@@ -4,10 +4,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.config import Config
-from usdsmoke.core.frustum import Frustum, frustum_of, pixel_footprint
-from usdsmoke.core.smoke import ActiveSmoke
-from usdsmoke.volume import CameraSource, VolumeFrame
+from usdsmoke.base.config import Config
+from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.views.frustum import Frustum, frustum_of, pixel_footprint
 
 __all__ = ["Sight", "nearest_footprint", "sight_of", "visible_part"]
 

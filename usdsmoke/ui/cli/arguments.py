@@ -6,9 +6,9 @@ from functools import partial
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.cli_record_arguments import add_record_commands
-from usdsmoke.cli_values import duration_value, repair_value, size_value
-from usdsmoke.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
+from usdsmoke.base.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
+from usdsmoke.ui.cli.record_arguments import add_record_commands
+from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 
 __all__ = ["build_parser", "given_settings"]
 

@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from usdsmoke.cli_text import columns
-from usdsmoke.progress import format_seconds
+from usdsmoke.ui.cli.progress_bar import format_seconds
+from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
-    from usdsmoke.error_bounds import Verdict
-    from usdsmoke.error_budget import ErrorBudget
-    from usdsmoke.needs import Omission
+    from usdsmoke.planning.needs import Omission
+    from usdsmoke.runs.error_bounds import Verdict
+    from usdsmoke.runs.error_budget import ErrorBudget
 
 __all__ = ["budget_text"]
 

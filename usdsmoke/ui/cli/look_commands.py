@@ -4,20 +4,20 @@ import argparse
 import os
 from dataclasses import asdict
 
-from usdsmoke.cli_arguments import given_settings
-from usdsmoke.cli_text import inspection_text, print_json, validation_text
-from usdsmoke.config import (
+from usdsmoke.base.config import (
     Config,
     config_to_dict,
     config_to_yaml,
 )
+from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.text import inspection_text, print_json, validation_text
 
 __all__ = ["run_inspect", "run_plugin_path", "run_settings", "run_validate"]
 
 
 def run_inspect(arguments: argparse.Namespace) -> int:
     """``usdsmoke inspect``; the exit code, 1 where there are problems."""
-    from usdsmoke.inspection import inspect
+    from usdsmoke.usd.inspect import inspect
 
     config, settings = given_settings(arguments)
     prims, frames = arguments.prim, arguments.frames or ""
@@ -31,7 +31,7 @@ def run_inspect(arguments: argparse.Namespace) -> int:
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """``usdsmoke validate``; the exit code, 1 where there are errors."""
-    from usdsmoke.validators import Severity, validate
+    from usdsmoke.usd.rules import Severity, validate
 
     findings = validate(arguments.stage)
     n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
@@ -44,7 +44,8 @@ def run_validate(arguments: argparse.Namespace) -> int:
 
 def run_plugin_path(arguments: argparse.Namespace) -> int:
     """``usdsmoke plugin-path``, as PXR_PLUGINPATH_NAME takes it; the exit code."""
-    from usdsmoke import schema, usdview
+    from usdsmoke.ui import usdview
+    from usdsmoke.usd import schema
 
     folders = {"schema": str(schema.PLUGIN_FOLDER), "usdview": str(usdview.PLUGIN_FOLDER)}
     if arguments.json:

@@ -18,15 +18,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
-from usdsmoke.cli_arguments import build_parser
-from usdsmoke.cli_look import run_inspect, run_plugin_path, run_settings, run_validate
-from usdsmoke.cli_preview import run_preview
-from usdsmoke.cli_record import run_provenance, run_rerun, run_verify
-from usdsmoke.cli_report import run_report
-from usdsmoke.cli_text import print_json
-from usdsmoke.cli_values import empty_path
-from usdsmoke.cli_work import run_assemble, run_stylize, run_submit
-from usdsmoke.errors import Interrupted, UsdSmokeError
+from usdsmoke.base.errors import Interrupted, UsdSmokeError
+from usdsmoke.ui.cli.arguments import build_parser
+from usdsmoke.ui.cli.look_commands import run_inspect, run_plugin_path, run_settings, run_validate
+from usdsmoke.ui.cli.preview_command import run_preview
+from usdsmoke.ui.cli.record_commands import run_provenance, run_rerun, run_verify
+from usdsmoke.ui.cli.report_command import run_report
+from usdsmoke.ui.cli.text import print_json
+from usdsmoke.ui.cli.values import empty_path
+from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit
 
 __all__ = ["main"]
 

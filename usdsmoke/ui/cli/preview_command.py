@@ -4,11 +4,11 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.cli_text import print_json
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.ui.cli.text import print_json
 
 if TYPE_CHECKING:
-    from usdsmoke.preview_stage import PreviewResult
+    from usdsmoke.pictures.preview import PreviewResult
 
 __all__ = ["run_preview"]
 
@@ -18,7 +18,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from usdsmoke.preview_stage import preview
+    from usdsmoke.pictures.preview import preview
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:

@@ -7,7 +7,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from usdsmoke.run_progress import RunProgress
+from usdsmoke.runs.progress import RunProgress
 
 __all__ = ["ConsoleProgress", "format_seconds"]
 

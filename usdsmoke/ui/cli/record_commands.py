@@ -3,17 +3,17 @@
 import argparse
 from dataclasses import asdict
 
-from usdsmoke.cli_record_text import provenance_text, rerun_text, verification_text
-from usdsmoke.cli_text import plan_text, print_json, result_text
-from usdsmoke.cli_work import result_as_dict
+from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
+from usdsmoke.ui.cli.text import plan_text, print_json, result_text
+from usdsmoke.ui.cli.work_commands import result_as_dict
 
 __all__ = ["run_provenance", "run_rerun", "run_verify"]
 
 
 def run_provenance(arguments: argparse.Namespace) -> int:
     """``usdsmoke provenance``; the exit code."""
-    from usdsmoke.prov_json import prov_document
-    from usdsmoke.provenance_records import find_records
+    from usdsmoke.audit.prov import prov_document
+    from usdsmoke.audit.records import find_records
 
     records = find_records(arguments.file)
     if arguments.prov:
@@ -27,7 +27,7 @@ def run_provenance(arguments: argparse.Namespace) -> int:
 
 def run_verify(arguments: argparse.Namespace) -> int:
     """``usdsmoke verify``; the exit code, 1 where something has changed."""
-    from usdsmoke.provenance_verify import verify
+    from usdsmoke.audit.verify import verify
 
     changes = verify(arguments.file)
     is_same = all(change.severity == "note" for change in changes)
@@ -42,8 +42,8 @@ def run_rerun(arguments: argparse.Namespace) -> int:
     """``usdsmoke rerun``; the exit code, 1 where the result differs from the recorded one."""
     from rich.console import Console
 
-    from usdsmoke.pipeline_rerun import rerun
-    from usdsmoke.progress import ConsoleProgress
+    from usdsmoke.audit.rerun import rerun
+    from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:
         again = rerun(

@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.cli_text import columns
-from usdsmoke.config import Config, config_to_dict
+from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
-    from usdsmoke.pipeline_rerun import Rerun
-    from usdsmoke.provenance_records import LookRecord
-    from usdsmoke.provenance_verify import Change
+    from usdsmoke.audit.records import LookRecord
+    from usdsmoke.audit.rerun import Rerun
+    from usdsmoke.audit.verify import Change
 
 __all__ = ["provenance_text", "rerun_text", "verification_text"]
 

@@ -4,14 +4,14 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from usdsmoke.cli_arguments import given_settings
-from usdsmoke.cli_text import print_json
+from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.text import print_json
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from usdsmoke.report.run import ReportResult
+    from usdsmoke.work_precision.run import ReportResult
 
 __all__ = ["run_report"]
 
@@ -23,7 +23,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from usdsmoke.report.run import make_report
+    from usdsmoke.work_precision.run import make_report
 
     config, settings = given_settings(arguments)
     console = Console(stderr=True)
@@ -38,7 +38,7 @@ def run_report(arguments: argparse.Namespace) -> int:
             _Teller(console, bar),
         )
     if arguments.json:
-        from usdsmoke.report.data import report_as_dict
+        from usdsmoke.work_precision.data import report_as_dict
 
         files = [str(file_path) for file_path in result.files]
         print_json({"page": str(result.page), "files": files, **report_as_dict(result.report)})

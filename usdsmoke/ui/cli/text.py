@@ -6,16 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.cli_requests import request_rows
-from usdsmoke.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.progress import format_seconds
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.ui.cli.progress_bar import format_seconds
+from usdsmoke.ui.cli.request_text import request_rows
 
 if TYPE_CHECKING:
+    from usdsmoke.farm.openjd import JobBundle
     from usdsmoke.pipeline import StepResult, StylizeResult
-    from usdsmoke.pipeline_submit import JobBundle
-    from usdsmoke.plan import Plan, VolumePlan
-    from usdsmoke.validators import Finding
+    from usdsmoke.planning.plan import Plan, VolumePlan
+    from usdsmoke.usd.rules import Finding
 
 __all__ = [
     "columns",

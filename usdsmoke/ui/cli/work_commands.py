@@ -5,10 +5,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from usdsmoke.cli_arguments import given_settings
-from usdsmoke.cli_budget import budget_text
-from usdsmoke.cli_text import job_text, plan_text, print_json, result_text, step_text
-from usdsmoke.config import config_to_dict
+from usdsmoke.base.config import config_to_dict
+from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.budget_text import budget_text
+from usdsmoke.ui.cli.text import job_text, plan_text, print_json, result_text, step_text
 
 if TYPE_CHECKING:
     from usdsmoke.pipeline import StepResult, StylizeResult
@@ -43,7 +43,7 @@ def run_stylize(arguments: argparse.Namespace) -> int:
 
 def run_submit(arguments: argparse.Namespace) -> int:
     """``usdsmoke submit``; the exit code."""
-    from usdsmoke.pipeline_submit import submit
+    from usdsmoke.farm.openjd import submit
 
     config, settings = given_settings(arguments)
     bundle = submit(
@@ -74,7 +74,7 @@ def run_assemble(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from usdsmoke.pipeline import assemble
-    from usdsmoke.progress import ConsoleProgress
+    from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:
         result = assemble(arguments.output, progress, arguments.look, arguments.mode)
@@ -87,7 +87,7 @@ def run_assemble(arguments: argparse.Namespace) -> int:
 def _whole_call(arguments: argparse.Namespace) -> Callable[..., "StylizeResult"]:
     """What does a whole run: this process or a cluster."""
     if arguments.cluster is not None:
-        from usdsmoke.cluster import stylize_on_cluster
+        from usdsmoke.farm.dask import stylize_on_cluster
 
         return partial(stylize_on_cluster, arguments.cluster)
     from usdsmoke.pipeline import stylize
@@ -106,7 +106,7 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
     """Call ``stylize`` or a part of it, telling the plan and the progress on stderr."""
     from rich.console import Console
 
-    from usdsmoke.progress import ConsoleProgress
+    from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     config, settings = given_settings(arguments)
     with ConsoleProgress(Console(stderr=True)) as progress:

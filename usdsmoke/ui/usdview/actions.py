@@ -9,8 +9,8 @@ from typing import Protocol
 
 from pxr import Tf, Usd
 
-from usdsmoke.diagnostics import short_reason
-from usdsmoke.errors import StageError, UsdSmokeError
+from usdsmoke.base.errors import StageError, UsdSmokeError
+from usdsmoke.usd.diagnostics import short_reason
 
 __all__ = [
     "UsdviewApi",
@@ -94,9 +94,9 @@ def inspect(api: UsdviewApi, window: Window) -> None:
     Raises:
         UsdSmokeError: there is no Volume, or it cannot be followed to its files.
     """
-    from usdsmoke.cli_text import inspection_text
-    from usdsmoke.inspection import inspect_stage
-    from usdsmoke.usdview.volumes import selected_volumes, selects_everything
+    from usdsmoke.ui.cli.text import inspection_text
+    from usdsmoke.ui.usdview.volumes import selected_volumes, selects_everything
+    from usdsmoke.usd.inspect import inspect_stage
 
     volumes = selected_volumes(api.stage, api.selectedPrims)
     everything = selects_everything(api.selectedPrims)
@@ -110,9 +110,9 @@ def show_provenance(api: UsdviewApi, window: Window) -> None:
     Raises:
         VolumeNotFound: there is no Volume.
     """
-    from usdsmoke.usdview.look_text import look_text
-    from usdsmoke.usdview.looks import find_looks
-    from usdsmoke.usdview.volumes import selected_volumes
+    from usdsmoke.ui.usdview.look_text import look_text
+    from usdsmoke.ui.usdview.looks import find_looks
+    from usdsmoke.ui.usdview.volumes import selected_volumes
 
     volumes = selected_volumes(api.stage, api.selectedPrims)
     window.show_text("provenance", look_text(volumes, find_looks(api.stage)))
@@ -124,8 +124,8 @@ def toggle(api: UsdviewApi, window: Window) -> None:
     Raises:
         UsdSmokeError: there is no Volume, or no look that can be switched.
     """
-    from usdsmoke.usdview.looks import show_next
-    from usdsmoke.usdview.volumes import selected_volumes
+    from usdsmoke.ui.usdview.looks import show_next
+    from usdsmoke.ui.usdview.volumes import selected_volumes
 
     window.say(show_next(api.stage, selected_volumes(api.stage, api.selectedPrims)))
 
@@ -135,8 +135,8 @@ def validate(api: UsdviewApi, window: Window) -> None:
 
     Files that usdsmoke wrote are read whole, so that this takes a while on long sequences.
     """
-    from usdsmoke.cli_text import validation_text
-    from usdsmoke.validators import validate_stage
+    from usdsmoke.ui.cli.text import validation_text
+    from usdsmoke.usd.rules import validate_stage
 
     window.say("validating ...")
     name = api.stage.GetRootLayer().GetDisplayName()
@@ -166,8 +166,8 @@ def copy_all_frames(api: UsdviewApi, window: Window) -> None:
 
 
 def _copy(api: UsdviewApi, window: Window, time_code: float | None) -> None:
-    from usdsmoke.usdview.command_line import stylize_command
-    from usdsmoke.usdview.volumes import selected_volumes
+    from usdsmoke.ui.usdview.command_line import stylize_command
+    from usdsmoke.ui.usdview.volumes import selected_volumes
 
     volumes = selected_volumes(api.stage, api.selectedPrims)
     text = stylize_command(api.stage, volumes, time_code)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
-from usdsmoke.config import StageConfig
-from usdsmoke.errors import StageError
-from usdsmoke.stage import find_volumes
-from usdsmoke.time_codes import format_time_code, format_time_codes
-from usdsmoke.usdview.look_request import LookRequest, read_look_request
-from usdsmoke.usdview.looks import Look, find_looks, looks_of, shown_run
-from usdsmoke.volume import VolumeSource
+from usdsmoke.base.config import StageConfig
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.volume import VolumeSource
+from usdsmoke.ui.usdview.look_request import LookRequest, read_look_request
+from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
+from usdsmoke.usd.stage import find_volumes
 
 __all__ = ["NO_STYLE", "CommandText", "stylize_command"]
 

@@ -79,7 +79,7 @@ class SmokeContainer(PluginContainer):
 
     def registerPlugins(self, plugRegistry: Any, plugCtx: Any) -> None:
         """Make a command of every action; called by usdview when it starts."""
-        actions = self.deferredImport("usdsmoke.usdview.actions")
+        actions = self.deferredImport("usdsmoke.ui.usdview.actions")
         self._commands = [
             None
             if item is None

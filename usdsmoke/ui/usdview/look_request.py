@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.config import Config, config_to_dict
-from usdsmoke.run_folder import find_runs
-from usdsmoke.usdview.looks import Look
+from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.runs.folder import find_runs
+from usdsmoke.ui.usdview.looks import Look
 
 __all__ = ["LookRequest", "changed_settings", "read_look_request"]
 

@@ -6,10 +6,10 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke import schema
-from usdsmoke.cli_record_text import provenance_text
-from usdsmoke.provenance_records import LookRecord
-from usdsmoke.usdview.looks import Look, looks_of, shown_run
+from usdsmoke.audit.records import LookRecord
+from usdsmoke.ui.cli.record_text import provenance_text
+from usdsmoke.ui.usdview.looks import Look, looks_of, shown_run
+from usdsmoke.usd import schema
 
 __all__ = ["look_text"]
 

@@ -6,10 +6,10 @@ from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke import schema
-from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import StageError
-from usdsmoke.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.usd import schema
+from usdsmoke.usd.diagnostics import captured_diagnostics
 
 __all__ = ["Look", "find_looks", "looks_of", "show_next", "shown_run"]
 

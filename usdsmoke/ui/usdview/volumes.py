@@ -5,8 +5,8 @@ from itertools import chain
 
 from pxr import Usd, UsdVol
 
-from usdsmoke.errors import VolumeNotFound
-from usdsmoke.relationships import field_targets
+from usdsmoke.base.errors import VolumeNotFound
+from usdsmoke.usd.relationships import field_targets
 
 __all__ = ["selected_volumes", "selects_everything"]
 

@@ -6,8 +6,8 @@ writes their opinions, `extent` the Volume's bounds, `marks` what was run, `root
 Opinions go to new layers through Sdf; the source's layers and the session layer are only read.
 """
 
-from usdsmoke.layer.asset import check_asset
-from usdsmoke.layer.look import author_look
-from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
+from usdsmoke.usd.look.asset import check_asset
+from usdsmoke.usd.look.look import author_look
+from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 
 __all__ = ["LookFiles", "StylizedVolume", "author_look", "check_asset", "look_files"]

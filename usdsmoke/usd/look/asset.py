@@ -11,12 +11,12 @@ from pathlib import Path
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import LayerError
-from usdsmoke.layer.anchoring import relative_asset_path
-from usdsmoke.layer.reach import Reach, find_reach, leads_out, root_of
-from usdsmoke.layer.root import copied_layer_data, copy_stage_metadata
-from usdsmoke.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.errors import LayerError
+from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.look.external_targets import Reach, find_reach, leads_out, root_of
+from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 
 __all__ = ["author_asset", "check_asset"]
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from pxr import Sdf, Vt
 
-from usdsmoke import schema
-from usdsmoke.layer.anchoring import relative_asset_path
-from usdsmoke.layer.records import StylizedVolume
-from usdsmoke.provenance import SOFTWARE_PACKAGE, authorship_inputs, short_run_id
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.record_format import SOFTWARE_PACKAGE, authorship_inputs, short_run_id
+from usdsmoke.usd import schema
+from usdsmoke.usd.look.records import StylizedVolume
 
 __all__ = ["custom_layer_data", "mark_volume", "result_hashes"]
 

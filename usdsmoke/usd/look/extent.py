@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from usdsmoke.layer.fields import HeldFiles
-from usdsmoke.layer.records import StylizedVolume
-from usdsmoke.volume import WrittenFrame
+from usdsmoke.base.volume import WrittenFrame
+from usdsmoke.usd.look.fields import HeldFiles
+from usdsmoke.usd.look.records import StylizedVolume
 
 __all__ = ["Box", "author_extent", "volume_boxes"]
 

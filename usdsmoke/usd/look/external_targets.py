@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from pxr import Sdf, Usd
 
-from usdsmoke.errors import LayerError
+from usdsmoke.base.errors import LayerError
 
 __all__ = ["Reach", "find_reach", "leads_out", "root_of"]
 

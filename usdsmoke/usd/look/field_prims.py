@@ -6,10 +6,10 @@ from itertools import chain
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.errors import LayerError
-from usdsmoke.layer.records import StylizedVolume
-from usdsmoke.naming import COLOUR_CHANNELS, COLOUR_VECTORS
-from usdsmoke.relationships import FIELD_PREFIX, field_targets
+from usdsmoke.base.errors import LayerError
+from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
+from usdsmoke.usd.look.records import StylizedVolume
+from usdsmoke.usd.relationships import FIELD_PREFIX, field_targets
 
 __all__ = ["FieldTarget", "choose_field_prims", "count_field_uses"]
 

@@ -14,11 +14,11 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
-from usdsmoke.layer.anchoring import asset_value, relative_asset_path
-from usdsmoke.layer.field_prims import FieldTarget
-from usdsmoke.layer.records import StylizedVolume
-from usdsmoke.naming import COLOUR_CHANNELS, COLOUR_VECTORS
-from usdsmoke.relationships import FIELD_PREFIX
+from usdsmoke.base.asset_paths import asset_value, relative_asset_path
+from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
+from usdsmoke.usd.look.field_prims import FieldTarget
+from usdsmoke.usd.look.records import StylizedVolume
+from usdsmoke.usd.relationships import FIELD_PREFIX
 
 __all__ = ["HeldFiles", "author_field", "close_fields", "held_files", "retarget"]
 

@@ -6,22 +6,22 @@ from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.diagnostics import captured_diagnostics, short_reason
-from usdsmoke.errors import LayerError, WriteFailed
-from usdsmoke.layer.anchoring import relative_asset_path
-from usdsmoke.layer.asset import author_asset
-from usdsmoke.layer.extent import author_extent
-from usdsmoke.layer.field_prims import choose_field_prims, count_field_uses
-from usdsmoke.layer.fields import author_field, close_fields, held_files, retarget
-from usdsmoke.layer.marks import custom_layer_data, mark_volume, result_hashes
-from usdsmoke.layer.records import LookFiles, StylizedVolume, look_files
-from usdsmoke.layer.root import author_root, copy_stage_metadata
-from usdsmoke.layer.seal import seal_layer
-from usdsmoke.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.publish import publish_file
-from usdsmoke.sections import LayerConfig
-from usdsmoke.time_codes import format_time_codes
-from usdsmoke.volume import EarlierLooks, StageSource
+from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.errors import LayerError, WriteFailed
+from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.base.publish import publish_file
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.volume import EarlierLooks, StageSource
+from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.usd.look.asset import author_asset
+from usdsmoke.usd.look.attributes import custom_layer_data, mark_volume, result_hashes
+from usdsmoke.usd.look.digests import seal_layer
+from usdsmoke.usd.look.extent import author_extent
+from usdsmoke.usd.look.field_prims import choose_field_prims, count_field_uses
+from usdsmoke.usd.look.fields import author_field, close_fields, held_files, retarget
+from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
+from usdsmoke.usd.look.root import author_root, copy_stage_metadata
 
 __all__ = ["author_look"]
 

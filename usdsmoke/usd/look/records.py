@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
-from usdsmoke.naming import EMISSION, look_suffix
-from usdsmoke.sections import LayerConfig
-from usdsmoke.volume import StageSource, VolumeSource, WrittenFrame
+from usdsmoke.base.naming import EMISSION, look_suffix
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.volume import StageSource, VolumeSource, WrittenFrame
 
 __all__ = ["EMISSION", "LookFiles", "StylizedVolume", "look_files"]
 

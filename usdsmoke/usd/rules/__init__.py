@@ -6,8 +6,8 @@ stand in `field_rules` (one field), `volume_rules` (a Volume's fields together),
 look at.
 """
 
-from usdsmoke.validators.findings import Finding, Severity
-from usdsmoke.validators.registry import PREFIX, register_validators
-from usdsmoke.validators.run import validate, validate_stage
+from usdsmoke.usd.rules.findings import Finding, Severity
+from usdsmoke.usd.rules.registry import PREFIX, register_validators
+from usdsmoke.usd.rules.run import validate, validate_stage
 
 __all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate", "validate_stage"]

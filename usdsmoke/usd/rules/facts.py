@@ -9,11 +9,11 @@ from threading import Lock
 import numpy as np
 from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 
-from usdsmoke.asset_files import vdb_problem
-from usdsmoke.errors import GridError, StageError
-from usdsmoke.grids.header import FileHeader, GridHeader, read_header
-from usdsmoke.grids.read import GridRequest, find_grid
-from usdsmoke.relationships import field_targets
+from usdsmoke.base.errors import GridError, StageError
+from usdsmoke.usd.asset_files import vdb_problem
+from usdsmoke.usd.relationships import field_targets
+from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, find_grid
 
 __all__ = [
     "FieldFacts",

@@ -7,19 +7,19 @@ from itertools import pairwise
 
 from pxr import Usd, UsdValidation, UsdVol
 
-from usdsmoke.errors import GridError, StageError
-from usdsmoke.grids.header import GridHeader
-from usdsmoke.grids.read import GridRequest, find_grid
-from usdsmoke.relationships import field_prim, field_targets
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.validators.facts import (
+from usdsmoke.base.errors import GridError, StageError
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.usd.relationships import field_prim, field_targets
+from usdsmoke.usd.rules.facts import (
     FieldFacts,
     collect_fields,
     file_trouble,
     header_of,
     shown_grid,
 )
-from usdsmoke.validators.findings import Problem, Severity, grouped
+from usdsmoke.usd.rules.findings import Problem, Severity, grouped
+from usdsmoke.vdb.header import GridHeader
+from usdsmoke.vdb.read import GridRequest, find_grid
 
 __all__ = [
     "check_absolute_paths",

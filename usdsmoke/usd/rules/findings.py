@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from usdsmoke.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes
 
 __all__ = ["Finding", "Problem", "Severity", "grouped"]
 

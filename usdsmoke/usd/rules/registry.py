@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 from pxr import Sdf, Usd, UsdValidation
 
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.validators import field_rules, request_rules, result_rules, volume_rules
-from usdsmoke.validators.findings import Problem, Severity
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.usd.rules import field_rules, request_rules, result_rules, volume_rules
+from usdsmoke.usd.rules.findings import Problem, Severity
 
 __all__ = ["PREFIX", "register_validators"]
 

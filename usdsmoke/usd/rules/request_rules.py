@@ -2,9 +2,9 @@
 
 from pxr import Usd, UsdValidation, UsdVol
 
-from usdsmoke.schema import STYLE_API
-from usdsmoke.validators.findings import Problem, Severity
-from usdsmoke.volume_requests import has_request, ignored_attributes, request_problems
+from usdsmoke.usd.rules.findings import Problem, Severity
+from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
 __all__ = ["check_request", "check_request_applied", "check_request_placed"]
 

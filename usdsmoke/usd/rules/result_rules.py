@@ -6,11 +6,11 @@ from functools import lru_cache
 
 from pxr import Sdf, Usd, UsdValidation
 
-from usdsmoke.config import GridsConfig
-from usdsmoke.errors import BindingMissing, GridError, StageError
-from usdsmoke.grids.content_hash import CONTENT_KEY, hash_vdb_file
-from usdsmoke.validators.facts import collect_fields, header_of
-from usdsmoke.validators.findings import Problem, Severity, grouped
+from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.errors import BindingMissing, GridError, StageError
+from usdsmoke.usd.rules.facts import collect_fields, header_of
+from usdsmoke.usd.rules.findings import Problem, Severity, grouped
+from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 
 __all__ = ["check_layer_results", "check_shown_results", "recorded_results"]
 

@@ -5,10 +5,10 @@ import re
 
 from pxr import Usd, UsdValidation
 
-from usdsmoke.diagnostics import captured_diagnostics, open_quietly
-from usdsmoke.schema import late_note, register_schema
-from usdsmoke.validators.findings import Finding, Severity
-from usdsmoke.validators.registry import PREFIX, register_validators
+from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly
+from usdsmoke.usd.rules.findings import Finding, Severity
+from usdsmoke.usd.rules.registry import PREFIX, register_validators
+from usdsmoke.usd.schema import late_note, register_schema
 
 __all__ = ["validate", "validate_stage"]
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pxr import Usd, UsdValidation
 
-from usdsmoke.validators.facts import (
+from usdsmoke.base.volume import VELOCITY_NAMES
+from usdsmoke.usd.rules.facts import (
     FieldFacts,
     Shown,
     collect_fields,
@@ -15,8 +16,7 @@ from usdsmoke.validators.facts import (
     held_at,
     shown_grid,
 )
-from usdsmoke.validators.findings import Problem, Severity, grouped
-from usdsmoke.volume import VELOCITY_NAMES
+from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 
 __all__ = ["check_extent", "check_one_file", "check_one_name", "check_one_place"]
 

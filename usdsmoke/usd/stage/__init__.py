@@ -5,12 +5,12 @@ Volume's relationships to its field prims, `assets` says which file and grid tho
 `cameras` reads a shot's camera, `shown` tells what is to be seen at any timeCode.
 """
 
-from usdsmoke.stage.cameras import read_camera, seen_through
-from usdsmoke.stage.opening import open_stage
-from usdsmoke.stage.originals import open_source
-from usdsmoke.stage.shown import open_original, shown_volumes
-from usdsmoke.stage.volumes import find_volumes
-from usdsmoke.time_codes import parse_frames
+from usdsmoke.base.time_codes import parse_frames
+from usdsmoke.usd.stage.cameras import read_camera, seen_through
+from usdsmoke.usd.stage.composed import open_original, shown_volumes
+from usdsmoke.usd.stage.opening import open_stage
+from usdsmoke.usd.stage.originals import open_source
+from usdsmoke.usd.stage.volumes import find_volumes
 
 __all__ = [
     "find_volumes",

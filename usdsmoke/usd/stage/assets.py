@@ -6,10 +6,10 @@ from pathlib import PurePath
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from usdsmoke.asset_files import vdb_problem
-from usdsmoke.errors import AssetNotResolved
-from usdsmoke.time_codes import format_time_code, format_time_codes
-from usdsmoke.volume import FieldSource
+from usdsmoke.base.errors import AssetNotResolved
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.volume import FieldSource
+from usdsmoke.usd.asset_files import vdb_problem
 
 __all__ = ["check_assets", "field_source", "field_time_codes", "is_blocked"]
 

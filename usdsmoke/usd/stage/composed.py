@@ -6,14 +6,14 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.errors import StageError
-from usdsmoke.relationships import field_targets
-from usdsmoke.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
-from usdsmoke.stage.assets import check_assets, field_source
-from usdsmoke.stage.opening import open_stage
-from usdsmoke.stage.originals import is_look_layer, leave_looks_out
-from usdsmoke.time_codes import format_time_code
-from usdsmoke.volume import FieldSource, ShownVolume, StageSource
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import FieldSource, ShownVolume, StageSource
+from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
+from usdsmoke.usd.stage.assets import check_assets, field_source
+from usdsmoke.usd.stage.opening import open_stage
+from usdsmoke.usd.stage.originals import is_look_layer, leave_looks_out
 
 __all__ = ["open_original", "shown_volumes"]
 

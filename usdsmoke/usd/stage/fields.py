@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from pxr import Sdf, Usd, UsdVol
 
-from usdsmoke.errors import FieldNotFound, StageError
-from usdsmoke.relationships import FIELD_PREFIX, field_prim, field_targets
-from usdsmoke.request_attributes import MASK
-from usdsmoke.volume import VELOCITY_NAMES
+from usdsmoke.base.errors import FieldNotFound, StageError
+from usdsmoke.base.request_attributes import MASK
+from usdsmoke.base.volume import VELOCITY_NAMES
+from usdsmoke.usd.relationships import FIELD_PREFIX, field_prim, field_targets
 
 __all__ = [
     "VolumeFields",

@@ -2,7 +2,7 @@
 
 from pxr import Sdf, Usd
 
-from usdsmoke.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError
 
 __all__ = ["named_prim"]
 

@@ -4,8 +4,8 @@ import os
 
 from pxr import Usd
 
-from usdsmoke.diagnostics import open_quietly
-from usdsmoke.schema import register_schema
+from usdsmoke.usd.diagnostics import open_quietly
+from usdsmoke.usd.schema import register_schema
 
 __all__ = ["open_stage"]
 

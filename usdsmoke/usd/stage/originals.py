@@ -9,12 +9,12 @@ from pathlib import Path
 
 from pxr import Sdf, Usd, UsdVol
 
-from usdsmoke.diagnostics import captured_diagnostics
-from usdsmoke.errors import StageError
-from usdsmoke.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
-from usdsmoke.relationships import field_targets
-from usdsmoke.stage.opening import open_stage
-from usdsmoke.volume import EarlierLooks
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+from usdsmoke.base.volume import EarlierLooks
+from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd.stage.opening import open_stage
 
 __all__ = ["is_look_layer", "leave_looks_out", "open_source"]
 

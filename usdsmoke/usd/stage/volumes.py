@@ -5,19 +5,16 @@ from dataclasses import dataclass, replace
 
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.config import StageConfig
-from usdsmoke.errors import AssetNotResolved, StageError, VolumeNotFound
-from usdsmoke.stage.assets import check_assets, field_source, field_time_codes, is_blocked
-from usdsmoke.stage.fields import VolumeFields, describe_instance, find_fields
-from usdsmoke.stage.named import named_prim
-from usdsmoke.time_codes import (
+from usdsmoke.base.config import StageConfig
+from usdsmoke.base.errors import AssetNotResolved, StageError, VolumeNotFound
+from usdsmoke.base.time_codes import (
     FrameRange,
     format_time_code,
     format_time_codes,
     parse_frames,
     select_frames,
 )
-from usdsmoke.volume import (
+from usdsmoke.base.volume import (
     FieldSource,
     FrameControls,
     FrameSource,
@@ -25,7 +22,10 @@ from usdsmoke.volume import (
     StyleRequest,
     VolumeSource,
 )
-from usdsmoke.volume_requests import read_request, requested_mask
+from usdsmoke.usd.stage.assets import check_assets, field_source, field_time_codes, is_blocked
+from usdsmoke.usd.stage.fields import VolumeFields, describe_instance, find_fields
+from usdsmoke.usd.stage.named import named_prim
+from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 __all__ = ["find_volumes"]
 

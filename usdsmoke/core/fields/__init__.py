@@ -1,0 +1,1 @@
+"""Operators on fields: interpolation, back-traces, transport, displacement, sparse maps."""

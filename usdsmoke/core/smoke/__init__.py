@@ -1,0 +1,1 @@
+"""Smoke as tensors: active voxels, noise, sRGB, device, and the octave schedule."""

@@ -1,0 +1,1 @@
+"""Style losses: feature networks, statistics of features, content, one loss per picture."""

@@ -1,0 +1,1 @@
+"""Cameras and optics: projection, ray marching, visibility, the scene's extinction."""

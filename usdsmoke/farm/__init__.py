@@ -1,0 +1,1 @@
+"""Queues and clusters: Open Job Description and Dask. Both only call the pipeline."""

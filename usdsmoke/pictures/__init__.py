@@ -1,0 +1,1 @@
+"""Images: style images, previews, contact sheets, OpenEXR."""

@@ -1,0 +1,1 @@
+"""One run: its folder, its windows, its written frames, its error budget."""
