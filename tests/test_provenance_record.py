@@ -129,7 +129,7 @@ def test_the_document_explains_every_key_and_every_kind_of_change(shot: Shot) ->
     text = (PROJECT / "docs/provenance.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([\w-]+)`", text))
     assert set(record_of(run(shot).look_layer)) <= named
-    sources = [PROJECT / f"usdsmoke/provenance_{name}.py" for name in ("inputs", "verify")]
+    sources = [PROJECT / f"usdsmoke/audit/{name}.py" for name in ("inputs", "verify")]
     calls = "".join(source.read_text(encoding="utf-8") for source in sources)
     kinds = set(re.findall(r'Change(?:\.note)?\(\s*"([a-z-]+)"', calls))
     assert len(kinds) > 12 and kinds <= named

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, settings, records, names, files. No pxr, no OpenVDB, no torch."""
+"""What every room stands on: errors, settings, records, names, files. No pxr, OpenVDB or torch."""

@@ -2,8 +2,8 @@
 
 One frozen dataclass per step; a section is named like the module that uses it. ``None`` means "let
 the scene decide", and the plan says what was decided. Those that decide the look stand in
-``look_sections``. ``usdsmoke.base.config`` reads all of them from YAML and from the command line; import
-them from there.
+``look_sections``. ``usdsmoke.base.config`` reads all of them from YAML and from the command
+line; import them from there.
 """
 
 from dataclasses import dataclass, field
