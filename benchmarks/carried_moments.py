@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
 from usdsmoke.base.config import resolve_config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.views.scene import measure_scene

@@ -19,7 +19,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.shape_cost import make_plume, make_style
 from usdsmoke.base.config import Config, resolve_config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.style.losses import StyleTarget

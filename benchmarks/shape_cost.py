@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config, resolve_config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import smooth
 from usdsmoke.core.fields.sample import voxel_positions

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.smoke_fixtures import random_style
 from usdsmoke.base.config import Config, resolve_config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.views.scene import Scene, measure_scene

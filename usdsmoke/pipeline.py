@@ -14,7 +14,7 @@ from usdsmoke.base.given_settings import (
     style_paths,
 )
 from usdsmoke.base.locks import lock_output
-from usdsmoke.base.torch_environment import prepare_torch_environment
+from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job, published_runs, requested_job
 from usdsmoke.planning.originals import settle_output

@@ -16,7 +16,7 @@ from tests.counters import Elements
 from tests.smoke_fixtures import frame_of, random_style
 from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.base.config import Config, config_to_dict, resolve_config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.sequence.calibrate import calibrate

@@ -17,11 +17,12 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.asset_paths import anchored_asset, relative_asset_path
+from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.config import LayerConfig, StageConfig
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.record_format import RunFacts, build_provenance
 from usdsmoke.base.volume import WrittenFrame
+from usdsmoke.usd.asset_paths import anchored_asset
 from usdsmoke.usd.look import StylizedVolume, author_look, look_files
 from usdsmoke.usd.stage import find_volumes, open_stage
 

@@ -11,14 +11,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from usdsmoke.base import memory
+from usdsmoke.base import machine
 from usdsmoke.base.config import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.runs import sheet as pipeline_pictures
 
 PIECES = """
 import os
-from usdsmoke import memory
+from usdsmoke import machine
 
 def resident() -> int:
     with open("/proc/self/statm") as stream:
@@ -30,12 +30,12 @@ for piece in pieces:
 last = pieces[::40]  # what stays keeps the heap from shrinking by itself
 pieces = []
 before = resident()
-memory.give_back_memory()
+machine.give_back_memory()
 print(before - resident())
 """
 
 
-@pytest.mark.skipif(memory._find_trim() is None, reason="no malloc_trim in this C library")
+@pytest.mark.skipif(machine._find_trim() is None, reason="no malloc_trim in this C library")
 def test_gaps_between_what_stays_are_given_back() -> None:
     done = subprocess.run(
         [sys.executable, "-c", PIECES], capture_output=True, text=True, check=True, timeout=60
@@ -44,8 +44,8 @@ def test_gaps_between_what_stays_are_given_back() -> None:
 
 
 def test_without_the_c_librarys_function_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "_find_trim", lambda: None)
-    memory.give_back_memory()
+    monkeypatch.setattr(machine, "_find_trim", lambda: None)
+    machine.give_back_memory()
 
 
 # Bytes a voxel while the map of a picture is made, and what a refined field takes of its own size.

@@ -2,7 +2,8 @@
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 
 from usdsmoke.base.errors import LayerError
 
@@ -13,12 +14,14 @@ __all__ = [
     "DEFAULT_LOOK",
     "EMISSION",
     "ORIGINAL",
+    "RUN_RECORD",
     "SCATTER_COLOURS",
     "VARIANT_SET",
     "channel_names",
     "colour_names",
     "frame_file_names",
     "look_suffix",
+    "run_record_files",
     "volume_stems",
 ]
 
@@ -30,6 +33,7 @@ COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
 
 DEFAULT_LOOK = "stylized"  # the look whose files are named after no look
 VARIANT_SET = "look"  # of an asset: ORIGINAL, and the names of its looks
+RUN_RECORD = "run.json"  # in the folder of a run, OUT/vdb/KEY
 ORIGINAL = "original"  # the variant without a look
 ASSET_SOURCE = "usdsmokeAssetSource"  # in an asset's customLayerData: its source, relative
 
@@ -142,3 +146,8 @@ def _clean(text: str) -> str:
 
 def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
     return all(abs(code - round(code, decimals)) < 0.5 * 10**-_DECIMALS for code in time_codes)
+
+
+def run_record_files(output: Path) -> Iterator[Path]:
+    """The records of the runs in an output folder, finished or not, in the order of names."""
+    yield from sorted(output.glob(f"vdb/*/{RUN_RECORD}"))

@@ -10,6 +10,7 @@ from pxr import Usd
 
 from usdsmoke.base.config import Config, StageConfig
 from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError, VolumeNotFound
+from usdsmoke.base.machine import GIB, available_memory_gib
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import (
     DenseField,
@@ -20,7 +21,6 @@ from usdsmoke.base.volume import (
     VolumeFrame,
     VolumeSource,
 )
-from usdsmoke.planning.estimate import GIB, available_memory_gib
 from usdsmoke.usd.schema import EMISSION_PER_DENSITY
 from usdsmoke.usd.stage import find_volumes, shown_volumes
 from usdsmoke.usd.stage.originals import is_look_layer

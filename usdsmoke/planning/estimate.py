@@ -24,12 +24,11 @@ upper bound.
 
 import math
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from usdsmoke.base.config import Config, ViewsConfig
+from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.core.smoke.schedule import (
@@ -44,16 +43,11 @@ __all__ = [
     "Estimate",
     "FrameSize",
     "add_estimates",
-    "available_memory_gib",
     "estimate_run",
-    "free_disk_bytes",
     "grid_size",
     "n_different_views",
-    "usable_cpus",
     "written_bytes",
 ]
-
-GIB = 2**30
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
 BOX_BYTES = 48  # density before and after, RGB, and one array in the making
@@ -178,43 +172,6 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
 def n_different_views(views: ViewsConfig) -> int:
     """Views that a run draws from: one when both ranges are zero, whatever was asked for."""
     return 1 if views.azimuth == 0 and views.elevation == 0 else max(views.pool, views.count)
-
-
-def usable_cpus() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return max(1, os.cpu_count() or 1)
-
-
-def available_memory_gib() -> float:
-    """Memory that can still be had, GiB: the machine's or the control group's, whichever is less.
-
-    Infinite where the system does not tell.
-    """
-    candidates = [math.inf]
-    for line in _lines("/proc/meminfo"):
-        if line.startswith("MemAvailable:"):
-            candidates.append(float(line.split()[1]) * 1024)
-    limit, used = _lines("/sys/fs/cgroup/memory.max"), _lines("/sys/fs/cgroup/memory.current")
-    if limit and used and limit[0].strip().isdigit():
-        candidates.append(float(limit[0]) - float(used[0]))
-    return min(candidates) / GIB
-
-
-def free_disk_bytes(folder: Path) -> int:
-    """Free bytes on the disk that ``folder`` is on, or will be on once it is made."""
-    folder = Path(folder).absolute()
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return shutil.disk_usage(folder).free
-
-
-def _lines(file_path: str) -> list[str]:
-    try:
-        return Path(file_path).read_text(encoding="ascii").splitlines()
-    except OSError:
-        return []
 
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.config import Config, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.given_settings import portable_settings, settle_files
-from usdsmoke.base.naming import colour_names
+from usdsmoke.base.naming import colour_names, run_record_files
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.pictures.png import StyleImage, read_style_image
@@ -23,7 +23,6 @@ from usdsmoke.planning.features import check_features
 from usdsmoke.planning.needs import Omission
 from usdsmoke.planning.originals import check_originals, check_output_folder, settle_output
 from usdsmoke.planning.plan import Plan, VolumePlan, check_plan, make_plan
-from usdsmoke.runs.folder import find_runs
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
@@ -110,7 +109,9 @@ def prepare_job(
     inputs += [Path(file_path) for file_path in earlier.layers]
     check_output_folder(output, config.layer.look, inputs, [*targets.written, *sheets])
     if fits:
-        check_plan(plan, None if any(find_runs(output)) else output)  # with a run: ``check_room``
+        check_plan(
+            plan, None if any(run_record_files(output)) else output
+        )  # with a run: ``check_room``
     return Job(stage, plan, styles, style_files, output, targets, earlier, frozenset(explicit))
 
 

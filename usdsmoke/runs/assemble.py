@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import DenseField
 from usdsmoke.pictures.contact_sheet import sheet_files

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FileUnreadable
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.planning.frame_reader import FrameReader
@@ -30,7 +30,7 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
-    from usdsmoke.base.core_progress import Progress
+    from usdsmoke.base.progress import Progress
     from usdsmoke.core.sequence.coarse import CoarseStart
     from usdsmoke.core.sequence.start import Carried
     from usdsmoke.core.smoke.device import Machine

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.naming import DEFAULT_LOOK
+from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, run_record_files
 from usdsmoke.base.publish import (
     make_folders,
     publish_file,
@@ -33,7 +33,7 @@ from usdsmoke.base.record_format import hash_file, new_run_id, utc_now
 
 __all__ = ["RunFolder", "find_runs", "new_run", "write_json"]
 
-_RECORD, _SCENES = "run.json", "scenes.json"
+_SCENES = "scenes.json"
 _KEPT = ("run_id", "created", "description", "frames", "files", "complete", "plan")
 _KEPT_TOO = ("request", "scenes", "error_budget", "seconds", "processor")
 _KEY_LENGTH = 12
@@ -104,7 +104,7 @@ class RunFolder:
         self.plan, self.request, self.processor = plan, request, processor
         self._made = make_folders(self.folder)
         text = self._as_text()
-        if not publish_new(self.folder / _RECORD, lambda path: _write_text(path, text)):
+        if not publish_new(self.folder / RUN_RECORD, lambda path: _write_text(path, text)):
             if not self.adopt():
                 self.save()
 
@@ -196,7 +196,7 @@ class RunFolder:
 
     def remove(self) -> None:
         """Remove the whole run: the record first, so that half of it cannot pass for a run."""
-        (self.folder / _RECORD).unlink(missing_ok=True)
+        (self.folder / RUN_RECORD).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
         remove_empty([*self._made, self.folder.parent])
 
@@ -207,7 +207,7 @@ class RunFolder:
             WriteFailed: the operating system refused.
         """
         text = self._as_text()
-        publish_file(self.folder / _RECORD, lambda path: _write_text(path, text))
+        publish_file(self.folder / RUN_RECORD, lambda path: _write_text(path, text))
 
     def _as_text(self) -> str:
         names = (*_KEPT, *_KEPT_TOO)
@@ -226,7 +226,7 @@ def write_json(target: Path, value: Any) -> None:
 
 def find_runs(output: Path) -> Iterator[RunFolder]:
     """The runs that left a record in an output folder, finished or not, in the order of names."""
-    for record_path in sorted(output.glob(f"vdb/*/{_RECORD}")):
+    for record_path in run_record_files(output):
         try:
             record = json.loads(record_path.read_text(encoding="utf-8"))
             kept = {name: record[name] for name in _KEPT}
@@ -272,7 +272,7 @@ def _digest(description: Mapping[str, Any]) -> str:
 def _free_folder(output: Path, key: str) -> Path:
     """The key's folder, or the next one when the result that is being replaced has the same key."""
     folder, number = output / "vdb" / key, 2
-    while (folder / _RECORD).exists():
+    while (folder / RUN_RECORD).exists():
         folder, number = output / "vdb" / f"{key}-{number}", number + 1
     return folder
 

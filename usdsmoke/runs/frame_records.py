@@ -14,8 +14,8 @@ from usdsmoke import __version__
 from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.config import GridsConfig, merge_settings
 from usdsmoke.base.given_settings import portable_settings
+from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.record_format import Provenance, RunFacts, build_provenance
-from usdsmoke.base.versions import package_versions, platform_name
 from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values

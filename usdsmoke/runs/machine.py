@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.config import Config
+from usdsmoke.base.machine import usable_cpus
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.planning.estimate import usable_cpus
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.choice import taken_up
 from usdsmoke.runs.folder import RunFolder, find_runs

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.core_progress import Progress
+from usdsmoke.base.progress import Progress
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
 __all__ = ["WAITING", "RunProgress", "RunProgressCallback", "WorkMeter"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.smoke.controls import frame_config

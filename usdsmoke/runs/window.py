@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.planning.frame_reader import FrameReader, hash_sources
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
@@ -24,7 +24,7 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
 from usdsmoke.runs.times import PartClock, timed_items
 
 if TYPE_CHECKING:
-    from usdsmoke.base.core_progress import Progress
+    from usdsmoke.base.progress import Progress
 
 __all__ = ["WindowTask", "check_frames", "list_tasks", "pick_task", "stylize_windows"]
 

@@ -7,8 +7,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from usdsmoke import __version__
+from usdsmoke.base.machine import package_versions
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
-from usdsmoke.base.versions import package_versions
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import Figures
 

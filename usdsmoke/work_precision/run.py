@@ -9,7 +9,7 @@ from typing import Any
 from usdsmoke.base.config import Config
 from usdsmoke.base.errors import Interrupted
 from usdsmoke.base.given_settings import FilePath, Settings, Styles, resolve_settings, style_paths
-from usdsmoke.base.torch_environment import prepare_torch_environment
+from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.planning.job import Job, prepare_job
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
 from usdsmoke.work_precision import (

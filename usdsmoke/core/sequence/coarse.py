@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.core_progress import ProgressCallback
+from usdsmoke.base.progress import ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement

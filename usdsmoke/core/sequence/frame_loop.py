@@ -19,7 +19,7 @@ from functools import partial
 from typing import Any
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.potential import Displacement, hold
 from usdsmoke.core.sequence.coherence import (

@@ -9,8 +9,8 @@ import numpy as np
 from torch import Tensor
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.core_progress import Progress, ProgressCallback
 from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.progress import Progress, ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.refine import refine_field
 from usdsmoke.core.sequence.error_estimates import frame_errors

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 
 __all__ = ["Adam", "Minimum", "minimize"]
 

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
 from usdsmoke.core.fields.potential import (
     Displacement,

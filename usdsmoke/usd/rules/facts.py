@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError
-from usdsmoke.usd.asset_files import vdb_problem
+from usdsmoke.usd.asset_paths import vdb_problem
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, find_grid

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom
 from usdsmoke.base.errors import AssetNotResolved
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import FieldSource
-from usdsmoke.usd.asset_files import vdb_problem
+from usdsmoke.usd.asset_paths import vdb_problem
 
 __all__ = ["check_assets", "field_source", "field_time_codes", "is_blocked"]
 

@@ -1,0 +1,111 @@
+"""The machine under a run: its processors, memory and disk, its packages, and what torch reads.
+
+Nothing heavy is loaded here: not torch, not USD, not OpenVDB.
+"""
+
+import ctypes
+import math
+import os
+import platform
+import shutil
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+__all__ = [
+    "GIB",
+    "available_memory_gib",
+    "free_disk_bytes",
+    "give_back_memory",
+    "package_versions",
+    "platform_name",
+    "prepare_torch_environment",
+    "usable_cpus",
+]
+
+GIB = 2**30
+
+_PACKAGES = ("usd-core", "torch", "numpy")
+
+
+def usable_cpus() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return max(1, os.cpu_count() or 1)
+
+
+def available_memory_gib() -> float:
+    """Memory that can still be had, GiB: the machine's or the control group's, whichever is less.
+
+    Infinite where the system does not tell.
+    """
+    candidates = [math.inf]
+    for line in _lines("/proc/meminfo"):
+        if line.startswith("MemAvailable:"):
+            candidates.append(float(line.split()[1]) * 1024)
+    limit, used = _lines("/sys/fs/cgroup/memory.max"), _lines("/sys/fs/cgroup/memory.current")
+    if limit and used and limit[0].strip().isdigit():
+        candidates.append(float(limit[0]) - float(used[0]))
+    return min(candidates) / GIB
+
+
+def free_disk_bytes(folder: Path) -> int:
+    """Free bytes on the disk that ``folder`` is on, or will be on once it is made."""
+    folder = Path(folder).absolute()
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
+def _lines(file_path: str) -> list[str]:
+    try:
+        return Path(file_path).read_text(encoding="ascii").splitlines()
+    except OSError:
+        return []
+
+
+def give_back_memory() -> None:
+    """Let the system have what the C library holds in pieces; does nothing where it cannot.
+
+    Fields of many sizes leave gaps between them. Without this a shot of 72 frames peaked a tenth
+    above one of 24 (benchmarks/window_cost.py). It takes about two milliseconds: call it between
+    frames, and before what takes seconds.
+    """
+    trim = _find_trim()
+    if trim is not None:
+        trim(0)
+
+
+@lru_cache(maxsize=1)
+def _find_trim() -> Any | None:
+    """``malloc_trim`` of the GNU C library; None with any other one."""
+    try:
+        return ctypes.CDLL(None).malloc_trim
+    except (OSError, AttributeError, TypeError):
+        return None
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of Python and of the packages that a result depends on, OpenVDB's apart."""
+    versions = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:  # a USD or torch of another origin, without a wheel's record
+            versions[name] = "unknown"
+    return versions
+
+
+def platform_name() -> str:
+    """System and processor family, such as ``Linux x86_64``; nothing that names the machine."""
+    return f"{platform.system()} {platform.machine()}"
+
+
+def prepare_torch_environment() -> None:
+    """Set variables that torch reads when it is imported; a user's own values stay."""
+    # Threads that spin while they wait slow each other down many times where processors are shared.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Every size of picture leaves its convolutions in a cache, which grows with the shot.
+    os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")

@@ -1,0 +1,85 @@
+"""Asset paths: what is wrong with the file behind one, and how a layer elsewhere spells it."""
+
+import os
+import re
+from pathlib import Path
+
+from pxr import Ar, Sdf, Usd
+
+from usdsmoke.base.asset_paths import relative_asset_path
+
+__all__ = ["anchored_asset", "asset_value", "vdb_problem"]
+
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is a drive
+
+
+def vdb_problem(authored_path: str, file_path: str) -> str:
+    """Why a field's file cannot be opened, and what to do about it; "" when nothing is wrong.
+
+    The text continues a sentence that names the path; only the path is looked at, not the file.
+
+    Args:
+        authored_path: as it stands in the layer.
+        file_path: what it resolves to; "" for nothing.
+    """
+    if not authored_path and not file_path:
+        return "wanted the path of a .vdb file"
+    if authored_path.startswith("op:"):
+        return (
+            "that is a node inside Houdini, unknown outside it; "
+            "write the volumes to files there (USD ROP) and use the stage it writes"
+        )
+    if Ar.IsPackageRelativePath(file_path) or Ar.IsPackageRelativePath(authored_path):
+        package = Ar.SplitPackageRelativePathOuter(file_path or authored_path)[0]
+        return (
+            f"that is inside the package {package}, and OpenVDB reads plain files only; "
+            "unpack it (a .usdz is a zip) and use the stage inside"
+        )
+    if not file_path:
+        return "nothing is found there; check the path and that the files came along"
+    if os.path.isdir(file_path):
+        return f"{file_path} is a folder; wanted a .vdb file"
+    if not os.path.isfile(file_path):
+        return f"it resolves to {file_path}, where there is no file; check the resolver or the disk"
+    return ""
+
+
+def asset_value(
+    attribute: Usd.Attribute, time_code: float | None, folder: Path
+) -> Sdf.AssetPath | Sdf.ValueBlock:
+    """A composed asset value, re-anchored to a layer in ``folder``; a block where there is none.
+
+    Args:
+        attribute: of type asset.
+        time_code: None asks for the default.
+        folder: of the layer that the value will stand in.
+    """
+    at = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
+    value = attribute.Get(at)
+    if value is None:
+        return Sdf.ValueBlock()
+    return anchored_asset(value, _authoring_layer(attribute, at), folder)
+
+
+def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) -> Sdf.AssetPath:
+    """An asset path of ``layer`` as a layer in ``folder`` has to spell it.
+
+    Addresses of a resolver's own (``asset:...``) stay as they are; a path that resolves to nothing
+    keeps pointing to the place where its file should be. Expressions are replaced by their value.
+    """
+    authored = str(value.evaluatedPath or value.authoredPath)
+    if not authored or _SCHEME.match(authored):
+        return Sdf.AssetPath(authored)
+    resolved = str(value.resolvedPath)
+    if not resolved and layer is not None and not layer.anonymous:
+        resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, authored)
+    if not os.path.isabs(resolved):
+        return Sdf.AssetPath(authored)
+    return Sdf.AssetPath(relative_asset_path(resolved, folder))
+
+
+def _authoring_layer(attribute: Usd.Attribute, at: Usd.TimeCode) -> Sdf.Layer | None:
+    for spec in attribute.GetPropertyStack(at):
+        if spec.HasInfo("timeSamples") or spec.HasInfo("default"):
+            return spec.layer
+    return None
