@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +14,14 @@ PACKAGE = PROJECT / "usdsmoke"
 
 @dataclass(frozen=True)
 class Module:
-    """One source file of the package; names are relative to it: ``grids.read``, "" for itself."""
+    """One source file of the package; names are relative to it: ``vdb.read``, "" for itself."""
 
     name: str
     file_path: Path
     tree: ast.Module
-    ours: frozenset[str]  # modules of the package that it imports, anywhere in the file
-    foreign: frozenset[str]  # top-level packages outside the standard library, likewise
+    ours: frozenset[str]  # modules of the package it imports: lazily and for type checkers, too
+    ours_that_run: frozenset[str]  # without what is for type checkers alone
+    foreign: frozenset[str]  # top-level packages outside the standard library that can be loaded
     ours_at_top: frozenset[str]  # those imported when the module is
     foreign_at_top: frozenset[str]
 
@@ -31,19 +33,23 @@ def read_modules() -> dict[str, Module]:
     return {_name_of(file_path): _read_module(file_path, known) for file_path in files}
 
 
-def closure(modules: dict[str, Module], name: str) -> set[str]:
-    """``name`` and all modules of ours that it imports, directly or not."""
+def closure(modules: Mapping[str, Module], name: str) -> set[str]:
+    """``name`` and all modules of ours that it can load, directly or not."""
     reached, waiting = set(), [name]
     while waiting:
         current = waiting.pop()
         if current not in reached:
             reached.add(current)
-            waiting += modules[current].ours
+            waiting += modules[current].ours_that_run
     return reached
 
 
-def find_cycle(modules: dict[str, Module]) -> list[str]:
-    """A ring of modules that import one another, or an empty list."""
+def find_cycle(imports: Mapping[str, Iterable[str]]) -> list[str]:
+    """A ring of names that import one another, or an empty list.
+
+    Args:
+        imports: what each name imports.
+    """
     done: set[str] = set()
 
     def visit(name: str, trail: list[str]) -> list[str]:
@@ -51,14 +57,14 @@ def find_cycle(modules: dict[str, Module]) -> list[str]:
             return [*trail[trail.index(name) :], name]
         if name in done:
             return []
-        for other in sorted(modules[name].ours):
+        for other in sorted(imports[name]):
             ring = visit(other, [*trail, name])
             if ring:
                 return ring
         done.add(name)
         return []
 
-    for name in modules:
+    for name in imports:
         ring = visit(name, [])
         if ring:
             return ring
@@ -72,25 +78,27 @@ def _name_of(file_path: Path) -> str:
 
 def _read_module(file_path: Path, known: set[str]) -> Module:
     tree = ast.parse(file_path.read_text(encoding="utf-8"), str(file_path))
-    everywhere = _imported(tree, file_path, nested=True)
-    at_top = _imported(tree, file_path, nested=False)
+    everything = _imported(tree, file_path, nested=True, types=True)
+    that_runs = _imported(tree, file_path, nested=True, types=False)
+    at_top = _imported(tree, file_path, nested=False, types=False)
     name = _name_of(file_path)
     return Module(
         name,
         file_path,
         tree,
-        frozenset(_ours(everywhere, known) - {name}),
-        frozenset(_foreign(everywhere)),
+        frozenset(_ours(everything, known) - {name}),
+        frozenset(_ours(that_runs, known) - {name}),
+        frozenset(_foreign(that_runs)),
         frozenset(_ours(at_top, known) - {name}),
         frozenset(_foreign(at_top)),
     )
 
 
-def _imported(tree: ast.AST, file_path: Path, nested: bool) -> set[str]:
-    """Dotted names that the code imports; what is for type checkers alone is left out."""
+def _imported(tree: ast.AST, file_path: Path, nested: bool, types: bool) -> set[str]:
+    """Dotted names that the code imports; those for type checkers alone only with ``types``."""
     names: set[str] = set()
     for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test) and not types:
             continue
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
@@ -100,12 +108,12 @@ def _imported(tree: ast.AST, file_path: Path, nested: bool) -> set[str]:
             )
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif nested or not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
-            names |= _imported(node, file_path, nested)
+            names |= _imported(node, file_path, nested, types)
     return names
 
 
 def _ours(names: set[str], known: set[str]) -> set[str]:
-    """The modules behind dotted names: usdsmoke.vdb.read.read_grids is grids.read."""
+    """The modules behind dotted names: usdsmoke.vdb.read.read_grids is vdb.read."""
     found = set()
     for name in names:
         parts = name.split(".")
