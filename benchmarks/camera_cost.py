@@ -2,7 +2,8 @@
 
     python -m benchmarks.camera_cost [half] [near]
 
-Prints two tables, see docs/cameras.md; about two minutes on one core. The error is the style loss
+Prints two tables, see benchmarks/results/camera_cost.md; about two minutes on one core. The error
+is the style loss
 (of the run itself, one octave below the finest) of the camera's own perspective picture.
 """
 

@@ -4,7 +4,7 @@
 
 A 2-D and a 3-D frame are simulated, styles are painted, and every control is shown at a few values
 with all else equal: gamma, the depth of the features, tiling, the colours' start, masks, and 2-D
-beside 3-D. Needs no data but the repository; docs/controls.md says what to see.
+beside 3-D. Needs no data but the repository; docs/stylize.md shows some of them.
 """
 
 import argparse

@@ -2,7 +2,8 @@
 
     python -m benchmarks.estimated_motion [--resolution 64] [--steps 18 33 48]
 
-Prints the tables of docs/motion.md. Errors are of the way that a voxel's smoke came in one frame,
+Prints the tables of benchmarks/results/estimated_motion.md. Errors are of the way that a voxel's
+smoke came in one frame,
 in voxels, weighted with its density; angles are between the estimated and the true way. The
 residual |d_t - T(d_(t-1))| / |d_t| says how well a velocity carries the density: with the truth it
 is what the source adds and what one linear look-up blurs. About a minute on one core.

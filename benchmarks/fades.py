@@ -4,7 +4,7 @@
 
 Stylizes the example plume in one window, with the strengths that a request's time samples would
 give, and prints the temporal errors, which are measured at full strength; about five minutes on
-one core. See docs/coherence.md.
+one core. See benchmarks/results/fades.md.
 """
 
 import argparse

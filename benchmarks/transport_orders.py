@@ -1,4 +1,4 @@
-"""Prints the tables of docs/numerics_transport.md: errors, orders, mass and speed of transport.
+"""Prints the tables of benchmarks/results/transport_orders.md: errors, orders, mass, speed.
 
     python -m benchmarks.transport_orders [--fine] [--skip-speed]
 

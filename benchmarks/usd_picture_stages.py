@@ -1,4 +1,4 @@
-"""What is drawn for docs/usd.md: a sequence, its look switched off, and single frames of it.
+"""What `benchmarks.usd_pictures` draws: a sequence, its look switched off, and single frames of it.
 
 The sequence is small and stylized in its middle only, so there is a frame before and a frame after
 the look. Nothing that is authored here touches a file of the result.

@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def make_sequence(out_folder: Path) -> Path:
-    """The stylized plume, made by the commands that docs/usd.md names; those that are done stay.
+    """The stylized plume, made by the commands; those that are done stay.
 
     Returns:
         The result's folder.

@@ -177,7 +177,7 @@ main([{command!r}, {str(stage)!r}])
 def test_the_document_lists_every_attribute_with_type_and_setting() -> None:
     layer = Sdf.Layer.OpenAsAnonymous(str(PROJECT / "schemas/usdSmoke/schema.usda"))
     schema = layer.GetPrimAtPath("/UsdSmokeStyleAPI")
-    text = (PROJECT / "docs/requests.md").read_text(encoding="utf-8")
+    text = (PROJECT / "docs/settings.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| `(\S+)` \| `(\S+)` \| (yes )?\|$", text, flags=re.M)
     expected = {
         (

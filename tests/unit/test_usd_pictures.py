@@ -1,4 +1,4 @@
-"""The stages that docs/usd.md's pictures are drawn from, the measure, and the sheet."""
+"""The stages that `benchmarks.usd_pictures` draws, the measure, and the sheet."""
 
 from pathlib import Path
 

@@ -86,7 +86,7 @@ print(json.dumps([seen, sorted(foreign)]))
     assert "--frames 2 " in seen["usdsmoke.copy_frame"][0][1]
     assert "--frames 1-4 " in seen["usdsmoke.copy_all"][0][1]
     assert "torch" not in foreign
-    allowed = {"numpy", "yaml", "rich"}  # docs/usdview.md names them, with rich's own three
+    allowed = {"numpy", "yaml", "rich"}  # docs/look.md names them, with rich's own three
     named = {name for name in foreign if not name.startswith("_") and "distutils" not in name}
     assert named <= allowed | {"pygments", "markdown_it", "mdurl"}
 
