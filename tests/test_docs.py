@@ -10,11 +10,8 @@ import pytest
 import yaml
 
 PROJECT = Path(__file__).resolve().parents[1]
-DOCUMENTS = sorted(
-    path
-    for pattern in ("*.md", "docs/*.md", "docs/decisions/*.md", "benchmarks/*.md", "examples/**/*.md")
-    for path in PROJECT.glob(pattern)
-)  # fmt: skip
+FOLDERS = (".", "docs", "docs/decisions", "benchmarks", "examples", "examples/plume")
+DOCUMENTS = sorted(path for folder in FOLDERS for path in PROJECT.joinpath(folder).glob("*.md"))
 WIDTH = 100
 
 
@@ -95,6 +92,15 @@ def test_settings_that_are_named_exist(document: Path) -> None:
     for section, name in re.findall(r"`(?:--set )?(\w+)\.(\w+)[`=]", prose(document)):
         if section in sections and document.name != "CHANGELOG.md":
             assert name in sections[section], f"{section}.{name} is no setting"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
+def test_source_files_that_are_named_exist(document: Path) -> None:
+    if document.parent.name == "decisions" or document.name == "CHANGELOG.md":
+        return  # these speak of their own day
+    roots = "usdsmoke|tests|benchmarks|docs|examples|schemas|tools"
+    for name in re.findall(rf"`((?:{roots})/[\w/.]+)`", prose(document)):
+        assert (PROJECT / name).exists() or "NAME" in name, f"{name} is not there"
 
 
 def test_the_tables_of_settings_are_those_of_the_command() -> None:

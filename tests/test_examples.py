@@ -18,9 +18,11 @@ PROJECT = Path(__file__).resolve().parents[1]
 PLUME, STYLES = PROJECT / "examples" / "plume", PROJECT / "examples" / "styles"
 
 
-def run_script(*command: str | Path) -> None:
+def run_script(*command: str | Path) -> str:
+    """Run a script and return what it prints."""
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,14 @@ def read_grids(file_path: Path) -> dict[str, Any]:
     name = next(m for m in ("openvdb", "pyopenvdb") if importlib.util.find_spec(m))
     grids, _ = importlib.import_module(name).readAll(str(file_path))
     return {grid.name: grid for grid in grids}
+
+
+def whole(grid: Any) -> np.ndarray:
+    """The voxels of a colour grid's active box."""
+    first, last = np.array(grid.evalActiveVoxelBoundingBox())
+    values = np.zeros((*np.maximum(last - first + 1, 1), 3), np.float32)
+    grid.copyToArray(values, ijk=tuple(map(int, first)) if grid.activeVoxelCount() else (0, 0, 0))
+    return values
 
 
 def whole_box(grid: Any, *channels: int) -> np.ndarray:
@@ -156,3 +166,55 @@ def test_styles_are_painted_the_same_every_time_in_many_colours(tmp_path: Path) 
 
 def test_demo_settings_are_known_to_the_configuration() -> None:
     assert resolve_config(read_config(PLUME / "config.yaml")).optimize.seed == 7
+
+
+EXAMPLES = PROJECT / "examples"
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[str | Path, ...]:
+    """A coarse plume of three frames and a small style, as options of the scripts."""
+    folder = tmp_path_factory.mktemp("inputs")
+    run_script(PLUME / "simulate.py", folder, "--frames", "3", "--resolution", "10")
+    run_script(STYLES / "paint.py", folder, "--size", "48")
+    return "--stage", folder / "plume.usda", "--style", folder / "waves.png"
+
+
+def test_request_on_stage_fades_in(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    run_script(EXAMPLES / "request_on_stage/author_request.py", *inputs, "--output", tmp_path)
+    look = Usd.Stage.Open(str(tmp_path / "look/request_look.usda"))
+    volume = UsdVol.Volume.Get(look, "/plume/smoke")
+    field = UsdVol.OpenVDBAsset.Get(look, volume.GetFieldPath("density"))
+    files = [field.GetFilePathAttr().Get(time_code).resolvedPath for time_code in (1, 3)]
+    first, last = (read_grids(Path(file_path)) for file_path in files)
+    assert not whole(first["emission"]).any()  # strength 0
+    assert whole(last["emission"]).any()
+
+
+def test_python_api_stylizes_two_frames(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    script = EXAMPLES / "python_api/stylize_and_check.py"
+    printed = run_script(script, *inputs, "--output", tmp_path)
+    assert "/plume/smoke: 3 frames" in printed and "\n2 frames" in printed
+    assert (tmp_path / "look.usda").exists()
+
+
+def test_shot_camera_is_seen_through(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    run_script(EXAMPLES / "shot_camera/orbit.py", *inputs, "--output", tmp_path)
+    pixels = np.asarray(Image.open(tmp_path / "shot.png"))
+    assert pixels.std(axis=(0, 1)).min() > 1.0
+    stage = Usd.Stage.Open(str(tmp_path / "look/shot_look.usda"))
+    assert UsdGeom.Camera.Get(stage, "/cameras/orbit")
+
+
+@pytest.mark.slow
+def test_farm_assembles_its_windows(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    run_script(EXAMPLES / "farm/run_windows.py", *inputs, "--output", tmp_path)
+    assert len(list(tmp_path.glob("vdb/*/windows/*.json"))) == 2
+    assert (tmp_path / "plume_look.usda").exists()
+
+
+def test_preview_writes_pictures(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    stage = inputs[:2]
+    run_script(EXAMPLES / "preview/draw_stage.py", *stage, "--output", tmp_path, "--width", "32")
+    assert np.asarray(Image.open(tmp_path / "frame.png")).shape[1:] == (32, 4)
+    assert (tmp_path / "sheet.png").exists() and (tmp_path / "layers.exr").exists()
