@@ -1,4 +1,4 @@
-"""What becomes of stiff and extreme input, and the tests that check it.
+"""What happens with extreme input, and the tests that check it.
 
 ``python -m tests.stability`` writes docs/stability.md from this list;
 ``tests/test_stability_table.py`` holds the two together.
@@ -51,16 +51,16 @@ def _group(name: str, *rows: tuple[str, str, tuple[str, ...]]) -> tuple[Entry, .
 
 VOLUME = _group(
     "Volume",
-    ("empty frame", "finite: an empty frame is written; neither renderer nor network is asked",
+    ("empty frame", "finite: an empty frame is written; renderer and network are not called",
      ("tests/test_bad_input.py::test_an_empty_frame_becomes_an_empty_frame",
       STYLIZE + "test_an_empty_frame_is_passed_through_without_renderer_or_network")),
-    ("empty frame in the middle of a shot", "finite: the frames around it stay a chain",
+    ("empty frame in the middle of a shot", "finite: the frames around it still follow each other",
      ("tests/unit/core/test_stylize_window.py::"
       "test_an_empty_frame_in_between_does_not_break_the_chain",)),
     ("one voxel, a row of them", "finite: the mass is kept",
      (EXTREMES + "test_few_voxels_in_any_arrangement",)),
     ("two voxels 10⁶ apart", "finite: both are painted; named error PlanError: smoke that far "
-     "apart is not moved, and the message names the setting that paints only",
+     "apart is not moved, and the message names the setting that only paints",
      (EXTREMES + "test_two_voxels_a_million_apart_are_painted",
       EXTREMES + "test_two_voxels_a_million_apart_are_not_moved_but_refused_by_name")),
     ("a box that does not fit in memory", "named error GridTooLarge: with its size and the limit",
@@ -68,63 +68,63 @@ VOLUME = _group(
       REFUSED + "[too little for a grid]")),
     ("slab one voxel thick", "finite: stays one voxel thick and is seen from one side",
      (STYLIZE + "test_a_slab_stays_one_voxel_thick_and_is_seen_from_one_side",)),
-    ("negative density", "finite: counts as none where smoke is moved",
+    ("negative density", "finite: treated as 0 where smoke is moved",
      (EXTREMES + "test_negative_density_counts_as_none_where_smoke_is_moved",)),
-    ("NaN, infinite density", "named error NonFiniteError: counted and placed, by file, field and "
-     "timeCode; with `--repair nan=...` finite: that number takes their place",
+    ("NaN, infinite density", "named error NonFiniteError: with number, place, file, field and "
+     "timeCode; with `--repair nan=...` finite: replaced by that number",
      (READ + "test_nan_and_infinite_voxels_are_counted_and_placed", REFUSED + "[NaN]",
       STYLIZE + "test_density_that_is_not_finite_is_refused_by_time_code_and_name",
       "tests/test_bad_input.py::test_repair_accepts_nan_and_puts_the_number_there")),
-    ("denormal density", "finite: counts as none",
+    ("denormal density", "finite: treated as 0",
      (EXTREMES + "test_denormal_density_counts_as_none",)),
     ("density of 1e-30 and 1e30", "finite: looks and is moved like ordinary smoke",
      (EXTREMES + "test_density_of_any_amount_looks_the_same",
       EXTREMES + "test_density_of_any_amount_is_moved_like_ordinary_smoke")),
     ("density over sixty orders of magnitude in one frame", "finite: the mass is kept",
      (EXTREMES + "test_density_over_sixty_orders_of_magnitude",)),
-    ("background other than 0", "finite: fills the box of the active voxels and nothing beyond",
+    ("background other than 0", "finite: fills only the box of the active voxels",
      (EXTREMES + "test_a_background_other_than_zero_fills_the_box_only",
       READ + "test_active_tile_is_filled_and_background_shows_between")),
-    ("background NaN or infinite", "named error NonFiniteError: says that it is the background",
+    ("background NaN or infinite", "named error NonFiniteError: names the background",
      (READ + "test_background_that_is_not_finite_is_refused",)),
     ("active tiles", "finite: filled with their value",
      (READ + "test_active_tile_is_filled_and_background_shows_between",)),
     ("level set instead of fog", "named error UnsupportedGrid: field, timeCode, the class found",
      (REFUSED + "[level set]", READ + "test_grid_that_is_no_smoke_is_refused_from_its_header")),
-    ("points instead of fog", "named error UnsupportedGrid: known from the file's header",
+    ("points instead of fog", "named error UnsupportedGrid: detected in the file's header",
      (READ + "test_grid_that_is_no_smoke_is_refused_from_its_header",
       "tests/unit/grids/test_header.py::test_type_is_taken_apart")),
-    ("types the bindings lack beside density", "finite: density is read and the others are left "
-     "alone; named error UnsupportedGrid: where one of them is asked for",
+    ("types that the bindings lack, beside density", "finite: density is read, the others are "
+     "ignored; named error UnsupportedGrid: if one of them is requested",
      (READ + "test_grids_of_other_types_in_the_file_are_left_alone", REFUSED + "[whole numbers]")),
-    ("several grids of one name", "finite: told apart by their index; named error GridNotFound: an "
-     "index beyond them, with those there are",
+    ("several grids of one name", "finite: selected by index; named error GridNotFound: for a "
+     "higher index, with a list of the grids",
      (READ + "test_grid_is_found_by_name_then_index",
       READ + "test_grid_not_found_lists_what_the_file_has")),
-    ("a mask that is not there", "named error GridNotFound: with the fields and grids there are; "
-     "named error AssetNotResolved: where its file is missing, or its timeCode",
+    ("a missing mask", "named error GridNotFound: with a list of the fields and grids; "
+     "named error AssetNotResolved: if its file or its timeCode is missing",
      (MASK + "test_a_mask_in_neither_place_is_refused_with_what_there_is",
       MASK + "test_a_missing_mask_file_and_a_gap_are_refused_with_their_timecode")),
-    ("a mask of vectors, a level set, truth values, or scaled to nothing",
-     "named error UnsupportedGrid: known from stage and header",
+    ("a mask of vectors, booleans or a level set, or scaled to size 0",
+     "named error UnsupportedGrid: detected from stage and header",
      (MASK + "test_a_grid_that_is_no_field_of_numbers_is_no_mask",
       MASK + "test_a_mask_that_is_scaled_to_nothing_is_refused")),
-    ("NaN in a mask", "named error NonFiniteError: field and timeCode; finite: once "
-     "`grids.repair_nan` is set",
+    ("NaN in a mask", "named error NonFiniteError: field and timeCode; finite: with "
+     "`grids.repair_nan`",
      (MASK + "test_nan_in_a_mask_is_refused_or_repaired_as_in_a_density",)),
 )  # fmt: skip
 
 OPTICAL = _group(
     "Optics",
     ("optical depth 1e-12 … 1e6 across one voxel and across the volume",
-     "finite: picture, values and gradients; the light stays below that of its extinction",
+     "finite: picture, values and gradients; the extinction bounds the light",
      (OPTICS + "test_any_optical_depth_gives_finite_values_and_gradients",
       EXTREMES + "test_any_extinction")),
-    ("gamma 0", "named error ConfigError: as a setting; finite: in a scene of one's own making, "
-     "without light and without motion",
+    ("gamma 0", "named error ConfigError: as a setting; finite: in a scene built in code, "
+     "without light and motion",
      (STAGES + "test_no_extinction_is_refused_as_a_setting",
       EXTREMES + "test_no_extinction_gives_no_light_and_no_motion_but_a_finite_result")),
-    ("emission in voxels of zero density", "finite: gives no light and no gradient",
+    ("emission in voxels of zero density", "finite: no light, no gradient",
      (OPTICS + "test_emission_without_density_gives_no_light_and_no_gradient_trouble",
       "tests/unit/core/test_render.py::test_emission_where_there_is_no_density_is_not_seen")),
 )  # fmt: skip
@@ -169,7 +169,7 @@ TRANSFORMS = _group(
      "finite: the same smoke as with the grid's own transform; may change with time",
      (EXTREMES + "test_the_field_prim_s_place_counts_like_the_grid_s_own",
       "tests/unit/test_stage.py::test_field_to_stage_is_the_field_prims_own_place_at_each_time")),
-    ("metersPerUnit 0.01 and 1000", "finite: kept on the result and without influence on the smoke",
+    ("metersPerUnit 0.01 and 1000", "finite: kept on the result, no effect on the smoke",
      (STAGES + "test_the_stage_s_unit_is_kept_and_changes_no_bit_of_the_smoke",)),
     ("Y-up and Z-up", "finite: views turn around the stage's axis",
      (EXTREMES + "test_smoke_is_stylized_with_either_axis_up",
@@ -180,13 +180,13 @@ TIME = _group(
     "Time",
     ("window longer than the shot", "finite: one window of all frames",
      (STAGES + "test_a_window_longer_than_the_shot_holds_all_of_it",)),
-    ("gaps between frames", "finite: no window reaches over one; inside a window they are crossed",
+    ("gaps between frames", "finite: no window crosses a cut; smaller gaps are crossed",
      (WINDOWS + "test_no_window_reaches_over_a_cut", EXTREMES + "test_any_time_codes")),
-    ("sub-frames, frame 0, negative frames", "finite: every timeCode shows a file of its own",
+    ("sub-frames, frame 0, negative frames", "finite: each timeCode has its own file",
      (STAGES + "test_negative_fractional_and_distant_timecodes_show_files_of_their_own",
       EXTREMES + "test_any_time_codes")),
     ("one frame", "finite: stylized on its own", (EXTREMES + "test_any_time_codes",)),
-    ("timeCodes that do not rise", "named error ShapeError: wanted them ascending",
+    ("timeCodes that do not ascend", "named error ShapeError: must be ascending",
      (WINDOWS + "test_time_codes_that_do_not_rise_are_refused",)),
 )  # fmt: skip
 
@@ -202,16 +202,16 @@ STYLE_IMAGE = _group(
     ("grey, palette, CMYK", "finite: becomes RGB",
      (*(IMAGES + f"test_every_colour_mode_becomes_rgb[{mode}]" for mode in ("L", "P", "CMYK")),
       IMAGES + "test_palette_gives_its_colours", EXTREMES + "test_any_style_image[grey]")),
-    ("alpha", "finite: what is transparent takes the mean of what is visible; named error "
-     "ImageError: fully transparent",
+    ("alpha", "finite: transparent pixels take the mean of the visible ones; named error "
+     "ImageError: if fully transparent",
      (IMAGES + "test_transparent_pixels_take_the_mean_of_the_visible_ones",
       IMAGES + "test_fully_transparent_image_is_refused")),
-    ("16-bit", "finite: scaled, not cut off",
+    ("16-bit", "finite: scaled, not clipped",
      (IMAGES + "test_sixteen_bit_grey_keeps_its_precision",
       IMAGES + "test_sixteen_bit_colour_is_scaled_not_cut_off")),
     ("EXR with HDR values", "finite: clipped to [0, 1] and encoded",
      (IMAGES + "test_exr_is_linear_light_that_gets_clipped_and_encoded",)),
-    ("EXR with NaN pixels", "named error ImageError: counted",
+    ("EXR with NaN pixels", "named error ImageError: with their number",
      (IMAGES + "test_nan_pixels_are_counted",)),
     ("one colour, no variance", "finite: loss and gradients",
      (EXTREMES + "test_any_style_image[one colour]",
@@ -222,15 +222,15 @@ OPTIMISER = _group(
     "Optimiser",
     ("zero gradient at the start", "finite: nothing moves, nothing is rolled back",
      (OPTIMIZE + "test_a_zero_gradient_at_the_start_moves_nothing_and_is_no_error",)),
-    ("loss weight 0", "finite: the source comes back, and the report says why",
+    ("loss weight 0", "finite: the source is returned, and the report says why",
      (STYLIZE + "test_no_strength_or_no_style_gives_the_source_back_and_asks_for_no_features",)),
     ("loss weight 1e12", "finite: the mass is kept",
      (EXTREMES + "test_loss_weights_of_any_size",)),
-    ("learning rate 100 times too large", "finite: found, rolled back, halved and reported; the "
+    ("learning rate 100 times too large", "finite: detected, rolled back, halved and reported; the "
      "end is no worse than the start",
      (OPTIMIZE + "test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported",
       EXTREMES + "test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began")),
-    ("divergence beyond rescue", "named error NonFiniteError: counts the halvings",
+    ("an objective that always diverges", "named error NonFiniteError: with the number of halvings",
      (OPTIMIZE + "test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings",
       EXTREMES + "test_features_that_overflow_are_a_named_error")),
     ("Gram sums beyond 65504 in half precision", "finite: summed in single precision",
@@ -255,16 +255,16 @@ ENTRIES = (
 
 NOT_YET_CHECKED: tuple[str, ...] = ()
 
-INTRODUCTION = """# Stability
+INTRODUCTION = """# Extreme input
 
-Every entry ends in a finite, sensible result or in one named error that says what was found and
-what to do. This file is written by `python -m tests.stability` from the list of the tests that
-check it; `tests/test_stability_table.py` fails where the two differ.
+Each case ends in a finite, sensible result or in a named error. This file is written by
+`python -m tests.stability` from the list of tests, and `tests/test_stability_table.py` compares
+the two.
 """
 
-FAULTS_FOUND = """W1 to W22 were seen in the public code of [Kim2019] and [Kim2020]
-(byungsook/neural-flow-style), most of them by running it. Beside each stands what happens here in
-the same case, or in the one that comes closest to it.
+FAULTS_FOUND = """W1 to W22 were found in the public code of [Kim2019] and [Kim2020]
+(byungsook/neural-flow-style), most of them by running it. The second column says what usdsmoke does
+in the same case or the closest one.
 """
 
 

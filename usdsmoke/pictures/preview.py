@@ -1,6 +1,6 @@
 """A stage's smoke as a picture, drawn by our own rays: what a result looks like without a client.
 
-Read voxels, march rays, write PNG or OpenEXR; nothing of the stage is changed. docs/preview.md
+Read voxels, march rays, write PNG or OpenEXR; nothing of the stage is changed. docs/look.md
 explains what is drawn and what is not.
 """
 
