@@ -70,8 +70,10 @@ def write_record(file_path: Path, results: dict[str, Any]) -> str:
     agree = old["results"].keys() == values.keys() and not any(
         list(_compare("", old["results"][name], values[name], TOLERANCE)) for name in values
     )
-    kept = [e for e in old["hashes"] if e["circumstances"] != here] if agree else []
     own = {"circumstances": here, "runs": {name: hashes for name, (hashes, _) in split.items()}}
+    unchanged = all(e == own for e in old["hashes"] if e["circumstances"] == here)
+    others = [e for e in old["hashes"] if e["circumstances"] != here]
+    kept = others if agree and unchanged else []
     # With others' hashes their values stay: the new ones differ in their last digits alone.
     record = {"results": old["results"] if kept else values, "hashes": [*kept, own]}
     file_path.write_text(_text(record), encoding="utf-8")

@@ -14,6 +14,8 @@ import pytest
 from tests.baselines.record import differences, read_record, same_circumstances
 from tests.baselines.runs import RUNS, make_results_in_processes
 
+pytestmark = pytest.mark.slow
+
 RECORD = read_record()
 COMPARED = "bits" if same_circumstances(RECORD) else "statistics"
 OTHER = "another seed"
