@@ -168,9 +168,9 @@ def half_out(
         seen = dataclasses.replace(frame, camera=camera)
         runs = [run(seen, scene, config) for _ in range(n_runs)]
         result, seconds = runs[0][0], min(item[1] for item in runs)
-        outside = result.report.get("voxels outside the camera's frustum", 0)
+        outside = result.report.voxels_outside_camera or 0
         error = picture_loss(result, scene, half, config)
-        found[name] = (seconds, result.report["voxels"] - outside, error)
+        found[name] = (seconds, result.report.voxels - outside, error)
     return found
 
 

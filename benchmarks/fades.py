@@ -33,8 +33,8 @@ def errors_of(shot: Shot, strengths: Mapping[int, float]) -> dict[float, dict[st
         for number, frame in enumerate(shot.frames, 1)
     ]
     results = stylize_window(frames, [shot.style], shot.scene, shot.config)
-    found = {result.time_code: result.report.get("temporal error") for result in results}
-    return {code: errors for code, errors in found.items() if errors}
+    found = {result.time_code: result.report.temporal for result in results}
+    return {code: vars(errors) for code, errors in found.items() if errors is not None}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

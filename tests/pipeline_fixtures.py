@@ -23,6 +23,7 @@ from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
 from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.base.frame_report import FrameReport, TemporalErrors
 from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.pipeline import StylizeResult, stylize
@@ -75,7 +76,7 @@ class FakeStylized:
     time_code: float
     density: DenseField
     emission: DenseField | None
-    report: dict[str, Any] = field(default_factory=dict)
+    report: FrameReport = field(default_factory=FrameReport)
 
 
 @dataclass(frozen=True)
@@ -202,9 +203,8 @@ class FakeCore:
                 density, name="emission", values=values, background=background,
                 grid_class="unknown",
             )  # fmt: skip
-        report: dict[str, Any] = {"loss": np.float64(0.5)}
-        if errors is not None:
-            report["temporal error"] = errors
+        temporal = None if errors is None else TemporalErrors(**errors)
+        report = FrameReport(temporal=temporal)
         return FakeStylized(frame.time_code, density, emission, report)
 
     def modules(self) -> dict[str, types.ModuleType]:

@@ -14,7 +14,7 @@ from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.audit.records import find_records
 from usdsmoke.base.config import Config, GridsConfig
 from usdsmoke.pipeline import assemble, stylize
-from usdsmoke.runs.error_budget import make_budget
+from usdsmoke.runs.budget import make_budget
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
 

@@ -128,7 +128,7 @@ def test_a_manifest_tells_everything_about_its_window(farm: Shot) -> None:
     parts = [f"parts/0001/smoke.{code:04d}.vdb" for code in (4, 5, 7)]
     assert sorted(frames) == sorted([*parts, "smoke.0006.vdb"])
     assert [name for name in sorted(frames) if frames[name]["part"]] == parts
-    assert frames["smoke.0006.vdb"]["report"]["temporal error"]["colour"] == 0.5
+    assert frames["smoke.0006.vdb"]["report"]["temporal"]["colour"] == 0.5
     for name, frame in frames.items():
         assert (run_folder(farm) / name).is_file()
         assert len(frame["sha256"]) == len(frame["content_hash"]) == 64

@@ -219,7 +219,7 @@ def test_a_slab_is_seen_once_and_moved_and_sampled_along_two_axes(
         result = run_core([frame_of(slab)])[0]
     assert n_axes == {2} and channels == {1}
     assert calls["column_map"] == calls["colour_map"] == 2  # one view for each octave
-    assert result.report["shape"]["largest displacement"] > 0
+    assert result.report.transport.largest_displacement > 0
     with Elements() as thick:
         run_core([frame_of(np.repeat(slab, 2, axis))])
     assert n_axes == {2, 3} and channels == {1, 3} and flat.made < 0.6 * thick.made
@@ -260,7 +260,7 @@ def test_a_converged_octave_does_no_more_iterations(
         )
         (result,) = run_core([frame_of(puff(8))], config)
         done.append(calls["StyleTarget.loss"])
-        report = result.report["colour"]
-        assert report["iterations"] == [done[-1]]
-        assert report["ended"] == ["converged" if tolerance else "iterations"]
+        report = result.report.colour
+        assert report.iterations == (done[-1],)
+        assert report.ended == ("converged" if tolerance else "iterations",)
     assert done[0] == 40 and done[1] < 20

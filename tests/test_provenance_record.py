@@ -78,7 +78,7 @@ def test_a_frame_s_file_tells_tool_settings_inputs_and_figures(shot: Shot) -> No
     assert found["usdsmoke:source"] == "smoke.0002.vdb"
     assert (found["usdsmoke:prim"], found["usdsmoke:timeCode"]) == ("/World/smoke", 2)
     report = json.loads(found["usdsmoke:report"])
-    assert report["temporal error"] == {"colour": 0.5, "displacement": 0.25}
+    assert report["temporal"] == {"colour": 0.5, "displacement": 0.25}
 
 
 def test_figures_of_the_layer_are_mean_and_largest_of_the_frames(
@@ -89,7 +89,7 @@ def test_figures_of_the_layer_are_mean_and_largest_of_the_frames(
     assert figures["temporal error colour"] == "mean 0.5, max 0.5, frames 2"
     (kept,) = shot.output.glob("vdb/*/run.json")
     reports = [frame["report"] for frame in json.loads(kept.read_text())["frames"].values()]
-    assert sum("temporal error" in report for report in reports) == 2
+    assert sum("temporal" in report for report in reports) == 2
 
 
 @pytest.mark.usefixtures("core")

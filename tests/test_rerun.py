@@ -161,5 +161,5 @@ def test_the_real_core_makes_the_same_content_again(tmp_path: Path) -> None:
     (record,) = find_records(tmp_path / "again")
     figures = {text.partition("=")[0] for text in record.texts("figures")}
     assert {"shape seconds", "colour seconds", "shape loss", "colour loss"} <= figures
-    assert {"shape mass error", "shape cheap scheme differs"} <= figures
+    assert {"shape mass error", "shape linear transport difference"} <= figures
     assert {"temporal error colour", "temporal error displacement"} <= figures

@@ -17,7 +17,7 @@ from usdsmoke.core.views.scene import measure_scene
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job
-from usdsmoke.runs.error_choice import choose_settings
+from usdsmoke.runs.budget import choose_settings
 from usdsmoke.runs.folder import find_runs
 from usdsmoke.runs.tolerance import choice_notes
 
@@ -81,7 +81,7 @@ def test_the_coarsest_octave_alone_would_move_nothing(folder: Path) -> None:
     scene = measure_scene([frame], volume.config, "Y")
     pilot = make_job(job.pictures(volume), scene, volume.config, None, 24.0, None, 1)
     (link,) = run_chain([frame], pilot, open_frame)
-    assert link.report["shape"]["largest displacement"] < LEAST_MOVE * scene.reference_voxel_size
+    assert link.report.transport.largest_displacement < LEAST_MOVE * scene.reference_voxel_size
     assert calibrated(job_of(folder, "optimize.steps=[shape]"))["transport"]["moved"] > 0.5
 
 

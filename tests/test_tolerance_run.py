@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import Shot, make_shot
-from tests.unit.test_error_choice import MEASURED
+from tests.unit.runs.test_choice import MEASURED
 from usdsmoke.audit.rerun import rerun
 from usdsmoke.base.errors import PlanError
 from usdsmoke.pipeline import assemble, plan_stylize, run_window, stylize

@@ -28,13 +28,13 @@ from usdsmoke.runs.begin import (
     settle_scenes,
     tidy_end,
 )
+from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step
 from usdsmoke.runs.disk import check_room
 from usdsmoke.runs.finished import StepResult, check_same, is_whole, run_to_assemble
 from usdsmoke.runs.machine import machine_of, processor_note
 from usdsmoke.runs.manifests import finished_window, manifest_path
 from usdsmoke.runs.progress import WAITING, RunProgress, RunProgressCallback
-from usdsmoke.runs.times import ELSEWHERE, PartClock
 from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.runs.window import check_frames, list_tasks, pick_task, stylize_windows
 

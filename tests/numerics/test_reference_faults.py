@@ -46,11 +46,11 @@ def test_density_above_one_is_moved_no_farther(amount):
     """W2: a mask that is rounded up multiplies the unknown in every iteration."""
     config = quick_config(shape={"iterations": [0, 12], "learning_rate": 2e-3}, **SHAPE)
     plain, dense = (run_core([frame_of(DENSITY * np.float32(a))], config)[0] for a in (1.0, amount))
-    moved = [result.report["shape"]["largest displacement"] for result in (plain, dense)]
-    cap = plain.report["shape"]["cap"]
+    moved = [result.report.transport.largest_displacement for result in (plain, dense)]
+    cap = plain.report.transport.cap
     assert 0.1 * cap < moved[0] < 0.5 * cap  # it is not the cap that holds it back
     assert moved[1] == pytest.approx(moved[0], rel=1e-3)
-    assert dense.report["shape"]["loss"] == pytest.approx(plain.report["shape"]["loss"], rel=1e-4)
+    assert dense.report.shape.loss == pytest.approx(plain.report.shape.loss, rel=1e-4)
 
 
 def test_an_empty_first_frame_changes_no_bit_of_the_frames_after_it():
@@ -58,7 +58,7 @@ def test_an_empty_first_frame_changes_no_bit_of_the_frames_after_it():
     empty = frame_of(np.zeros((4, 4, 4)), 0.0)
     later = [frame_of(DENSITY, 1.0), frame_of(DENSITY, 2.0)]
     alone, (nothing, *after) = run_core(later), run_core([empty, *later])
-    assert nothing.report["left out"] == "empty frame"
+    assert nothing.report.left_out == "empty frame"
     for first, other in zip(alone, after, strict=True):
         assert_same_bits(first, other)
 
@@ -69,9 +69,9 @@ def test_no_learning_rate_moves_smoke_beyond_its_reach(rate, displacement):
     """W6: without a limit of the step smoke is sent many domain widths away."""
     shape = {"iterations": [4, 4], "learning_rate": rate, "displacement": displacement}
     result = run_core([frame_of(DENSITY)], quick_config(shape=shape, **SHAPE))[0]
-    report, values = result.report["shape"], result.density.values
-    assert report["largest displacement"] <= report["cap"] * (1 + 1e-6)
-    assert np.isfinite(values).all() and np.isfinite(report["loss"]).all()
+    report, values = result.report, result.density.values
+    assert report.transport.largest_displacement <= report.transport.cap * (1 + 1e-6)
+    assert np.isfinite(values).all() and np.isfinite(report.shape.loss).all()
     assert values.sum() == pytest.approx(DENSITY.sum(), rel=1e-5)
 
 
@@ -115,8 +115,10 @@ def test_room_around_smoke_that_touches_its_walls_changes_nothing():
     padded = frame_of(np.pad(cut, ((12, 9), (10, 10), (9, 12))), ijk_min=(-12, -10, -9))
     config = quick_config(shape={"iterations": [4, 4], "learning_rate": 0.01})
     close, roomy = (run_core([frame], config)[0] for frame in (frame_of(cut), padded))
-    for name in ("loss", "largest displacement", "mass error"):
-        assert roomy.report["shape"][name] == pytest.approx(close.report["shape"][name], rel=1e-5)
+    assert roomy.report.shape.loss == pytest.approx(close.report.shape.loss, rel=1e-5)
+    for name in ("largest_displacement", "mass_error"):
+        wide, tight = (getattr(result.report.transport, name) for result in (roomy, close))
+        assert wide == pytest.approx(tight, rel=1e-5)
     for name in ("density", "emission"):
         one, other = (by_voxel(getattr(result, name)) for result in (close, roomy))
         assert one.keys() == other.keys()
@@ -150,8 +152,8 @@ def test_any_number_of_octaves(n_octaves):
     iterations = {"iterations": [1] * n_octaves}
     result = run_core([frame_of(puff(6))], quick_config(shape=iterations, colour=iterations))[0]
     for step in ("shape", "colour"):
-        assert len(result.report[step]["loss"]) == n_octaves
-        assert np.isfinite(result.report[step]["loss"]).all()
+        assert len(result.report.steps[step].loss) == n_octaves
+        assert np.isfinite(result.report.steps[step].loss).all()
     assert result.density.values.sum() == pytest.approx(puff(6).sum(), rel=1e-5)
 
 

@@ -27,9 +27,8 @@ from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.views.scene import frame_views, measure_scene
-from usdsmoke.runs.error_bounds import part_of
-from usdsmoke.runs.error_budget import make_budget
-from usdsmoke.runs.error_choice import Choice, choose_settings
+from usdsmoke.runs.budget import ROWS, choose_settings, make_budget
+from usdsmoke.runs.budget.choice import Choice
 
 N = 28  # voxels a side
 TOLERANCES = (0.6, 0.3)
@@ -173,11 +172,12 @@ def test_discretisation_stays_below_the_tolerance(name: str, target: float) -> N
     errors = {
         "resolution": picture_error(name, found),
         "transport": transport_error(name, found),
-        "storage, density": max(entry["value"] for entry in stored.values()),
+        "storage, density": stored.storage_density.value,
     }
     assert min(errors.values()) > 0
+    rows = {row.name: row for row in ROWS}
     for kind, error in errors.items():
-        assert error < part_of(kind, target), errors
+        assert error < rows[kind].bound(target), errors
     assert sum(errors.values()) < target
 
 

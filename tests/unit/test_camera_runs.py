@@ -196,6 +196,6 @@ def test_the_frames_report_counts_what_was_left_out(shot: Shot) -> None:
     record = (result.frames[0].parent / "run.json").read_text(encoding="utf-8")
     film, source = np.abs(rig_film(10.0)), puff(N)
     n_outside = int(((film > 0.275 - 1e-9) & (source > 0)).sum())
-    assert f'"voxels outside the camera\'s frustum": {n_outside}' in record
-    assert f'"voxels outside the camera\'s frustum": {int((source > 0).sum())}' in record
-    assert record.count('"left out": "outside the camera\'s frustum"') == 2
+    assert f'"voxels_outside_camera": {n_outside}' in record
+    assert f'"voxels_outside_camera": {int((source > 0).sum())}' in record
+    assert record.count('"left_out": "outside the camera\'s frustum"') == 2

@@ -18,7 +18,7 @@ from usdsmoke.base.record_format import (
     short_run_id,
     utc_now,
 )
-from usdsmoke.runs.metrics import Figure
+from usdsmoke.runs.budget.figures import Figure
 
 FACTS = RunFacts(
     version="1.2.3",

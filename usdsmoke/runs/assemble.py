@@ -1,12 +1,13 @@
 """From finished windows to a result: frames blended, layer authored, sheets drawn."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
+from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import DenseField
@@ -14,8 +15,7 @@ from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.runs.budget_inputs import run_budget
-from usdsmoke.runs.error_budget import ErrorBudget
+from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata, make_provenance
 from usdsmoke.runs.machine import processor_warnings
@@ -26,7 +26,6 @@ from usdsmoke.runs.manifests import (
     part_file_name,
     remove_locks,
 )
-from usdsmoke.runs.metrics import mean_entries, mixed_errors
 from usdsmoke.runs.outputs import (
     collect_volume,
     frame_record,
@@ -35,7 +34,6 @@ from usdsmoke.runs.outputs import (
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.sheet import write_contact_sheet
-from usdsmoke.runs.times import PartClock, run_seconds
 from usdsmoke.runs.window import list_tasks
 from usdsmoke.usd.look import author_look
 from usdsmoke.usd.look.records import EMISSION
@@ -82,6 +80,12 @@ class _Versions:
         return part_file_name(window.window, self.frame.file_name)
 
     @property
+    def reports(self) -> tuple[FrameReport, FrameReport]:
+        """Of the tail's version and of the head's."""
+        tail, head = (window.reports[self.part_of(window)] for window in (self.tail, self.head))
+        return tail, head
+
+    @property
     def digests(self) -> dict[str, str]:
         """Both parts, by file."""
         names = [(self.part_of(window), window) for window in (self.tail, self.head)]
@@ -124,7 +128,8 @@ def assemble_run(
     """
     windows = collect_windows(run, job.plan)
     files, failures = clock.timed("assembling", _assemble, job, run, windows, reader, tell)
-    run.seconds = run_seconds(windows, finished_coarse(run).seconds, clock)
+    reports = [report for window in windows for report in window.reports.values()]
+    run.seconds = run_seconds(windows, reports, finished_coarse(run).seconds, clock)
     run.finish([*files, *_sheets(job)])
     return summarize_result(job, run, failures)
 
@@ -162,7 +167,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         more: further warnings.
     """
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
-    budget = run_budget(job.plan, run.reports)
+    budget = ErrorBudget.from_dict(run.error_budget)
     broken = budget.tolerance.warnings if budget.tolerance is not None else ()
     return StylizeResult(
         root_stage=job.targets.root_stage,
@@ -222,25 +227,27 @@ def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
         for name, one, other in zip(names, tail, head, strict=False)
     }
     blended = blend_frames(tail, head, pair.weight)
-    reports = [window.frames[pair.part_of(window)] for window in (pair.tail, pair.head)]
-    gamma_w = reports[1]["report"].get("extinction", pair.gamma_w)
+    gamma_w = pair.reports[1].extinction
+    gamma_w = pair.gamma_w if gamma_w is None else gamma_w
     fields = result_fields(blended, volume, frame, gamma_w, config)
-    hashes = reports[1]["source_hashes"]
-    report = dict(reports[1]["report"])
-    errors = mixed_errors([item["report"] for item in reports], pair.weight)
-    if errors:
-        report["temporal error"] = errors
-    report = with_storage(report, blended, config.grids)
-    report["overlap"] = {
-        "windows": [pair.tail.window, pair.head.window],
-        "weight": pair.weight,
-        "difference": difference,
-    }
+    hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
+    report = with_storage(_blended_report(pair, difference), blended, config.grids)
     metadata = frame_metadata(run, volume, frame, hashes, report, config.grids)
     target = run.folder / frame.file_name
     content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, hashes)
-    return {**record, "part": False, "parts": pair.digests, "report": report}
+    return {**record, "part": False, "parts": pair.digests, "report": report.to_json()}
+
+
+def _blended_report(pair: _Versions, difference: Mapping[str, float]) -> FrameReport:
+    """The later window's report, with the temporal errors of both versions."""
+    earlier, later = pair.reports
+    temporal = later.temporal or earlier.temporal
+    if earlier.temporal is not None and later.temporal is not None:
+        temporal = earlier.temporal.mixed(later.temporal, pair.weight)
+    numbers = (pair.tail.window, pair.head.window)
+    overlap = OverlapReport(numbers, pair.weight, **difference)
+    return replace(later, temporal=temporal, overlap=overlap)
 
 
 def _read_part(run: RunFolder, pair: _Versions, window: WindowRecord) -> list[DenseField]:
@@ -276,20 +283,18 @@ def _sheets(job: Job) -> tuple[Path, ...]:
 
 
 def _temporal_error(run: RunFolder) -> dict[str, float] | None:
-    return mean_entries(report.get("temporal error") for report in run.reports.values())
+    reports = run.reports.values()
+    return mean_entries(reports, lambda report: report.temporal, "colour", "displacement")
 
 
 def _overlap_difference(run: RunFolder) -> dict[str, float] | None:
-    return mean_entries(
-        (report.get("overlap") or {}).get("difference") for report in run.reports.values()
-    )
+    reports = run.reports.values()
+    return mean_entries(reports, lambda report: report.overlap, "density", "emission")
 
 
 def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
     found = [
-        f"{name}: {warning}"
-        for name, record in sorted(run.frames.items())
-        for warning in record["report"].get("warnings", [])
+        f"{name}: {warning}" for name, report in run.reports.items() for warning in report.warnings
     ]
     found += processor_warnings(run)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]

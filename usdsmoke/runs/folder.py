@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, run_record_files
 from usdsmoke.base.publish import (
     make_folders,
@@ -71,10 +72,10 @@ class RunFolder:
         return _look_of(self.description)
 
     @property
-    def reports(self) -> dict[str, dict[str, Any]]:
+    def reports(self) -> dict[str, FrameReport]:
         """The reports of the result's frames by file name, in the order of names: a sum's last
         bits must not depend on who ran which window."""
-        return {name: self.frames[name]["report"] for name in sorted(self.frames)}
+        return {n: FrameReport.from_json(self.frames[n]["report"]) for n in sorted(self.frames)}
 
     @property
     def settings_hash(self) -> str:

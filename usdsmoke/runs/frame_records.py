@@ -13,21 +13,21 @@ from typing import Any
 from usdsmoke import __version__
 from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.config import GridsConfig, merge_settings
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.given_settings import portable_settings
 from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.record_format import Provenance, RunFacts, build_provenance
 from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
-from usdsmoke.runs.budget_inputs import run_budget
+from usdsmoke.runs.budget import ErrorBudget, step_seconds, summarize_figures
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.machine import machine_texts
 from usdsmoke.runs.manifests import WindowRecord, finished_coarse
-from usdsmoke.runs.metrics import step_seconds, summarize_figures
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
-__all__ = ["frame_metadata", "make_provenance"]
+__all__ = ["budget_texts", "frame_metadata", "make_provenance"]
 
 _OURS = "usdsmoke:"
 
@@ -37,7 +37,7 @@ def frame_metadata(
     volume: VolumePlan,
     frame: FramePlan,
     source_hashes: Mapping[str, str],
-    report: Mapping[str, Any],
+    report: FrameReport,
     config: GridsConfig,
 ) -> dict[str, Any]:
     """What a frame's file says about itself, on top of what its source said.
@@ -46,7 +46,7 @@ def frame_metadata(
         run: gives settings and inputs.
         volume, frame: what the file is the result of.
         source_hashes: content hashes by field, of what was read.
-        report: the frame's, JSON values: seconds, losses and errors.
+        report: the frame's.
         config: how OpenVDB's version is asked for.
     """
     source_file = frame.source.fields[volume.source.density].file_path
@@ -75,7 +75,7 @@ def frame_metadata(
         **{f"usdsmoke:{_source_key(name)}": digest for name, digest in source_hashes.items()},
         "usdsmoke:prim": volume.source.prim_path,
         "usdsmoke:timeCode": float(frame.source.time_code),
-        "usdsmoke:report": _as_json(report),
+        "usdsmoke:report": _as_json(report.to_json()),
     }
 
 
@@ -121,7 +121,7 @@ def make_provenance(
         temporal_error=temporal_error,
         overlap_difference=overlap_difference,
         figures=summarize_figures(reports),
-        error_budget=run_budget(plan, run.reports).texts,
+        error_budget=budget_texts(ErrorBudget.from_dict(run.error_budget)),
         omissions=[f"{omission.what}: {omission.reason}" for omission in plan.omitted],
         stage_values=stage_values(plan.source),
         request=run.request,
@@ -192,3 +192,17 @@ def _versions(config: GridsConfig) -> dict[str, str]:
 
 def _as_json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, ensure_ascii=False)
+
+
+def budget_texts(budget: ErrorBudget) -> list[str]:
+    """``name=figures`` of each error for the record, then what was left out."""
+    found = []
+    for item in budget.estimates:
+        note = budget.notes.get(item.name, "")
+        found.append(
+            f"{item.name}=mean {item.mean:.6g}, max {item.largest:.6g}, of {item.relative_to}, "
+            f"frames {item.n_frames}, seconds {item.seconds:.3f}, {item.how}"
+            f"{f' ({note})' if note else ''}"
+        )
+    found += [f"{name}=left out: {why}" for name, why in budget.left_out.items()]
+    return found if budget.tolerance is None else [*found, f"tolerance={budget.tolerance}"]

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.locks import hold_file
 from usdsmoke.base.publish import make_folders, remove_empty
 from usdsmoke.runs.folder import RunFolder, write_json
@@ -49,6 +50,11 @@ class WindowRecord:
     seconds: float
     timings: dict[str, float] = field(default_factory=dict)  # of these: reading, writing
     processor: str = ""  # kind of that which made it
+
+    @property
+    def reports(self) -> dict[str, FrameReport]:
+        """The reports of its frames, by file."""
+        return {name: FrameReport.from_json(f["report"]) for name, f in self.frames.items()}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from usdsmoke import __version__
 from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
@@ -99,26 +100,26 @@ def write_result(
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
     if stylized.emission is not None:
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
-    is_part, report = name != frame.file_name, plain_values(stylized.report)
+    is_part, report = name != frame.file_name, stylized.report
     if not is_part:
         report = with_storage(report, fields, config.grids)
-        own = stylized.report.get("extinction", gamma_w)
-        fields = result_fields(fields, volume, frame, own, config)
+        own = report.extinction
+        gamma_w = gamma_w if own is None else own
+        fields = result_fields(fields, volume, frame, gamma_w, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
     half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
-    return {**record, "sha256": digest, "part": is_part, "report": report}
+    return {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
 
 
 def with_storage(
-    report: Mapping[str, Any], fields: Sequence[DenseField], config: GridsConfig
-) -> dict[str, Any]:
+    report: FrameReport, fields: Sequence[DenseField], config: GridsConfig
+) -> FrameReport:
     """A frame's report with what is lost when these fields are written, see ``storage_errors``."""
-    errors = {**report.get("errors", {}), **storage_errors(fields, config)}
-    return {**report, "errors": errors}
+    return dataclasses.replace(report, errors=storage_errors(fields, config, report.errors))
 
 
 def frame_record(

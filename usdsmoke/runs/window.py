@@ -10,6 +10,7 @@ from usdsmoke.planning.frame_reader import FrameReader, hash_sources
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.windows import Window
+from usdsmoke.runs.budget import PartClock, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.manifests import (
@@ -21,7 +22,6 @@ from usdsmoke.runs.manifests import (
 )
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
-from usdsmoke.runs.times import PartClock, timed_items
 
 if TYPE_CHECKING:
     from usdsmoke.base.progress import Progress

@@ -45,8 +45,8 @@ FRAMES = [drifting(number) for number in range(4)]
 
 def errors_of(frames: list[VolumeFrame], **sections: dict) -> list[dict[str, float]]:
     reports = [frame.report for frame in run_core(frames, quick_config(**sections))]
-    assert "temporal error" not in reports[0]
-    return [report["temporal error"] for report in reports[1:]]
+    assert reports[0].temporal is None
+    return [vars(report.temporal) for report in reports[1:]]
 
 
 STILL = {  # later frames take over what they start from
@@ -120,8 +120,8 @@ def test_windows_that_share_a_coarse_step_start_alike():
     (frame,) = stylize_window(
         FRAMES[2:3], [random_style()], scene, config, starts=lambda code: starts[code]
     )
-    assert len(frame.report["colour"]["iterations"]) == 1
-    assert len(frame.report["shape"]["iterations"]) == 1
+    assert len(frame.report.colour.iterations) == 1
+    assert len(frame.report.shape.iterations) == 1
 
 
 def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):

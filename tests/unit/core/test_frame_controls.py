@@ -103,25 +103,25 @@ def test_a_frame_of_strength_0_among_others_is_the_source_and_does_not_break_the
     dipped = run_core(controlled(frames, strength=[1.0, 1.0, 0.0, 1.0]), config)
     assert dipped[2].density.values is frames[2].density.values
     assert dipped[2].emission is None or not dipped[2].emission.values.any()
-    assert "left out" not in dipped[2].report
+    assert not dipped[2].report.left_out
     whole = run_core(frames, config)
     if len(steps) == 1:
         assert_same([dipped[3]], [whole[3]])
     for ours, others in zip(dipped[1:], whole[1:], strict=True):
-        for kind, error in others.report["temporal error"].items():
-            assert ours.report["temporal error"][kind] == pytest.approx(error, rel=0.1)
+        for kind, error in vars(others.report.temporal).items():
+            assert getattr(ours.report.temporal, kind) == pytest.approx(error, rel=0.1)
 
 
 def test_frames_far_from_any_effect_are_left_out_and_what_follows_starts_anew():
     strengths = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
     results = run_core(controlled(FRAMES, strength=strengths))
     reports = [result.report for result in results]
-    left_out = [number for number, report in enumerate(reports) if "left out" in report]
+    left_out = [number for number, report in enumerate(reports) if report.left_out]
     assert left_out == [2, 3, 7]
-    assert reports[2]["left out"] == "optimize.strength is 0"
-    assert reports[0]["shape"]["iterations"] == reports[4]["shape"]["iterations"] == [2, 2]
-    assert [len(reports[n]["shape"]["iterations"]) for n in (1, 5, 6)] == [1, 1, 1]
-    assert "temporal error" not in reports[4] and "temporal error" in reports[5]
+    assert reports[2].left_out == "optimize.strength is 0"
+    assert reports[0].shape.iterations == reports[4].shape.iterations == (2, 2)
+    assert [len(reports[n].shape.iterations) for n in (1, 5, 6)] == [1, 1, 1]
+    assert reports[4].temporal is None and reports[5].temporal is not None
 
 
 # pattern speed
@@ -190,7 +190,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
     gammas = [0.1, 0.2, None]
     scene = measure_scene(frames, config, "Y")
     results = run_core(controlled(frames, gamma=gammas), config, scene)
-    assert [result.report.get("extinction") for result in results] == [0.1, 0.2, None]
+    assert [result.report.extinction for result in results] == [0.1, 0.2, None]
     lights = [result.emission.values for result in results]
     extinctions = [0.1, 0.2, scene.gamma_w]
     for light, gamma_w in zip(lights, extinctions, strict=True):

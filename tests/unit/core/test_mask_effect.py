@@ -45,7 +45,7 @@ def test_a_mask_of_one_everywhere_is_no_mask(plain):
     result = run_core([masked(np.ones((1, 1, 1)), background=1.0)])[0]
     assert_close(result.density, plain.density, 1e-5)
     assert_close(result.emission, plain.emission, 1e-4)
-    assert "warnings" not in result.report
+    assert not result.report.warnings
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "maccormack", "cubic"])
@@ -74,10 +74,10 @@ def test_the_mask_scales_the_displacement():
         shape={"iterations": [3], "learning_rate": 1e-3}, optimize={"steps": ["shape"]}
     )
     weak, full = (
-        run_core([masked(np.full(DENSITY.shape, share))], config)[0].report["shape"]
+        run_core([masked(np.full(DENSITY.shape, share))], config)[0].report.transport
         for share in (0.1, 1.0)
     )
-    ratio = weak["largest displacement"] / full["largest displacement"]
+    ratio = weak.largest_displacement / full.largest_displacement
     assert ratio == pytest.approx(0.1, rel=0.2)
 
 
@@ -129,14 +129,14 @@ def test_a_mask_that_leaves_no_smoke_leaves_the_frame_out_with_its_reason(place,
     assert result.density is frame.density and result.emission is not None
     assert result.emission.values.shape == (*DENSITY.shape, 3)
     assert not result.emission.values.any()
-    assert result.report["left out"] == "the mask is 0 wherever there is smoke"
+    assert result.report.left_out == "the mask is 0 wherever there is smoke"
 
 
 def test_values_beyond_the_range_are_clamped_with_a_warning(plain):
     values = np.ones(DENSITY.shape)
     values[2, 3, 4], values[0, 0, 0], values[6, 6, 6] = 1.5, 7.0, 1e6
     result = run_core([masked(values, FRAME)])[0]
-    (warning,) = result.report["warnings"]
+    (warning,) = result.report.warnings
     assert warning.startswith('3 values of the mask "fade" at timeCode 1 are not between 0 and 1')
     assert_close(result.emission, plain.emission, 1e-4)
 
@@ -192,7 +192,7 @@ def test_a_frame_that_its_mask_leaves_out_in_the_middle_does_not_break_the_windo
         for k, frame in enumerate(moving)
     ]
     first, middle, last = run_core(frames, config)
-    assert middle.report["left out"] == "the mask is 0 wherever there is smoke"
+    assert middle.report.left_out == "the mask is 0 wherever there is smoke"
     assert not middle.emission.values.any() and middle.density is frames[1].density
     assert last.emission.values == pytest.approx(first.emission.values, abs=1e-4)
     assert by_voxel(first.emission)

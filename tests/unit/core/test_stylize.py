@@ -7,6 +7,7 @@ from tests.smoke_fixtures import affine, frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import FeatureError, NonFiniteError
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.style.targets import StyleTargets
@@ -31,14 +32,16 @@ def test_both_steps_change_something_and_say_what_they_did(stylized):
     assert stylized.time_code == 1.0
     assert stylized.emission is not None
     assert by_voxel(stylized.density) != by_voxel(FRAME.density)
-    assert stylized.report["voxels"] == np.count_nonzero(DENSITY)
+    assert stylized.report.voxels == np.count_nonzero(DENSITY)
     for step in ("shape", "colour"):
-        report = stylized.report[step]
-        assert report["iterations"] == [2, 2] and report["ended"] == ["iterations"] * 2
-        assert report["rollbacks"] == 0 and report["seconds"] > 0
-        assert np.isfinite(report["loss"]).all()
-    assert {"mass error", "largest displacement", "cheap scheme differs"} <= set(
-        stylized.report["shape"]
+        report = stylized.report.steps[step]
+        assert report.iterations == (2, 2) and report.ended == ("iterations",) * 2
+        assert report.rollbacks == 0 and report.seconds > 0
+        assert np.isfinite(report.loss).all()
+    moved = stylized.report.transport
+    assert moved.largest_displacement > 0 and None not in (
+        moved.mass_error,
+        moved.linear_difference,
     )
 
 
@@ -87,7 +90,7 @@ def test_no_strength_or_no_style_gives_the_source_back_and_asks_for_no_features(
     result = run_core([FRAME], quick_config(**sections))[0]
     assert result.density is FRAME.density
     assert result.emission.values.shape == (*DENSITY.shape, 3) and not result.emission.values.any()
-    assert result.report["left out"] == reason
+    assert result.report.left_out == reason
 
 
 def refuse_targets(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +110,7 @@ def test_an_empty_frame_is_passed_through_without_renderer_or_network(values, mo
     result = run_core([frame], scene=scene)[0]
     assert result.density is frame.density
     assert result.emission.values.shape == (*values.shape, 3)
-    assert result.report == {"voxels": 0, "left out": "empty frame"}
+    assert result.report == FrameReport(left_out="empty frame")
 
 
 def test_a_window_of_empty_frames_reads_no_vgg19_and_smoke_without_the_file_is_refused():
@@ -127,7 +130,7 @@ def test_without_a_colour_step_there_is_no_emission():
 def test_without_a_shape_step_the_density_is_the_source_s_own():
     result = run_core([FRAME], quick_config(**COLOUR))[0]
     assert result.density is FRAME.density
-    assert set(result.report) == {"voxels", "colour"}
+    assert result.report.to_json().keys() == {"voxels", "colour"}
 
 
 def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized):
@@ -168,9 +171,9 @@ def test_smoke_moves_less_than_its_reach_and_keeps_its_mass(displacement, interp
     result = run_core([FRAME], config)[0]
     low, high = (f(np.argwhere(DENSITY > 0), axis=0) for f in (np.min, np.max))
     cap = 0.1 * (high - low + 1).max()
-    report = result.report["shape"]
-    assert report["cap"] == pytest.approx(cap)
-    assert 0.3 * cap < report["largest displacement"] <= cap * (1 + 1e-6)
+    report = result.report.transport
+    assert report.cap == pytest.approx(cap)
+    assert 0.3 * cap < report.largest_displacement <= cap * (1 + 1e-6)
     assert mass(result.density.values) == pytest.approx(mass(DENSITY), rel=1e-5)
     assert (result.density.values >= 0).all()
 
@@ -181,7 +184,7 @@ def test_mass_is_left_as_transport_leaves_it_when_no_correction_is_asked_for():
     )
     result = run_core([FRAME], config)[0]
     error = mass(result.density.values) / mass(DENSITY) - 1
-    assert error == pytest.approx(result.report["shape"]["mass error"], abs=1e-5) and error != 0
+    assert error == pytest.approx(result.report.transport.mass_error, abs=1e-5) and error != 0
 
 
 def test_no_iterations_leave_the_density_in_place_and_the_colours_noise():
@@ -190,7 +193,7 @@ def test_no_iterations_leave_the_density_in_place_and_the_colours_noise():
     found, wanted = by_voxel(result.density), by_voxel(FRAME.density)
     assert found.keys() == wanted.keys()
     assert np.array(list(found.values())) == pytest.approx(np.array(list(wanted.values())))
-    assert result.report["shape"]["iterations"] == []
+    assert result.report.shape.iterations == ()
     light = np.array(list(by_voxel(result.emission).values()))
     assert 0.2 < (light / np.array(list(wanted.values()))).std() / light.mean()
 

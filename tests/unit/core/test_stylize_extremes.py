@@ -27,8 +27,8 @@ def assert_sound(result: StylizedFrame, source: np.ndarray, gamma_w: float | Non
     assert emission.any() or gamma_w == 0
     if gamma_w is not None:
         assert (emission <= gamma_w * density[..., None] * (1 + 1e-5)).all()
-    for step in ("shape", "colour"):
-        assert np.isfinite(result.report.get(step, {"loss": []})["loss"]).all()
+    for step in result.report.steps.values():
+        assert np.isfinite(step.loss).all()
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_density_of_any_amount_looks_the_same(amount):
 def test_density_of_any_amount_is_moved_like_ordinary_smoke(amount):
     result = run_core([frame_of(DENSITY * np.float32(amount))])[0]
     assert_sound(result, DENSITY * np.float32(amount))
-    assert result.report["shape"]["largest displacement"] > 0
+    assert result.report.transport.largest_displacement > 0
 
 
 def test_density_over_sixty_orders_of_magnitude():
@@ -64,7 +64,7 @@ def test_density_over_sixty_orders_of_magnitude():
 
 def test_denormal_density_counts_as_none():
     result = run_core([frame_of(np.full((3, 3, 3), 1e-40))])[0]
-    assert result.report["left out"] == "empty frame"
+    assert result.report.left_out == "empty frame"
 
 
 def test_negative_density_counts_as_none_where_smoke_is_moved():
@@ -247,7 +247,7 @@ def test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began(s
     told: list[Any] = []
     result = run_core([frame_of(DENSITY)], config, watch=told)[0]
     assert np.isfinite(result.density.values).all()
-    assert result.report[step]["loss"][0] <= 1.05 * told[0].loss
+    assert result.report.steps[step].loss[0] <= 1.05 * told[0].loss
 
 
 def test_features_that_overflow_are_a_named_error(monkeypatch):

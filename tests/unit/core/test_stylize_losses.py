@@ -35,7 +35,7 @@ def test_every_loss_counts_in_both_steps(weights):
     assert by_voxel(plain.density) != by_voxel(other.density)
     assert by_voxel(plain.emission) != by_voxel(other.emission)
     for step in ("shape", "colour"):
-        assert plain.report[step]["loss"] != other.report[step]["loss"]
+        assert plain.report.steps[step].loss != other.report.steps[step].loss
 
 
 def moved(weights: dict[str, float]) -> float:
@@ -75,8 +75,8 @@ def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma):
         return run_core([FRAME], quick_config(optics={"gamma": value, "gamma_shape": value}))[0]
 
     limit, found = run(1e-6), run(gamma)
-    assert found.report["shape"]["loss"] == pytest.approx(limit.report["shape"]["loss"], rel=0.01)
-    assert found.report["colour"]["loss"] == pytest.approx(limit.report["colour"]["loss"], rel=0.01)
+    assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=0.01)
+    assert found.report.colour.loss == pytest.approx(limit.report.colour.loss, rel=0.01)
     one, other = by_voxel(limit.density), by_voxel(found.density)
     assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.01
     light = found.emission.values / np.float32(gamma)

@@ -60,8 +60,8 @@ def test_later_frames_take_the_warm_share_of_the_finest_octave():
     config = quick_config(colour=iterations, shape=iterations, windows={"warm_iterations": 0.3})
     cold, warm = run_core(moving_frames(2, 1, 24.0), config)
     for step in ("shape", "colour"):
-        assert cold.report[step]["iterations"] == [4, 10]
-        assert warm.report[step]["iterations"] == [3]
+        assert cold.report.steps[step].iterations == (4, 10)
+        assert warm.report.steps[step].iterations == (3,)
 
 
 def test_an_empty_frame_in_between_does_not_break_the_chain():
@@ -70,7 +70,7 @@ def test_an_empty_frame_in_between_does_not_break_the_chain():
     frames = moving_frames(3, 1, 24.0)
     frames[1] = frame_of(np.zeros((3, 3, 3)), 2.0)
     first, empty, last = run_core(frames, config)
-    assert empty.report["left out"] == "empty frame"
+    assert empty.report.left_out == "empty frame"
     assert last.emission.values == pytest.approx(first.emission.values, abs=1e-4)
 
 

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.fields.transport_error import warp_error
@@ -70,19 +71,18 @@ def calibrate(
     if link.left_out:
         return {}
     done = finished_frame(link, job)
-    errors = done.report.get("errors", {})
+    quadrature, unseen = done.report.errors.quadrature, done.report.errors.unseen_views
     fields = [field for field in (done.density, done.emission) if field is not None]
-    unseen = errors.get("unseen views")
     return {
         "time_code": frame.time_code,
         "image_sizes": _image_sizes(link, scene, pilot),
         "transport": _transport(link),
-        "quadrature": errors.get("quadrature", {}).get("value", 0.0),
+        "quadrature": 0.0 if quadrature is None else quadrature.value,
         "half": _half(fields),
         "prune": _prune_levels(done.density.values),
-        "steps": {step: _step(done.report[step]) for step in pilot.optimize.steps},
+        "steps": {name: _step(step) for name, step in done.report.steps.items()},
         "view_deviation": _view_deviation(done.report, pilot),
-        "unseen_views": None if unseen is None else [pilot.views.pool, unseen["value"]],
+        "unseen_views": None if unseen is None else [pilot.views.pool, unseen.value],
         "seconds": time.perf_counter() - started,
     }
 
@@ -146,7 +146,8 @@ def _transport(link: Link) -> dict[str, float] | None:
         u.fill_(0.5)
     else:
         pairs.append(_warp_errors(box, u))
-        u.mul_(link.report["shape"]["cap"] / max(lattice.spacing) / longest)
+        assert link.report.transport is not None  # there is a displacement
+        u.mul_(link.report.transport.cap / max(lattice.spacing) / longest)
     pairs.append(_warp_errors(box, u))
     linear, cubic = (max(pair[place] for pair in pairs) for place in (0, 1))
     return {"linear": linear, "cubic": cubic, "moved": longest}
@@ -163,7 +164,8 @@ def _warp_errors(box: Tensor, u: Tensor) -> tuple[float, float]:
 
 def _half(fields: Sequence[DenseField]) -> float:
     errors = storage_errors(fields, GridsConfig(half=True))
-    return max(entry["value"] for entry in errors.values())
+    found = (errors.storage_density, errors.storage_emission)
+    return max(estimate.value for estimate in found if estimate is not None)
 
 
 def _prune_levels(density: np.ndarray) -> list[list[float]]:
@@ -180,22 +182,22 @@ def _prune_levels(density: np.ndarray) -> list[list[float]]:
     ]
 
 
-def _step(report: dict[str, Any]) -> dict[str, Any]:
+def _step(report: StepReport) -> dict[str, Any]:
     """What the losses of a step's last octave tell, or why they tell nothing."""
-    fallen, left = report.get("fallen in the last octave"), report.get("remaining")
+    fallen, left = report.fallen_in_last_octave, report.remaining
     if fallen is None or left is None:
         return {"why": "the pilot had no iterations to tell from"}
-    loss, spread = report["loss"][-1], report.get("view spread", 0.0)
+    loss, spread = report.loss[-1], report.view_spread or 0.0
     if fallen <= 3 * spread * loss or fallen <= 0:
         return {"why": "the pilot's loss did not fall by more than views differ"}
     share = max(left / (fallen + left), LEAST_SHARE)
     return {
-        "iterations": float(report["iterations"][-1]),
+        "iterations": float(report.iterations[-1]),
         "remaining": share,
         "fallen": fallen / loss,
     }
 
 
-def _view_deviation(report: dict[str, Any], config: Config) -> float:
-    last = report.get("colour") or report.get("shape") or {}
-    return float(last.get("view spread", 0.0)) * math.sqrt(config.views.pool)
+def _view_deviation(report: FrameReport, config: Config) -> float:
+    spread = report.last_step.view_spread if report.last_step is not None else None
+    return (spread or 0.0) * math.sqrt(config.views.pool)

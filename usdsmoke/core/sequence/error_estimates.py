@@ -13,6 +13,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from usdsmoke.base.frame_report import Estimate, FrameErrors
 from usdsmoke.core.fields.richardson import StepError
 from usdsmoke.core.sequence.frame_state import Link
 from usdsmoke.core.sequence.picture_errors import (
@@ -36,33 +37,31 @@ N_VIEWS = 2  # that were not optimised, and as many that were
 OTHER_SEED = 0x0DD5EED  # of their angles
 
 
-def frame_errors(link: Link) -> dict[str, dict[str, float]]:
-    """Errors of a finished frame: ``quadrature``, ``resolution``, ``unseen views``.
+def frame_errors(link: Link) -> FrameErrors:
+    """Errors of a finished frame: quadrature, resolution, unseen views.
+
+    Without colours there is no quadrature error: opacity is exact. A slab has only one view. There
+    is no error at all for a frame that is left out, and without ``optimize.error_budget``.
 
     Args:
         link: at the end of its chain.
-
-    Returns:
-        by name ``value`` (relative to the picture; of unseen views to the style loss of seen ones)
-        and ``seconds``, and the fitted ``order`` of the first two. Empty for a frame that was left
-        out, and without ``optimize.error_budget``. Without colours there is no quadrature to be
-        wrong: opacity is exact. A slab has one view alone.
     """
     optimize = link.config.optimize
     if not (link.in_effect and optimize.error_budget) or len(link.smoke.ijk) == 0:
-        return {}
-    painted, found = painted_frame(link), {}
+        return FrameErrors()
+    painted = painted_frame(link)
+    quadrature = unseen = None
     view = fit_blocks(_views(link, 1, optimize.seed)[0])
     gamma_w, step = link.scene.gamma_w, link.smoke.voxel_size
     if link.paint is None:
         gamma_w = link.scene.gamma_w_shape
     with torch.no_grad():
         if link.paint is not None:
-            found["quadrature"] = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
-        found["resolution"] = _timed(lambda: resolution_error(painted, view, gamma_w))
+            quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
+        resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
         if link.smoke.thin_axis is None and link.config.losses.style > 0:
-            found["unseen views"] = _timed(lambda: _unseen_views(link))
-    return found
+            unseen = _timed(lambda: _unseen_views(link))
+    return FrameErrors(quadrature, resolution, unseen)
 
 
 def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, float]:
@@ -74,19 +73,16 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
         count: views an iteration.
 
     Returns:
-        ``fallen``, ``fallen in the last octave`` and ``remaining``: how far the loss fell in all,
-        how far at the end, and how far it would still fall, as is predicted. ``view spread``: the
-        standard error of its mean over the views, relative to it. Without what too few iterations
-        tell nothing of.
+        those fields of ``StepReport`` that the iterations suffice for.
     """
     if not ends:
         return {}
     losses, end = ends[-1].losses, ends[-1].smoothed
     found = {
         "fallen": max(ends[0].losses[0] - end, 0.0),
-        "fallen in the last octave": max(losses[0] - end, 0.0),
+        "fallen_in_last_octave": max(losses[0] - end, 0.0),
         "remaining": remaining_decrease(losses, ends[-1].rates),
-        "view spread": spread_of_mean(losses, pool, count),
+        "view_spread": spread_of_mean(losses, pool, count),
     }
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
@@ -145,10 +141,10 @@ def _losses(link: Link, views: Sequence[View]) -> list[float]:
     ]
 
 
-def _timed(estimate: Callable[[], StepError | float]) -> dict[str, float]:
+def _timed(estimate: Callable[[], StepError | float]) -> Estimate:
     started = time.perf_counter()
     found = estimate()
     seconds = time.perf_counter() - started
     if isinstance(found, StepError):
-        return {"value": found.value, "order": found.order, "seconds": seconds}
-    return {"value": found, "seconds": seconds}
+        return Estimate(found.value, seconds, found.order)
+    return Estimate(found, seconds)

@@ -16,9 +16,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from usdsmoke.base.config import Config
+from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.potential import Displacement, hold
@@ -84,7 +84,7 @@ def _rest(links: Iterator[Link]) -> Iterator[Link]:
             ahead = next(links, None)
             if ahead is None or not ahead.in_effect:
                 link.rests, link.left_out = True, "optimize.strength is 0"
-                link.report["left out"] = link.left_out
+                link.report = replace(link.report, left_out=link.left_out)
         yield link
         before = link.in_effect
 
@@ -101,7 +101,7 @@ def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:
 
 def _shape_one(link: Link, before: Link | None, job: Job) -> None:
     if job.known is not None and job.known.time_code == link.frame.time_code:
-        link.free, link.report["shape"] = job.known.free, {}
+        link.free = job.known.free
     else:
         _optimize_shape(link, before, job)
     if job.keeps_carried:
@@ -122,7 +122,7 @@ def _optimize_shape(link: Link, before: Link | None, job: Job) -> None:
         1.0 if before is None else config.shape.warm_rate,
     )  # fmt: skip
     seconds = time.perf_counter() - started
-    link.report["shape"] = {**_summarize(ends, link), "seconds": seconds}
+    link.report = replace(link.report, shape=_step_report(ends, link, seconds))
 
 
 def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -148,14 +148,14 @@ def _move(link: Link, free: Displacement, job: Job) -> None:
     held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
     link.displacement = Displacement(held, lattice)
     if not link.in_effect:
-        link.report["shape"] |= {"cap": cap, "largest displacement": 0.0}
+        link.report = replace(link.report, transport=TransportReport(cap))
         return
-    link.density, report = move_density(
+    link.density, transport = move_density(
         link.density, link.source, link.displacement, link.config, share, link.sight is not None
     )
     moved = activate(link.density, link.frame.density_to_stage, job.device)
     link.smoke = moved if link.sight is None else link.sight.seen(moved)
-    link.report["shape"] |= {"cap": cap, **report}
+    link.report = replace(link.report, transport=replace(transport, cap=cap))
 
 
 def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -172,7 +172,7 @@ def _paint_one(link: Link, before: Link | None, job: Job) -> None:
     share = None if link.mask is None else link.mask.at(link.smoke.positions)
     link.painted = link.smoke if share is None else link.smoke.take(share > 0)
     if job.known is not None and job.known.time_code == link.frame.time_code:
-        link.colours, link.report["colour"] = job.known.colours, {}
+        link.colours = job.known.colours
     else:
         _optimize_colours(link, before, job)
     if job.keeps_carried:
@@ -195,7 +195,7 @@ def _optimize_colours(link: Link, before: Link | None, job: Job) -> None:
         paint is not None,
     )  # fmt: skip
     seconds = time.perf_counter() - started
-    link.report["colour"] = {**_summarize(ends, link), "seconds": seconds}
+    link.report = replace(link.report, colour=_step_report(ends, link, seconds))
 
 
 def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
@@ -206,20 +206,21 @@ def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
             seconds = job.seconds(link, later)
             link.colours = average_colours(*paint, later.paint, link.frame, seconds, share)
         if before is not None and not link.left_out:
-            link.report["temporal error"] = _temporal_errors(before, link, job)
+            temporal = _temporal_errors(before, link, job)
+            link.report = replace(link.report, temporal=temporal)
         yield link
         before = None if link.rests else before if link.left_out else link
 
 
-def _temporal_errors(before: Link, link: Link, job: Job) -> dict[str, float]:
-    seconds, errors = job.seconds(before, link), {}
+def _temporal_errors(before: Link, link: Link, job: Job) -> TemporalErrors:
+    seconds, displacement, colour = job.seconds(before, link), None, None
     if before.displacement is not None and link.displacement is not None:
-        errors["displacement"] = displacement_error(
+        displacement = displacement_error(
             before.displacement, link.displacement, link.source, before.frame, seconds
         )
     if before.paint is not None and link.paint is not None:
-        errors["colour"] = colour_error(before.paint, *link.paint, before.frame, seconds)
-    return errors
+        colour = colour_error(before.paint, *link.paint, before.frame, seconds)
+    return TemporalErrors(displacement, colour)
 
 
 def _mover(before: Link | None, link: Link) -> VolumeFrame:
@@ -250,15 +251,16 @@ def _plan(per_octave: Sequence[int], link: Link, warm: bool, config: Config) -> 
     return [0 if number < n_done else n for number, n in enumerate(plan)]
 
 
-def _summarize(ends: Sequence[Minimum], link: Link) -> dict[str, Any]:
-    """How the octaves of a step ended, as plain values."""
+def _step_report(ends: Sequence[Minimum], link: Link, seconds: float) -> StepReport:
+    """How the octaves of a step ended."""
     views = link.config.views
     pool = views.pool if link.source.thin_axis is None else 1
-    return {
-        "loss": [end.smoothed for end in ends],
-        "iterations": [end.iteration + 1 for end in ends],
-        "rollbacks": sum(end.rollbacks for end in ends),
-        "restored": sum(end.restored for end in ends),
-        "ended": [end.reason for end in ends],
+    return StepReport(
+        seconds=seconds,
+        loss=tuple(end.smoothed for end in ends),
+        iterations=tuple(end.iteration + 1 for end in ends),
+        rollbacks=sum(end.rollbacks for end in ends),
+        restored=sum(end.restored for end in ends),
+        ended=tuple(end.reason for end in ends),
         **tail_figures(ends, pool, views.count),
-    }
+    )

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.start import Carried, CoarseStart
@@ -62,7 +62,7 @@ class Link:
     targets: StyleTargets  # likewise
     sight: Sight | None = None  # None: all of the smoke is worked on
     rests: bool = False  # left out for its strength of 0: what comes after it starts anew
-    report: dict[str, Any] = field(default_factory=dict)
+    report: FrameReport = field(default_factory=FrameReport)  # replaced as steps are done
     free: Displacement | None = None  # before it is held below the cap: what is carried along
     settled: Displacement | None = None  # averaged with the following frame's
     displacement: Displacement | None = None  # what the density was moved by, at full strength

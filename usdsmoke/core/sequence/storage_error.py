@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usdsmoke.base.frame_report import Estimate, FrameErrors
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 
@@ -33,8 +34,8 @@ def pruned(fields: Sequence[DenseField], prune: float) -> list[DenseField]:
 
 
 def storage_errors(
-    fields: Sequence[DenseField], config: GridsConfig
-) -> dict[str, dict[str, float]]:
+    fields: Sequence[DenseField], config: GridsConfig, others: FrameErrors | None = None
+) -> FrameErrors:
     """How far what a file holds is from what was computed, relative to that.
 
     Sum of absolute differences over sum of absolute values, voxel by voxel; 0 where everything is
@@ -43,19 +44,17 @@ def storage_errors(
     Args:
         fields: density and, after a colour step, emission, before they are pruned.
         config: ``half`` and ``prune``.
-
-    Returns:
-        ``value`` and ``seconds`` by name: ``storage density``, ``storage emission``.
+        others: errors of the frame that are kept; None: there are none.
     """
-    found = {}
-    names = ("storage density", "storage emission")
+    found: dict[str, Estimate] = {}
+    names = ("storage_density", "storage_emission")
     for name, field, kept in zip(names, fields, pruned(fields, config.prune), strict=False):
         started = time.perf_counter()
         lost = 0.0
         if config.prune > 0 or config.half:
             lost = _difference(field.values, kept.values, config.half)
-        found[name] = {"value": lost, "seconds": time.perf_counter() - started}
-    return found
+        found[name] = Estimate(lost, time.perf_counter() - started)
+    return dataclasses.replace(others or FrameErrors(), **found)
 
 
 def _difference(values: np.ndarray, kept: np.ndarray, half: bool) -> float:

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from usdsmoke.base.config import Config
 from usdsmoke.base.errors import NonFiniteError
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress, ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.refine import refine_field
@@ -38,7 +38,7 @@ class StylizedFrame:
     time_code: float
     density: DenseField
     emission: DenseField | None  # None without a colour step
-    report: dict[str, Any] = field(default_factory=dict)  # plain numbers and texts
+    report: FrameReport = field(default_factory=FrameReport)
 
 
 def stylize_window(
@@ -140,20 +140,20 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
     reach = longest_move(source, job.config) if len(source.ijk) else 0.0
     sight = sight_of(frame, source, reach, job.config)
     mask = effect_mask(frame, sight)
-    report: dict[str, Any] = {"voxels": len(source.ijk)}
+    report = FrameReport(voxels=len(source.ijk))
     if sight is not None:
-        report["voxels outside the camera's frustum"] = int((sight.at(source.positions) == 0).sum())
+        n_outside = int((sight.at(source.positions) == 0).sum())
+        report = replace(report, voxels_outside_camera=n_outside)
     if mask is not None and mask.n_clamped:
-        report["warnings"] = [_clamped_text(frame, mask)]
+        report = replace(report, warnings=(_clamped_text(frame, mask),))
     left_out = _why_left_out(source, mask, sight, config)
-    if left_out:
-        report["left out"] = left_out
+    report = replace(report, left_out=left_out)
     smoke, scene, targets = source, job.scene, job.targets
     if sight is not None and not left_out:
         source, smoke = sight.near(source), sight.seen(source)
     if config is not job.config:
         scene, targets = frame_scene(scene, config), targets.weighted(config.style)
-        report["extinction"] = scene.gamma_w
+        report = replace(report, extinction=scene.gamma_w)
     scene = replace(scene, camera=frame.camera)
     return Link(
         frame, density, source, smoke, mask, left_out, job.starts(frame.time_code), config, scene,
@@ -171,10 +171,8 @@ def finished_frame(link: Link, job: Job) -> StylizedFrame:
             if link.mask is not None:
                 strength = strength * link.mask.at(link.painted.positions)
             _emit(emission, link.painted, link.colours, link.scene, strength)
-    errors = frame_errors(link)
-    if errors:
-        link.report["errors"] = errors
-    return StylizedFrame(link.frame.time_code, link.density, emission, link.report)
+    report = replace(link.report, errors=frame_errors(link))
+    return StylizedFrame(link.frame.time_code, link.density, emission, report)
 
 
 def _why_left_out(

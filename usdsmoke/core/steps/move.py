@@ -1,13 +1,15 @@
 """Density moved by a displacement: with which voxels, how accurately, and with what mass."""
 
 import time
-from typing import Any, cast
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config
+from usdsmoke.base.frame_report import Estimate, TransportReport
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice, field_from_box
 from usdsmoke.core.fields.potential import Displacement, border_mask
@@ -45,8 +47,8 @@ def move_density(
     config: Config,
     share: Tensor | None = None,
     is_part: bool = False,
-) -> tuple[DenseField, dict[str, Any]]:
-    """The full density moved by the accurate scheme, and how far the cheap one is off.
+) -> tuple[DenseField, TransportReport]:
+    """The full density moved by the accurate scheme, and what that did to it.
 
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
@@ -59,7 +61,7 @@ def move_density(
     box = lattice.fill(source)
     sides = box.new_tensor(lattice.spacing)
     u = lattice.from_stage(displacement.values).mul_(config.optimize.strength)
-    report: dict[str, Any] = {"largest displacement": float(u.norm(dim=-1).max())}
+    report = TransportReport(largest_displacement=float(u.norm(dim=-1).max()))
     u.div_(sides)
     scheme = cast(Scheme, config.shape.interpolation)
     moved = warp(box, u, scheme=scheme).clamp_min(0)
@@ -69,15 +71,17 @@ def move_density(
         active = torch.nonzero((box > 0) | (moved > 0))
         cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
         difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
-        report["cheap scheme differs"] = float(difference)
+        report = replace(report, linear_difference=float(difference))
     started = time.perf_counter()
     error = warp_error(box, u, moved, scheme)
-    # where the voxels are too coarse for Richardson's rule, the cheap scheme's error is a bound
-    value = min(error.value, report.get("cheap scheme differs", error.value))
+    # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
+    linear = report.linear_difference
+    value = error.value if linear is None else min(error.value, linear)
     seconds = time.perf_counter() - started
-    report["transport error"] = {"value": value, "order": error.order, "seconds": seconds}
     del u
-    result, report["mass error"] = _with_mass(moved, box, config, share)
+    result, mass_error = _with_mass(moved, box, config, share)
+    estimate = Estimate(value, seconds, error.order)
+    report = replace(report, error=estimate, mass_error=mass_error)
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())

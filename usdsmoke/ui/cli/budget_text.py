@@ -8,8 +8,7 @@ from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
     from usdsmoke.planning.needs import Omission
-    from usdsmoke.runs.error_bounds import Verdict
-    from usdsmoke.runs.error_budget import ErrorBudget
+    from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
 
 __all__ = ["budget_text"]
 

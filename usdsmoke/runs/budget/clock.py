@@ -8,17 +8,28 @@ theirs.
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, Protocol, TypeVar
 
-from usdsmoke.runs.manifests import WindowRecord
+from usdsmoke.base.frame_report import FrameReport
 
-__all__ = ["ELSEWHERE", "PartClock", "run_seconds", "timed_items"]
+__all__ = ["ELSEWHERE", "PartClock", "TimedWindow", "run_seconds", "step_seconds", "timed_items"]
 
 ELSEWHERE = "elsewhere"  # a part that is kept with windows and the coarse step
-_STEPS = ("shape", "colour")
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+
+
+class TimedWindow(Protocol):
+    """A window of a run with its time."""
+
+    @property
+    def seconds(self) -> float:
+        """All of its time."""
+
+    @property
+    def timings(self) -> Mapping[str, float]:
+        """Seconds of these for ``reading`` and ``writing``."""
 
 
 class PartClock:
@@ -64,26 +75,35 @@ def timed_items(clock: PartClock, part: str, items: Iterable[_Result]) -> Iterat
         yield item
 
 
+def step_seconds(reports: Iterable[FrameReport]) -> dict[str, float]:
+    """Seconds of each step, summed over frames; a step that no frame has is left out."""
+    spent: dict[str, list[float]] = {}
+    for report in reports:
+        for name, step in report.steps.items():
+            spent.setdefault(name, []).append(step.seconds)
+    return {name: math.fsum(spent[name]) for name in sorted(spent, reverse=True)}  # shape, colour
+
+
 def run_seconds(
-    windows: Sequence[WindowRecord], coarse: float, clock: PartClock
+    windows: Sequence[TimedWindow], reports: Iterable[FrameReport], coarse: float, clock: PartClock
 ) -> dict[str, float]:
     """Seconds by part, in the order of the work; ``all`` is their sum.
 
     Args:
-        windows: the manifests of all windows.
-        coarse: of the coarse step.
+        windows: all windows of the run.
+        reports: of all frames of the windows; a frame of two windows has two.
+        coarse: seconds of the coarse step.
         clock: of this call, with ``preparing``, ``reading`` and ``assembling``.
     """
-    reports = [frame["report"] for window in windows for frame in window.frames.values()]
-    storage = math.fsum(_estimates(report, "storage") for report in reports)
-    own = clock.parts
+    reports, own = list(reports), clock.parts
+    storage = math.fsum(report.storage_seconds for report in reports)
     parts = {
         "preparing": own.get("preparing", 0.0),
         "reading": own.get("reading", 0.0) + _of(windows, "reading"),
         "coarse step": coarse,
-        **{step: math.fsum(_seconds(report.get(step)) for report in reports) for step in _STEPS},
-        "estimates": math.fsum(_estimates(report) for report in reports),
-        "writing": max(_of(windows, "writing") - storage, 0.0),  # files say what they lost
+        **step_seconds(reports),
+        "estimates": math.fsum(report.estimate_seconds for report in reports),
+        "writing": max(_of(windows, "writing") - storage, 0.0),  # storage errors are measured then
         "assembling": own.get("assembling", 0.0),
     }
     whole = clock.total - own.get(ELSEWHERE, 0.0) + coarse + math.fsum(w.seconds for w in windows)
@@ -91,22 +111,5 @@ def run_seconds(
     return {name: value for name, value in parts.items() if value > 0} | {"all": whole}
 
 
-def _of(windows: Sequence[WindowRecord], part: str) -> float:
+def _of(windows: Sequence[TimedWindow], part: str) -> float:
     return math.fsum(window.timings.get(part, 0.0) for window in windows)
-
-
-def _estimates(report: Mapping[str, Any], prefix: str = "") -> float:
-    """Seconds of a frame's estimates; the transport's stands with the step."""
-    found = [
-        _seconds(entry)
-        for name, entry in report.get("errors", {}).items()
-        if name.startswith(prefix)
-    ]
-    if not prefix:
-        found.append(_seconds((report.get("shape") or {}).get("transport error")))
-    return math.fsum(found)
-
-
-def _seconds(entry: Any) -> float:
-    value = entry.get("seconds") if isinstance(entry, Mapping) else None
-    return float(value) if isinstance(value, (int, float)) else 0.0

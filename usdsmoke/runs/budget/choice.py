@@ -1,8 +1,8 @@
 """The cheapest settings whose estimated errors stay below a tolerance, from a calibration.
 
-``error_bounds`` says which part of a tolerance each error may have. An estimate may be wrong by a
-factor, so each has to stay below half of its part. Whatever cannot be chosen, or cannot be kept, is
-told in a sentence too.
+``rows`` declares which part of a tolerance each error may have. An estimate may be wrong by a
+factor (``ErrorRow.safety``), so it stays below the bound by that factor. Each choice, and each that
+cannot be made, has a sentence in the plan.
 """
 
 import math
@@ -10,7 +10,17 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from usdsmoke.runs.error_bounds import PICTURE_SAFETY, SAFETY, part_of
+from usdsmoke.runs.budget.rows import (
+    COLOUR_OPTIMISER,
+    QUADRATURE,
+    RESOLUTION,
+    SAFETY,
+    SHAPE_OPTIMISER,
+    STORAGE_DENSITY,
+    TRANSPORT,
+    UNSEEN_VIEWS,
+    VIEW_SAMPLING,
+)
 
 __all__ = ["Choice", "choose_settings", "user_values"]
 
@@ -20,6 +30,7 @@ USUAL_HALF = 15.0  # iterations, the "a" below; plumes that were measured have 1
 HARDLY_FALLEN = 0.9  # share of its fall that a pilot has before it, beyond which it tells nothing
 LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
 LEAST_MOVE = 0.05  # voxels, below which a pilot has not moved its smoke
+_OPTIMISERS = {"shape": SHAPE_OPTIMISER, "colour": COLOUR_OPTIMISER}
 
 
 @dataclass(frozen=True)
@@ -52,7 +63,7 @@ def choose_settings(
     iterations: Mapping[str, Sequence[int]],
     set_by_user: Mapping[str, Any],
 ) -> Choice:
-    """What a tolerance comes to.
+    """The settings that a tolerance leads to.
 
     Args:
         measured: from ``core.calibrate``; empty where there is nothing to do.
@@ -65,27 +76,27 @@ def choose_settings(
         why = "the calibrated frame has nothing to stylize: all settings stay as they are"
         return Choice({}, (why,))
     _choose_picture(choices, measured, target)
-    _choose_transport(choices, measured["transport"], part_of("transport", target))
-    _choose_storage(choices, measured, part_of("storage, density", target) / 2)
+    _choose_transport(choices, measured["transport"], TRANSPORT.bound(target))
+    _choose_storage(choices, measured, STORAGE_DENSITY.bound(target) / 2)
     for step, planned in iterations.items():
-        part = part_of(f"optimiser, {step}", target)
+        part = _OPTIMISERS[step].bound(target)
         _choose_iterations(choices, step, measured["steps"].get(step), part, planned)
     _choose_views(choices, measured, target)
     return Choice(choices.settings, tuple(choices.notes))
 
 
 def _choose_picture(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
-    sizes, part = measured["image_sizes"], part_of("resolution", target)
+    sizes, part = measured["image_sizes"], RESOLUTION.bound(target)
     if sizes:
-        fits = [pair for pair in sizes if PICTURE_SAFETY * pair[1] <= part]
+        fits = [pair for pair in sizes if RESOLUTION.safety * pair[1] <= part]
         size, error = fits[0] if fits else sizes[-1]
-        why = _judged("resolution", error, part, PICTURE_SAFETY)
+        why = _judged(RESOLUTION.name, error, part, RESOLUTION.safety)
         choices.take("views.image_size", int(size), why)
     else:
         choices.notes.append(
             "views.image_size stays: no whole number of voxels a pixel gives 16 to 2048 pixels"
         )
-    quadrature = _judged("quadrature", measured["quadrature"], part_of("quadrature", target))
+    quadrature = _judged(QUADRATURE.name, measured["quadrature"], QUADRATURE.bound(target))
     choices.notes.append(f"{quadrature}; its step is the voxel, which is no choice")
 
 
@@ -94,7 +105,7 @@ def _choose_transport(choices: _Choices, errors: Mapping[str, float] | None, par
         choices.notes.append("shape.interpolation stays: there is no shape step")
         return
     scheme = "linear" if SAFETY * errors["linear"] <= part else "cubic"
-    why = _judged("transport", errors[scheme], part)
+    why = _judged(TRANSPORT.name, errors[scheme], part)
     if errors["moved"] < LEAST_MOVE:
         why += "; the pilot hardly moved the smoke, so this is of a shift by half a voxel"
     choices.take("shape.interpolation", scheme, why)
@@ -175,24 +186,29 @@ def _scaled(planned: Sequence[int], finest: int) -> list[int]:
 def _choose_views(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
     """Standard errors of means fall as 1 / sqrt(pool), those of views beside it as 1 / pool."""
     deviation, unseen = measured["view_deviation"], measured["unseen_views"]
-    sampling, beside = part_of("view sampling", target), part_of("unseen views", target)
+    sampling, beside = VIEW_SAMPLING.bound(target), UNSEEN_VIEWS.bound(target)
     wanted = (SAFETY * deviation / sampling) ** 2
     summed = 0.0 if unseen is None else unseen[0] * unseen[1]
     wanted = max(wanted, SAFETY * summed / beside)
     pool = min(max(math.ceil(min(wanted, MOST_VIEWS)), FEWEST_VIEWS), MOST_VIEWS)
-    notes = [_judged("view sampling", deviation / math.sqrt(pool), sampling)]
+    notes = [_judged(VIEW_SAMPLING.name, deviation / math.sqrt(pool), sampling)]
     if unseen is not None:
-        notes.append(_judged("unseen views", summed / pool, beside))
+        notes.append(_judged(UNSEEN_VIEWS.name, summed / pool, beside))
     choices.take("views.pool", pool, "; ".join(notes))
 
 
 def _judged(what: str, error: float, part: float, safety: float = SAFETY) -> str:
     if safety * error <= 1.001 * part:  # rounding apart
-        return f"{what} {error:.2g}, of {part:.2g}"
+        return f"{what} {error:.2g}, limit {part:.2g}"
+    most_accurate = "even at the most accurate settings"
     if error <= part:
-        return f"may not be kept: {what} {error:.2g} at the tightest, of {part:.2g}"
+        return (
+            f"may not be kept: {what}: the estimated error {error:.2g} is below its limit of "
+            f"{part:.2g}, but within the safety factor of {safety:g} {most_accurate}"
+        )
     return (
-        f"cannot be kept: {what} estimated at {error:.2g} with the tightest settings, of {part:.2g}"
+        f"cannot be kept: {what}: the estimated error {error:.2g} exceeds its limit of {part:.2g} "
+        f"{most_accurate}"
     )
 
 

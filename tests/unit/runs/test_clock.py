@@ -2,10 +2,16 @@
 
 import pytest
 
+from usdsmoke.base.frame_report import (
+    Estimate,
+    FrameErrors,
+    FrameReport,
+    StepReport,
+    TransportReport,
+)
 from usdsmoke.planning.needs import Omission
-from usdsmoke.runs.error_budget import make_budget
+from usdsmoke.runs.budget import ELSEWHERE, PartClock, make_budget, run_seconds, timed_items
 from usdsmoke.runs.manifests import WindowRecord
-from usdsmoke.runs.times import ELSEWHERE, PartClock, run_seconds, timed_items
 from usdsmoke.ui.cli.budget_text import budget_text
 
 
@@ -22,15 +28,14 @@ class FakeTime:
 
 
 def window(seconds: float) -> WindowRecord:
-    report = {
-        "shape": {"seconds": 2.0, "transport error": {"value": 0.1, "seconds": 0.25}},
-        "colour": {"seconds": 3.0},
-        "errors": {
-            "resolution": {"value": 0.1, "seconds": 0.5},
-            "storage density": {"value": 0.0, "seconds": 0.25},
-        },
-    }
-    frames = {"a.vdb": {"report": report}, "parts/b.vdb": {"report": {"left out": "empty frame"}}}
+    report = FrameReport(
+        shape=StepReport(seconds=2.0),
+        transport=TransportReport(error=Estimate(0.1, 0.25)),
+        colour=StepReport(seconds=3.0),
+        errors=FrameErrors(resolution=Estimate(0.1, 0.5), storage_density=Estimate(0.0, 0.25)),
+    )
+    reports = {"a.vdb": report, "parts/b.vdb": FrameReport(left_out="empty frame")}
+    frames = {name: {"report": report.to_json()} for name, report in reports.items()}
     timings = {"reading": 1.0, "writing": 1.25}
     return WindowRecord("run", 0, "/smoke", [1.0], [2.0], frames, seconds, timings)
 
@@ -42,7 +47,9 @@ def test_the_parts_add_up_to_what_all_processes_took() -> None:
     clock.timed("reading", time.spend, 4.0)
     clock.timed(ELSEWHERE, time.spend, 9.0)  # one of the windows
     clock.timed("assembling", time.spend, 2.0)
-    found = run_seconds([window(9.0), window(10.0)], 6.0, clock)
+    windows = [window(9.0), window(10.0)]
+    reports = [report for one in windows for report in one.reports.values()]
+    found = run_seconds(windows, reports, 6.0, clock)
     assert found["all"] == 0.5 + 4 + 2 + 9 + 10 + 6
     assert sum(value for name, value in found.items() if name != "all") == pytest.approx(31.5)
     assert (found["reading"], found["coarse step"], found["assembling"]) == (6.0, 6.0, 2.0)

@@ -1,0 +1,160 @@
+"""The report of one frame: what its steps did, and what is known of its errors.
+
+The core makes it. The run's folder keeps it as JSON, and the error budget of a run is made from
+the reports of its frames (``runs.budget``).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from usdsmoke.base.json_records import from_json, to_json
+
+__all__ = [
+    "Estimate",
+    "FrameErrors",
+    "FrameReport",
+    "OverlapReport",
+    "StepReport",
+    "TemporalErrors",
+    "TransportReport",
+]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One error of a frame, relative; the row of the error budget says to what."""
+
+    value: float
+    seconds: float = 0.0  # that the estimate took
+    order: float | None = None  # of convergence, fitted; None where no order is fitted
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """How the shape step or the colour step ended. Losses have no unit."""
+
+    seconds: float = 0.0
+    loss: tuple[float, ...] = ()  # smoothed, at the end of each octave, coarse to fine
+    iterations: tuple[int, ...] = ()  # of each octave
+    rollbacks: int = 0
+    restored: int = 0  # octaves that end with an earlier state, because the last one was worse
+    ended: tuple[str, ...] = ()  # why each octave ended: "iterations" or "converged"
+    # From the losses of the last octave; None where it has too few iterations.
+    fallen: float | None = None  # by how much the loss fell in all octaves
+    fallen_in_last_octave: float | None = None
+    remaining: float | None = None  # by how much it would still fall, predicted
+    view_spread: float | None = None  # standard error of its mean over the views, relative to it
+
+
+@dataclass(frozen=True)
+class TransportReport:
+    """How the density was moved. Mass and differences are relative to the sum of the density."""
+
+    cap: float = 0.0  # largest displacement that is allowed, stage units
+    largest_displacement: float = 0.0  # stage units
+    linear_difference: float | None = None  # of the linear scheme; None where it is the one used
+    error: Estimate | None = None  # of the scheme used; None where nothing was moved
+    mass_error: float | None = None  # gain of mass before it is corrected; negative is a loss
+
+
+@dataclass(frozen=True)
+class FrameErrors:
+    """What is estimated or measured of a finished frame; None where it does not apply."""
+
+    quadrature: Estimate | None = None  # of the sums along the rays, relative to the picture
+    resolution: Estimate | None = None  # of voxels and pixels, relative to the picture
+    unseen_views: Estimate | None = None  # style loss of other views, relative to that of the pool
+    storage_density: Estimate | None = None  # lost by pruning and 16-bit floats
+    storage_emission: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class TemporalErrors:
+    """Difference from the frame before, carried along by the velocity; relative to the frame."""
+
+    displacement: float | None = None
+    colour: float | None = None
+
+    def mixed(self, other: "TemporalErrors", weight: float) -> "TemporalErrors":
+        """Both, weighted; one alone where the other has none.
+
+        Args:
+            other: of another version of the same frame.
+            weight: of this one, 0 to 1.
+        """
+
+        def mix(mine: float | None, theirs: float | None) -> float | None:
+            if mine is None or theirs is None:
+                return theirs if mine is None else mine
+            return weight * mine + (1 - weight) * theirs
+
+        return TemporalErrors(
+            mix(self.displacement, other.displacement), mix(self.colour, other.colour)
+        )
+
+
+@dataclass(frozen=True)
+class OverlapReport:
+    """A frame that two windows compute: how far apart both versions are before they are blended."""
+
+    windows: tuple[int, int]  # numbers of the earlier and the later window
+    weight: float  # of the earlier one, 0 to 1
+    density: float | None = None  # difference relative to their size
+    emission: float | None = None
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """Everything that is known of one frame when it is finished."""
+
+    voxels: int = 0  # with smoke
+    voxels_outside_camera: int | None = None  # of these; None where the camera does not matter
+    warnings: tuple[str, ...] = ()
+    left_out: str = ""  # why nothing is done; "" for a frame that is stylized
+    extinction: float | None = None  # 1/stage unit per density; None: the scene's
+    shape: StepReport | None = None  # None where the step is not run
+    transport: TransportReport | None = None  # None without a shape step
+    colour: StepReport | None = None
+    errors: FrameErrors = field(default_factory=FrameErrors)
+    temporal: TemporalErrors | None = None  # None without a frame before it in the window
+    overlap: OverlapReport | None = None  # None for a frame of one window
+
+    @property
+    def steps(self) -> Mapping[str, StepReport]:
+        """The steps that were run, by name, in their order."""
+        steps = {"shape": self.shape, "colour": self.colour}
+        return {name: step for name, step in steps.items() if step is not None}
+
+    @property
+    def last_step(self) -> StepReport | None:
+        """The step that was run last."""
+        return self.colour or self.shape
+
+    @property
+    def estimate_seconds(self) -> float:
+        """Seconds that all estimates took, that of the transport included."""
+        found = [estimate for estimate in vars(self.errors).values() if estimate is not None]
+        if self.transport is not None and self.transport.error is not None:
+            found.append(self.transport.error)
+        return math.fsum(estimate.seconds for estimate in found)
+
+    @property
+    def storage_seconds(self) -> float:
+        """Seconds that it took to measure what the file loses."""
+        found = (self.errors.storage_density, self.errors.storage_emission)
+        return math.fsum(estimate.seconds for estimate in found if estimate is not None)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values, without those that are the defaults."""
+        return to_json(self)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "FrameReport":
+        """The report that ``to_json`` gave.
+
+        Raises:
+            ValueError: the values are no report.
+        """
+        return from_json(cls, values)

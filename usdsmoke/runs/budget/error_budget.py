@@ -1,0 +1,206 @@
+"""The error budget of a run: what is left of each error, from the reports of its frames.
+
+``rows`` declares the errors. Each is relative, and says to what.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.budget.absence import PlannedVolume, temporal_note
+from usdsmoke.runs.budget.clock import step_seconds
+from usdsmoke.runs.budget.rows import ROWS, ErrorRow
+
+__all__ = ["ErrorBudget", "ErrorEstimate", "Tolerance", "Verdict", "make_budget", "run_budget"]
+
+_ADVICE = {row.name: row.advice for row in ROWS}
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """One error over the frames that have it."""
+
+    name: str
+    mean: float
+    largest: float
+    relative_to: str
+    n_frames: int
+    seconds: float  # that estimating it took, over all frames
+    how: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A bounded error at the end of a run."""
+
+    name: str
+    value: float  # the largest over the frames that have it
+    bound: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the value is not above the bound."""
+        return self.value <= self.bound
+
+    def __str__(self) -> str:
+        return f"{self.value:.2%}, bound {self.bound:.2%}"
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Whether a run kept the tolerance that its settings were chosen for."""
+
+    target: float
+    verdicts: tuple[Verdict, ...]
+    unknown: Mapping[str, str]  # bounded errors that were not estimated, and why
+
+    @property
+    def broken(self) -> tuple[Verdict, ...]:
+        """What is above its bound."""
+        return tuple(verdict for verdict in self.verdicts if not verdict.kept)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is above its bound, with what to do; two sentences each."""
+        return tuple(
+            f"the tolerance of {self.target:g} is not kept: {item.name} is {item}. "
+            f"{_ADVICE[item.name][:1].upper()}{_ADVICE[item.name][1:]}."
+            for item in self.broken
+        )
+
+    def __str__(self) -> str:
+        if self.broken:
+            names = "; ".join(f"{item.name} ({item})" for item in self.broken)
+            found = f"{self.target:g}: NOT kept by {names}"
+        else:
+            found = f"{self.target:g}: kept by all {len(self.verdicts)} bounded errors"
+        unknown = f"; not estimated: {', '.join(self.unknown)}" if self.unknown else ""
+        return f"{found}{unknown}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        rows = [{**asdict(item), "kept": item.kept} for item in self.verdicts]
+        unknown = dict(self.unknown)
+        return {"target": self.target, "kept": not self.broken, "rows": rows, "unknown": unknown}
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> "Tolerance":
+        """The one that ``to_dict`` gave."""
+        rows = [Verdict(row["name"], row["value"], row["bound"]) for row in found["rows"]]
+        return cls(found["target"], tuple(rows), found["unknown"])
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """The errors of a run, why it has no figure for others, and the time of its parts."""
+
+    estimates: tuple[ErrorEstimate, ...]
+    left_out: Mapping[str, str]  # why, by name
+    seconds: Mapping[str, float]  # of the steps, and of the estimates
+    notes: Mapping[str, str] = field(default_factory=dict)  # what an estimate leaves out
+    tolerance: Tolerance | None = None  # None without ``optimize.target_error``
+
+    def __getitem__(self, name: str) -> ErrorEstimate:
+        """The estimate of this name; KeyError if there is none."""
+        return {estimate.name: estimate for estimate in self.estimates}[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        tolerance = None if self.tolerance is None else self.tolerance.to_dict()
+        return {**asdict(self), "estimates": list(map(asdict, self.estimates))} | {
+            "tolerance": tolerance
+        }
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> "ErrorBudget":
+        """The budget that ``to_dict`` gave."""
+        tolerance = found["tolerance"]
+        return cls(
+            tuple(ErrorEstimate(**values) for values in found["estimates"]),
+            found["left_out"],
+            found["seconds"],
+            found["notes"],
+            None if tolerance is None else Tolerance.from_dict(tolerance),
+        )
+
+
+def run_budget(plan: Plan, reports: Mapping[str, FrameReport]) -> ErrorBudget:
+    """The errors of a run, with the reason for each that has no figure.
+
+    Args:
+        plan: of the run.
+        reports: of the frames, by the names of their files.
+    """
+    volumes = [
+        PlannedVolume(volume, tuple(reports.get(frame.file_name) for frame in volume.frames))
+        for volume in plan.volumes
+    ]
+    # In the order of names: the last bits of a sum must not depend on who ran which window.
+    ordered = [reports[name] for name in sorted(reports)]
+    return make_budget(ordered, volumes, plan.config.optimize.target_error)
+
+
+def make_budget(
+    reports: Iterable[FrameReport],
+    volumes: Sequence[PlannedVolume] = (),
+    target: float | None = None,
+) -> ErrorBudget:
+    """The budget of frames whose reports are given.
+
+    Args:
+        reports: of the frames.
+        volumes: those of the run, for the reason where there is no figure.
+        target: the tolerance that the settings were chosen for. Each error that it bounds is
+            judged by its largest value.
+    """
+    reports = list(reports)
+    estimates, left_out, notes = [], {}, {}
+    for row in ROWS:
+        estimate = _over_frames(row, reports)
+        if estimate is None:
+            reasons = dict.fromkeys(filter(None, map(row.why_absent, volumes)))
+            left_out[row.name] = "; ".join(reasons) or row.without
+            continue
+        estimates.append(estimate)
+        if row.temporal and volumes and (note := temporal_note(volumes, *row.temporal)):
+            notes[row.name] = note
+    seconds = step_seconds(reports)
+    seconds["estimates"] = math.fsum(estimate.seconds for estimate in estimates)
+    tolerance = None if target is None else _judge(target, estimates, left_out)
+    return ErrorBudget(tuple(estimates), left_out, seconds, notes, tolerance)
+
+
+def _over_frames(row: ErrorRow, reports: Sequence[FrameReport]) -> ErrorEstimate | None:
+    """Mean and largest over the frames that have a finite figure; None where no frame has."""
+    found = [estimate for report in reports if (estimate := row.of_frame(report)) is not None]
+    found = [estimate for estimate in found if math.isfinite(estimate.value)]
+    if not found:
+        return None
+    errors = [abs(estimate.value) for estimate in found]  # a loss of mass does not offset a gain
+    seconds = math.fsum(estimate.seconds for estimate in found)
+    return ErrorEstimate(
+        row.name,
+        math.fsum(errors) / len(errors),
+        max(errors),
+        row.relative_to,
+        len(errors),
+        seconds,
+        row.how,
+    )
+
+
+def _judge(
+    target: float, estimates: Sequence[ErrorEstimate], left_out: Mapping[str, str]
+) -> Tolerance:
+    largest = {estimate.name: estimate.largest for estimate in estimates}
+    bounded = [row for row in ROWS if row.share is not None]
+    verdicts = tuple(
+        Verdict(row.name, largest[row.name], row.bound(target))
+        for row in bounded
+        if row.name in largest
+    )
+    unknown = {row.name: left_out[row.name] for row in bounded if row.name in left_out}
+    return Tolerance(target, verdicts, unknown)
