@@ -46,7 +46,7 @@ FRAMES = [drifting(number) for number in range(4)]
 def errors_of(frames: list[VolumeFrame], **sections: dict) -> list[dict[str, float]]:
     reports = [frame.report for frame in run_core(frames, quick_config(**sections))]
     assert reports[0].temporal is None
-    return [vars(report.temporal) for report in reports[1:]]
+    return [report.to_json()["temporal"] for report in reports[1:]]
 
 
 STILL = {  # later frames take over what they start from
