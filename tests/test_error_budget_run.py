@@ -15,6 +15,7 @@ from usdsmoke.audit.records import find_records
 from usdsmoke.base.config import Config, GridsConfig
 from usdsmoke.pipeline import assemble, stylize
 from usdsmoke.runs.budget import make_budget
+from usdsmoke.runs.frame_records import budget_texts
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
 
@@ -34,7 +35,7 @@ def test_the_same_budget_stands_in_result_record_and_layer(
     (kept,) = shot.output.glob("vdb/*/run.json")
     assert json.loads(kept.read_text())["error_budget"] == budget.to_dict()
     (record,) = find_records(result.look_layer)
-    assert record.texts("errorBudget") == budget.texts
+    assert record.texts("errorBudget") == budget_texts(budget)
     assert main(["provenance", str(result.look_layer)]) == 0
     assert "temporal, colour: mean 0.5" in capsys.readouterr().out
     again = assemble(shot.output)
