@@ -8,6 +8,7 @@ import pytest
 
 from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, make_shot, run
 from usdsmoke import run_window
+from usdsmoke.pipeline import Request
 
 __all__ = ["OPTIONS", "WINDOWS", "Outcome", "farm", "outcome", "run_folder", "whole", "windows_in"]
 
@@ -46,7 +47,7 @@ def outcome(root_stage: Path) -> Outcome:
 
 def windows_in(shot: Shot, order: Sequence[int]) -> None:
     for window in order:
-        run_window(shot.stage, shot.style, shot.output, window, settings=WINDOWS)
+        run_window(Request(shot.stage, shot.style, shot.output, WINDOWS), window)
 
 
 def run_folder(shot: Shot) -> Path:

@@ -60,11 +60,10 @@ def make_scene(folder: Path, n_frames: int = 3, moving: bool = True, n: int = 10
 
 def case_of(scene: TinyScene, *settings: str) -> Case:
     """The scene as sweeps see it."""
-    from usdsmoke.base.given_settings import resolve_settings
-    from usdsmoke.planning.job import prepare_job
+    from usdsmoke.planning.job import Request, prepare_job
 
-    config, explicit = resolve_settings(None, [*QUICK, *settings])
-    job = prepare_job(scene.stage, [scene.style], scene.output, config, False, explicit)
+    request = Request(scene.stage, scene.style, scene.output, [*QUICK, *settings])
+    job = prepare_job(request, fits=False)
     return open_case(job, 64, 60.0)
 
 

@@ -28,11 +28,11 @@ DEBT = {
         "work_precision.case", "work_precision.judge", "work_precision.reference",
         "work_precision.trial",
     },
-    "packages": {"planning.originals", "planning.job"},
+    "packages": set(),
     "parameters": {
         "advect", "_transport", "optimize_colours", "run_colour_step", "run_shape_step",
-        "_optimize_octave", "_Octave.__init__", "render_view", "stylize_on_cluster", "preview",
-        "make_request", "stylize", "run_coarse", "run_window", "write_result", "make_report",
+        "_optimize_octave", "_Octave.__init__", "render_view", "preview",
+        "make_request", "write_result", "make_report",
         "__init__",
     },
 }  # fmt: skip

@@ -25,6 +25,7 @@ from tests.grids_fixtures import check_content, openvdb, raw_grid, write_raw
 from tests.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run
 from usdsmoke import assemble, run_window
 from usdsmoke.base.config import GridsConfig
+from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.content_hash import hash_vdb_file
 
@@ -113,7 +114,7 @@ def test_windows_one_by_one_and_frames_done_again_give_the_same_bits(plume: Shot
     for path in apart.output.rglob("*"):
         path.unlink() if path.is_file() else None
     for window in (2, 0, 1):
-        run_window(apart.stage, apart.style, apart.output, window, settings=list(settings))
+        run_window(Request(apart.stage, apart.style, apart.output, list(settings)), window)
     frames = assemble(apart.output).frames
     assert [hash_vdb_file(item, GridsConfig()) for item in frames] == whole
     again = run(plume, *settings, "stage.frames=4")

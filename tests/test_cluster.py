@@ -15,8 +15,11 @@ import pytest
 
 from tests.pipeline_fixtures import make_shot, run, values_of, write_nan
 from tests.test_farm import outcome
+from usdsmoke.base.config import Config
 from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError
+from usdsmoke.base.sections import OptimizeConfig
 from usdsmoke.farm.dask import stylize_on_cluster
+from usdsmoke.pipeline import Request
 from usdsmoke.runs.progress import RunProgress
 
 pytest.importorskip("distributed", reason="distributed is not installed")
@@ -108,7 +111,7 @@ def test_a_worker_that_is_killed_midway_changes_no_bit(tmp_path: Path, cluster: 
             os.kill(killed[0], signal.SIGKILL)
 
     result = stylize_on_cluster(
-        cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=kill_one
+        cluster.address, Request(shot.stage, shot.style, shot.output, SETTINGS), progress=kill_one
     )
     assert outcome(result.root_stage) == expected
     assert windows == [0.25, 0.5, 0.75, 1.0]
@@ -132,7 +135,7 @@ def test_an_error_of_a_task_is_raised_here_by_its_own_name(
     shot = make_shot(tmp_path, 2)
     write_nan(shot.stage.parent / "cache/smoke.0002.vdb")
     with pytest.raises(NonFiniteError, match=r"smoke\.0002\.vdb"):
-        stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output)
+        stylize_on_cluster(cluster.address, Request(shot.stage, shot.style, shot.output))
     assert not list(shot.output.glob("*.usd*"))
 
 
@@ -146,10 +149,10 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path, cluster: Cl
 
     with pytest.raises(Interrupted, match=r"stopped with 1 of 4 windows finished.*same command"):
         stylize_on_cluster(
-            cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS, progress=stop
+            cluster.address, Request(shot.stage, shot.style, shot.output, SETTINGS), progress=stop
         )
     result = stylize_on_cluster(
-        cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS
+        cluster.address, Request(shot.stage, shot.style, shot.output, SETTINGS)
     )
     expected = outcome(run(replace(shot, output=tmp_path / "plain"), *SETTINGS).root_stage)
     assert outcome(result.root_stage) == expected
@@ -166,8 +169,10 @@ def test_a_cluster_that_loses_all_workers_is_given_up(
         for worker in cluster.workers:
             worker.kill()
 
-    with pytest.raises(ClusterError, match=r"no workers for .*finished windows are kept"):
-        stylize_on_cluster(cluster.address, shot.stage, shot.style, shot.output, progress=kill_all)
+    with pytest.raises(ClusterError, match=r"no workers for .*[Ff]inished windows are kept"):
+        stylize_on_cluster(
+            cluster.address, Request(shot.stage, shot.style, shot.output), progress=kill_all
+        )
 
 
 @pytest.mark.parametrize("moment", ["look_around", "coarse", "window"])
@@ -189,12 +194,10 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
             cluster.scheduler.kill()
 
     if moment == "look_around":
-        monkeypatch.setattr("usdsmoke.farm.dask._write_token", write_and_kill)
-    with pytest.raises(ClusterError, match=r"scheduler .*finished windows are kept"):
-        stylize_on_cluster(
-            cluster.address, shot.stage, shot.style, shot.output, settings=SETTINGS,
-            progress=kill_scheduler,
-        )  # fmt: skip
+        monkeypatch.setattr("usdsmoke.farm.dask.publish_file", write_and_kill)
+    with pytest.raises(ClusterError, match=r"scheduler .*[Ff]inished windows are kept"):
+        request = Request(shot.stage, shot.style, shot.output, SETTINGS)
+        stylize_on_cluster(cluster.address, request, kill_scheduler)
     gc.collect()
     assert capfd.readouterr().err == ""
     assert bool(list(shot.output.glob("vdb/*/windows/*.json"))) == (moment == "window")
@@ -206,10 +209,9 @@ def test_frames_of_a_result_are_made_again_and_no_others(tmp_path: Path, cluster
     first = run(shot, *SETTINGS)
     expected = outcome(first.root_stage)
     first.frames[3].unlink()
-    result = stylize_on_cluster(
-        cluster.address, shot.stage, shot.style, shot.output,
-        settings=[*SETTINGS, "stage.frames=4"],
-    )  # fmt: skip
+    settings = [*SETTINGS, "stage.frames=4"]
+    request = Request(shot.stage, shot.style, shot.output, settings)
+    result = stylize_on_cluster(cluster.address, request)
     assert {code for _, code in cluster.begun} == {3, 4, 5}  # a window, and the one frame beyond
     assert outcome(result.root_stage) == expected
 
@@ -231,7 +233,13 @@ def test_requests_and_what_is_stronger_than_they_reach_the_workers(
     shot.stage.write_text(text, encoding="utf-8")
     settings = ("optimize.threads=1", "optimize.seed=2")
     result = stylize_on_cluster(
-        cluster.address, shot.stage, shot.style, shot.output, {"optimize": {"seed": 7}}, settings
+        cluster.address,
+        Request(
+            shot.stage,
+            shot.style,
+            shot.output,
+            [Config(optimize=OptimizeConfig(seed=7)), settings],
+        ),
     )
     assert values_of(result.frames[0]).max() == 0.625  # the shape step would have halved it
     assert values_of(result.frames[0], "emission").max() == 0.625 * (1 + 2)

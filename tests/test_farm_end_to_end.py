@@ -8,6 +8,7 @@ from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import copied, make_shot, values_of
 from tests.test_end_to_end import QUICK, ball
 from usdsmoke import assemble, run_window, stylize
+from usdsmoke.pipeline import Request
 
 SETTINGS = [*QUICK, "optimize.iterations=3", "windows.size=2", "windows.overlap=1"]
 
@@ -24,7 +25,7 @@ def test_the_real_core_gives_the_same_bits_window_by_window(
         stylize(whole.stage, whole.style, whole.output, settings=SETTINGS).root_stage
     )
     for window in (1, 0):
-        run_window(shot.stage, shot.style, shot.output, window, settings=SETTINGS)
+        run_window(Request(shot.stage, shot.style, shot.output, SETTINGS), window)
     result = assemble(shot.output)
     assert outcome(result.root_stage) == expected
     (folder,) = shot.output.glob("vdb/*/parts")

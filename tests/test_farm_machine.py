@@ -21,6 +21,7 @@ from usdsmoke.audit.records import find_records
 from usdsmoke.audit.rerun import rerun
 from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.pipeline import Request
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.ui.cli.main import main
 
@@ -74,13 +75,13 @@ def test_another_number_of_threads_is_refused_by_name(
 def windows_in_with(shot: Shot, window: int, *settings: str) -> tuple[str, ...]:
     """One window; what the task says."""
     files = (shot.stage, shot.style, shot.output)
-    return run_window(*files, window, settings=[*WINDOWS, *settings]).warnings
+    return run_window(Request(*files, settings=[*WINDOWS, *settings]), window).warnings
 
 
 def test_what_another_kind_of_processor_made_is_told(
     farm: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run_coarse(farm.stage, farm.style, farm.output, settings=WINDOWS)
+    run_coarse(Request(farm.stage, farm.style, farm.output, WINDOWS))
     assert windows_in_with(farm, 0) == ()
     core.processor = "older"
     (note,) = windows_in_with(farm, 2)
@@ -199,9 +200,9 @@ def test_the_real_core_gives_the_bits_of_two_processors_on_one(tmp_path: Path) -
     ]  # fmt: skip
     whole = run(copied(shot, "whole"), *quick)
     other = run(copied(shot, "other"), *quick, "optimize.threads=1")
-    run_coarse(shot.stage, shot.style, shot.output, settings=quick)
+    run_coarse(Request(shot.stage, shot.style, shot.output, quick))
     settings = [part for text in quick for part in ("--set", text)]
     on_one_processor(*shot.arguments(*settings, "--window", "0"))
-    run_window(shot.stage, shot.style, shot.output, 1, settings=quick)
+    run_window(Request(shot.stage, shot.style, shot.output, quick), 1)
     assert outcome(assemble(shot.output).root_stage) == outcome(whole.root_stage)
     assert contents(other.root_stage) != contents(whole.root_stage), "threads do not matter here"

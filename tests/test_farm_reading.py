@@ -13,6 +13,7 @@ from tests.pipeline_fixtures import FakeCore, Shot, run
 from tests.usd_fixtures import write_vdb
 from usdsmoke import assemble, run_coarse
 from usdsmoke.base.errors import OutputExists, PlanError
+from usdsmoke.pipeline import Request
 from usdsmoke.planning import frame_reader as pipeline_frames
 from usdsmoke.planning import plan as plan_module
 from usdsmoke.runs import description as pipeline_description
@@ -45,7 +46,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def test_a_window_reads_its_own_frames_and_coarse_files_alone_and_hashes_each_input_once(
     farm: Shot, core: FakeCore, opened: Counter[str]
 ) -> None:
-    run_coarse(farm.stage, farm.style, farm.output, settings=WINDOWS)
+    run_coarse(Request(farm.stage, farm.style, farm.output, WINDOWS))
     opened.clear()
     windows_in(farm, [1])
     own = (4, 5, 6, 7)
@@ -61,7 +62,7 @@ def test_a_window_reads_its_own_frames_and_coarse_files_alone_and_hashes_each_in
 def test_a_window_does_not_mind_a_change_in_a_frame_that_it_does_not_read(
     farm: Shot, core: FakeCore
 ) -> None:
-    run_coarse(farm.stage, farm.style, farm.output, settings=WINDOWS)
+    run_coarse(Request(farm.stage, farm.style, farm.output, WINDOWS))
     write_vdb(farm.stage.parent / "cache/smoke.0007.vdb", value=3.0)
     windows_in(farm, [0])
     for again in (lambda: windows_in(farm, [1]), lambda: run(farm, *WINDOWS)):

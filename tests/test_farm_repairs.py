@@ -13,6 +13,7 @@ from tests.usd_fixtures import write_vdb
 from usdsmoke import assemble, run_coarse, run_window
 from usdsmoke.base import locks
 from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
+from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 
 
@@ -51,7 +52,7 @@ def test_a_window_that_is_not_there_is_refused_with_their_number(farm: Shot, win
 def test_a_window_of_other_settings_or_inputs_is_refused_by_what_has_changed(farm: Shot) -> None:
     windows_in(farm, [0])
     with pytest.raises(OutputExists, match=r"settings\.optimize\.seed was 0, now 5"):
-        run_window(farm.stage, farm.style, farm.output, 1, settings=[*WINDOWS, "optimize.seed=5"])
+        run_window(Request(farm.stage, farm.style, farm.output, [*WINDOWS, "optimize.seed=5"]), 1)
     write_vdb(farm.stage.parent / "cache/smoke.0006.vdb", value=3.0)
     with pytest.raises(OutputExists, match=r"files\.cache/smoke\.0006\.vdb was .*, now "):
         windows_in(farm, [1])
@@ -216,7 +217,7 @@ def test_windows_replace_an_older_result_when_they_are_assembled(farm: Shot) -> 
     shown = contents(old.root_stage)
     with pytest.raises(OutputExists, match="there is a result"):
         windows_in(farm, [0])
-    run_coarse(farm.stage, farm.style, farm.output, settings=WINDOWS, force=True)
+    run_coarse(Request(farm.stage, farm.style, farm.output, WINDOWS, force=True))
     windows_in(farm, [2, 1, 0])
     assert contents(old.root_stage) == shown
     assert contents(assemble(farm.output).root_stage) != shown

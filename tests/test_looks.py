@@ -24,6 +24,7 @@ from usdsmoke import assemble, run_window
 from usdsmoke.base.config import LayerConfig
 from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
 from usdsmoke.base.naming import DEFAULT_LOOK
+from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.look import look_files
 from usdsmoke.usd.stage import find_volumes, open_stage
@@ -71,7 +72,7 @@ def test_replacing_a_look_leaves_the_others_alone(shot: Shot) -> None:
 def test_windows_of_two_looks_are_assembled_by_name(farm: Shot) -> None:
     for settings in (WINDOWS, [*WINDOWS, "layer.look=ember"]):
         for window in (2, 0, 1):
-            run_window(farm.stage, farm.style, farm.output, window, settings=settings)
+            run_window(Request(farm.stage, farm.style, farm.output, settings), window)
     with pytest.raises(
         LayerError, match=r"holds several looks: ember, stylized; name one .*--look"
     ):

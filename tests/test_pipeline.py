@@ -22,7 +22,7 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
-from usdsmoke.base.config import GridsConfig, resolve_config
+from usdsmoke.base.config import Config, GridsConfig, resolve_config
 from usdsmoke.base.errors import ImageError
 from usdsmoke.pipeline import stylize
 from usdsmoke.planning.frames import read_frame
@@ -201,10 +201,10 @@ def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) 
 def test_settings_come_as_a_file_as_sections_as_texts_or_ready_made(shot: Shot, kind: str) -> None:
     sections = {"windows": {"size": 2}}
     ways: dict[str, dict[str, Any]] = {
-        "file": {"config": write_text(shot.folder / "c.yaml", "windows: {size: 2}\n")},
-        "sections": {"config": {"windows": {"size": 7}}, "settings": sections},
-        "config": {"config": resolve_config(sections)},
-        "texts": {"config": {"windows": {"size": 7}}, "settings": ["windows.size=2"]},
+        "file": {"settings": write_text(shot.folder / "c.yaml", "windows: {size: 2}\n")},
+        "sections": {"settings": [Config(), {"windows.size": 7}, sections]},
+        "config": {"settings": resolve_config(sections)},
+        "texts": {"settings": ["windows.size=7", "windows.size=2"]},
     }
     result = usdsmoke.stylize(shot.stage, style=[shot.style], output=shot.output, **ways[kind])
     assert [len(window.time_codes) for window in result.plan.volumes[0].windows] == [2, 1]

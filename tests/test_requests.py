@@ -13,10 +13,11 @@ from pxr import Sdf, Usd
 
 from tests.pipeline_fixtures import FakeCore, contents, make_style, values_of
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
+from usdsmoke import pipeline, resolve_config
 from usdsmoke.base.errors import ConfigError, ImageError, OutputExists
 from usdsmoke.base.volume import FrameControls
 from usdsmoke.farm.openjd import submit
-from usdsmoke.pipeline import assemble, plan_stylize, run_coarse, run_window, stylize
+from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.header import read_header
 
@@ -59,12 +60,12 @@ def test_a_setting_is_the_strongest_of_default_config_prim_and_explicit(
     config = write_text(tmp_path / "c.yaml", "optimize: {seed: 1}\n" if strongest >= 1 else "")
     explicit = ["optimize.seed=3"] if strongest >= 3 else []
     if way == "python":
-        plan = plan_stylize(stage, style, tmp_path / "out", config, explicit)
+        plan = pipeline.plan(Request(stage, style, tmp_path / "out", [config, explicit]))
         found = plan.volumes[0].config.optimize.seed
     else:
         given = ["--config", str(config), *(part for text in explicit for part in ("--set", text))]
         if way == "submitted":
-            bundle = submit(stage, style, tmp_path / "out", config, explicit)
+            bundle = submit(Request(stage, style, tmp_path / "out", [config, explicit]))
             values = bundle.parameters
             given = ["--config", values["Settings"], "--overrides", values["Overrides"]]
         files = [str(stage), "--style", str(style), "-o", str(tmp_path / "out")]
@@ -142,9 +143,9 @@ def test_windows_one_by_one_give_what_one_call_gives(two: Path, tmp_path: Path) 
     settings = ["colour.smoothing=0.1"]
     whole = stylize(two, None, tmp_path / "whole", settings=settings)
     part = tmp_path / "part"
-    run_coarse(two, None, part, settings=settings)
+    run_coarse(Request(two, None, part, settings))
     for window in range(3):
-        run_window(two, None, part, window, settings=settings)
+        run_window(Request(two, None, part, settings), window)
     pieced = assemble(part)
     assert [values_of(f, "emission").tobytes() for f in pieced.frames] == [
         values_of(f, "emission").tobytes() for f in whole.frames
@@ -155,9 +156,9 @@ def test_windows_one_by_one_give_what_one_call_gives(two: Path, tmp_path: Path) 
 def test_an_explicit_setting_stays_explicit_when_the_run_is_assembled(
     two: Path, tmp_path: Path
 ) -> None:
-    run_coarse(two, None, tmp_path / "out", settings=["optimize.seed=9"])
+    run_coarse(Request(two, None, tmp_path / "out", ["optimize.seed=9"]))
     for window in range(3):
-        run_window(two, None, tmp_path / "out", window, settings={"optimize": {"seed": 9}})
+        run_window(Request(two, None, tmp_path / "out", {"optimize": {"seed": 9}}), window)
     result = assemble(tmp_path / "out")
     assert {volume.config.optimize.seed for volume in result.plan.volumes} == {9}
     values = [values_of(frame, "emission").max() for frame in result.frames]
@@ -168,7 +169,7 @@ def test_an_explicit_setting_stays_explicit_when_the_run_is_assembled(
 def test_a_changed_request_is_another_run_and_a_moved_shot_is_not(
     two: Path, tmp_path: Path
 ) -> None:
-    run_window(two, None, tmp_path / "out", 0)
+    run_window(Request(two, None, tmp_path / "out"), 0)
     record = next((tmp_path / "out").glob("vdb/*/run.json")).read_text(encoding="utf-8")
     assert str(tmp_path) not in record
     moved = tmp_path / "moved"
@@ -176,20 +177,20 @@ def test_a_changed_request_is_another_run_and_a_moved_shot_is_not(
         copy = shutil.copytree if (tmp_path / name).is_dir() else shutil.copy
         moved.mkdir(exist_ok=True)
         copy(tmp_path / name, moved / name)
-    assert run_window(moved / "shot.usda", None, moved / "out", 0).was_done
+    assert run_window(Request(moved / "shot.usda", None, moved / "out"), 0).was_done
     two.write_text(two.read_text().replace("request:seed = 4", "request:seed = 5"))
     with pytest.raises(
         OutputExists, match=r"requests\./World/wild\.settings\.optimize\.seed was 4, now 5"
     ):
-        run_window(two, None, tmp_path / "out", 1)
+        run_window(Request(two, None, tmp_path / "out"), 1)
 
 
 @pytest.mark.usefixtures("core")
 def test_another_image_under_the_same_name_is_another_run(two: Path, tmp_path: Path) -> None:
-    run_window(two, None, tmp_path / "out", 0)
+    run_window(Request(two, None, tmp_path / "out"), 0)
     flat_style(tmp_path / "sub/blue.png", (0, 255, 0))
     with pytest.raises(OutputExists, match=r"requests\./World/wild.styles\[0\] was"):
-        run_window(two, None, tmp_path / "out", 1)
+        run_window(Request(two, None, tmp_path / "out"), 1)
 
 
 @pytest.mark.usefixtures("core")
@@ -225,8 +226,10 @@ def test_volumes_without_images_are_named(tmp_path: Path) -> None:
     with pytest.raises(
         ImageError, match=r"for </World/bare>, </World/naked>; .*--style.*request:styleImages"
     ):
-        plan_stylize(stage, None, tmp_path / "out")
-    own = plan_stylize(stage, None, tmp_path / "out", {"stage": {"prims": ["/World/own"]}})
+        pipeline.plan(Request(stage, None, tmp_path / "out"))
+    own = pipeline.plan(
+        Request(stage, None, tmp_path / "out", resolve_config({"stage": {"prims": ["/World/own"]}}))
+    )
     assert own.volumes[0].styles == (0,)
 
 
@@ -237,7 +240,11 @@ def test_settings_that_contradict_each_other_name_the_volume(tmp_path: Path) -> 
     with pytest.raises(
         ConfigError, match=r"^Volume </World/smoke>: style\.weights holds 2 numbers"
     ):
-        plan_stylize(stage, None, tmp_path / "out", {"style": {"weights": [1, 2, 3]}})
+        pipeline.plan(
+            Request(
+                stage, None, tmp_path / "out", resolve_config({"style": {"weights": [1, 2, 3]}})
+            )
+        )
 
 
 def test_samples_reach_the_core_frame_by_frame_unless_something_stronger_is_said(
@@ -246,7 +253,14 @@ def test_samples_reach_the_core_frame_by_frame_unless_something_stronger_is_said
     stage = write_stage(tmp_path, smoke="double @@strength.timeSamples = { 1: 0, 3: 1 }")
     style = make_style(tmp_path / "style.png")
     plans = [
-        plan_stylize(stage, style, tmp_path / "out", {"optimize": {"strength": 0}}, explicit)
+        pipeline.plan(
+            Request(
+                stage,
+                style,
+                tmp_path / "out",
+                [resolve_config({"optimize": {"strength": 0}}), explicit],
+            )
+        )
         for explicit in ([], ["optimize.strength=0.5"])
     ]
     controls = [[frame.source.controls for frame in plan.volumes[0].frames] for plan in plans]
@@ -274,7 +288,7 @@ def test_the_mask_of_a_request_is_read_from_its_own_field_prim(tmp_path: Path) -
     field = density_prim("asset filePath = @./cache/smoke.0001.vdb@", name="fade")
     stage = write_stage(tmp_path, smoke=f"rel @@mask = </World/smoke/fade>\n{field}", bare="")
     style = make_style(tmp_path / "style.png")
-    plan = plan_stylize(stage, style, tmp_path / "out")
+    plan = pipeline.plan(Request(stage, style, tmp_path / "out"))
     masks = {
         volume.source.prim_path: [frame.mask is not None for frame in volume.frames]
         for volume in plan.volumes
@@ -286,14 +300,14 @@ def test_the_mask_of_a_request_is_read_from_its_own_field_prim(tmp_path: Path) -
 def test_requests_that_do_not_count_are_left_out_with_the_reason(tmp_path: Path) -> None:
     stage = write_stage(tmp_path, smoke="int64 @@seed = 4")
     stage.write_text(stage.read_text().replace('(prepend apiSchemas = ["UsdSmokeStyleAPI"])', ""))
-    plan = plan_stylize(stage, make_style(tmp_path / "style.png"), tmp_path / "out")
+    plan = pipeline.plan(Request(stage, make_style(tmp_path / "style.png"), tmp_path / "out"))
     (reason,) = (item.reason for item in plan.omitted if "request:seed" in item.what)
     assert "UsdSmokeStyleAPI is not applied" in reason
     assert plan.volumes[0].config.optimize.seed == 0
 
 
 def test_sentences_tell_for_which_volumes_where_settings_differ(two: Path, tmp_path: Path) -> None:
-    plan = plan_stylize(two, None, tmp_path / "out")
+    plan = pipeline.plan(Request(two, None, tmp_path / "out"))
     assert any(text.startswith("shape step") and "</World/calm>" in text for text in plan.needed)
     assert not any(text.startswith("shape step") and "/wild" in text for text in plan.needed)
     what = [omission.what for omission in plan.omitted]

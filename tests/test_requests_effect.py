@@ -8,9 +8,10 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_text
+from usdsmoke import pipeline, resolve_config
 from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import OutputExists
-from usdsmoke.pipeline import plan_stylize, run_window, stylize
+from usdsmoke.pipeline import Request, run_window, stylize
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 CODES, SHAPE = range(1, 9), (12, 10, 14)
@@ -57,7 +58,7 @@ def test_a_strength_from_0_to_1_shows_the_source_first_and_more_in_every_frame(
     }}
 """
     stage = write_text(tmp_path / "shot.usda", world(body))
-    result = stylize(stage, None, tmp_path / "out", SETTINGS)
+    result = stylize(stage, None, tmp_path / "out", resolve_config(SETTINGS))
     source = whole_box(tmp_path / "cache/smoke.0001.vdb", "density")
     densities = [whole_box(frame, "density") for frame in result.frames]
     colours = [whole_box(frame, "emission") for frame in result.frames]
@@ -92,7 +93,7 @@ def test_each_volume_is_seen_through_the_camera_it_asks_for(tmp_path: Path) -> N
     style = make_style(tmp_path / "style.png")
 
     def cameras(**settings: str) -> list[str]:
-        plan = plan_stylize(stage, style, tmp_path / "out", {}, {"views": settings})
+        plan = pipeline.plan(Request(stage, style, tmp_path / "out", {"views": settings}))
         sources = [volume.frames[0].source.camera for volume in plan.volumes]
         return [source.prim_path if source else "" for source in sources]
 
@@ -115,10 +116,10 @@ def test_another_sample_is_another_run_and_named_by_its_timecode(tmp_path: Path)
     }}
 """
     stage, style = write_text(tmp_path / "s.usda", world(body)), make_style(tmp_path / "s.png")
-    run_window(stage, style, tmp_path / "out", 0)
+    run_window(Request(stage, style, tmp_path / "out"), 0)
     write_text(stage, stage.read_text().replace("0.75", "0.875"))
     with pytest.raises(
         OutputExists,
         match=r"requests\./World/smoke\.samples\.optics\.gamma\.2 was 0\.75, now 0\.875",
     ):
-        run_window(stage, style, tmp_path / "out", 0)
+        run_window(Request(stage, style, tmp_path / "out"), 0)

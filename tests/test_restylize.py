@@ -15,7 +15,7 @@ from tests.stage_reader import read_stage
 from tests.usd_fixtures import HEADER, file_hashes, write_text
 from usdsmoke import submit
 from usdsmoke.base.errors import LayerError, OutputExists, StageError
-from usdsmoke.pipeline import StylizeResult, stylize
+from usdsmoke.pipeline import Request, StylizeResult, stylize
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import open_source, open_stage
 
@@ -208,11 +208,11 @@ def test_a_look_layer_alone_is_no_stage_to_stylize(shot: Shot, settings: list[st
 
 
 def test_a_job_for_a_queue_is_given_the_original(shot: Shot) -> None:
-    bundle = submit(run(shot).root_stage, shot.style, shot.folder / "second")
+    bundle = submit(Request(run(shot).root_stage, shot.style, shot.folder / "second"))
     assert bundle.parameters["Stage"] == str(shot.stage)
     linked = shot.folder / "link"
     linked.symlink_to(shot.stage.parent, target_is_directory=True)
-    bundle = submit(linked / "shot.usda", shot.style, shot.folder / "second")
+    bundle = submit(Request(linked / "shot.usda", shot.style, shot.folder / "second"))
     assert bundle.parameters["Stage"] == str(linked / "shot.usda")
 
 

@@ -15,7 +15,7 @@ from tests.stage_reader import read_stage
 from tests.usd_fixtures import file_hashes
 from usdsmoke import submit
 from usdsmoke.base.errors import OutputExists, StageError
-from usdsmoke.pipeline import StylizeResult, assemble, stylize
+from usdsmoke.pipeline import Request, StylizeResult, assemble, stylize
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import open_stage
 
@@ -166,7 +166,7 @@ def test_the_command_line_tells_what_to_open_and_what_to_switch(
 
 def test_a_job_for_a_queue_is_assembled_by_look_and_mode(big: BigShot) -> None:
     bundle = submit(
-        big.stage, big.style, big.output, settings=["layer.look=ember", "layer.mode=reference"]
+        Request(big.stage, big.style, big.output, ["layer.look=ember", "layer.mode=reference"])
     )
     template = yaml.safe_load(bundle.template.read_text())
     run_action = template["steps"][-1]["script"]["actions"]["onRun"]

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import PROJECT, make_style
-from usdsmoke.base.given_settings import resolve_settings
 from usdsmoke.core.sequence.calibrate import LEAST_MOVE, calibrate
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.stylize import make_job, open_frame
 from usdsmoke.core.views.scene import measure_scene
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.runs.budget import choose_settings
 from usdsmoke.runs.folder import find_runs
 from usdsmoke.runs.tolerance import choice_notes
@@ -57,9 +56,9 @@ def run(folder: Path, target: float | None) -> StylizeResult:
 
 
 def job_of(folder: Path, *more: str) -> Job:
-    config, explicit = resolve_settings(None, [*SETTINGS, *more])
-    files = [folder / "style.png"]
-    return prepare_job(folder / "plume.usda", files, folder / "none", config, False, explicit)
+    settings = [*SETTINGS, *more]
+    request = Request(folder / "plume.usda", folder / "style.png", folder / "none", settings)
+    return prepare_job(request, fits=False)
 
 
 def calibrated(job: Job) -> dict[str, Any]:

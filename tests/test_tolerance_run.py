@@ -9,9 +9,10 @@ import pytest
 
 from tests.pipeline_fixtures import Shot, make_shot
 from tests.unit.runs.test_choice import MEASURED
+from usdsmoke import pipeline
 from usdsmoke.audit.rerun import rerun
 from usdsmoke.base.errors import PlanError
-from usdsmoke.pipeline import assemble, plan_stylize, run_window, stylize
+from usdsmoke.pipeline import Request, assemble, run_window, stylize
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs import tolerance as pipeline_tolerance
@@ -83,7 +84,7 @@ def test_without_a_tolerance_nothing_is_measured(shot: Shot, measurements: list[
 def test_windows_run_one_by_one_choose_the_same(shot: Shot, measurements: list[int]) -> None:
     settings = {"optimize": {"target_error": 0.3}, "windows": {"size": 2, "overlap": 0}}
     for window in (0, 1):
-        run_window(shot.stage, shot.style, shot.output, window, settings=settings)
+        run_window(Request(shot.stage, shot.style, shot.output, settings), window)
     result = assemble(shot.output)
     assert result.plan.config.views.image_size == 80 and len(measurements) == 1
 
@@ -97,7 +98,7 @@ def test_a_rerun_has_the_settings_that_were_chosen(shot: Shot, measurements: lis
 
 def dry_plan(shot: Shot, *more: str) -> str:
     settings = ["optimize.target_error=0.3", *more]
-    return "\n".join(plan_stylize(shot.stage, shot.style, shot.output, settings=settings).needed)
+    return "\n".join(pipeline.plan(Request(shot.stage, shot.style, shot.output, settings)).needed)
 
 
 def test_a_plan_alone_says_that_the_choice_is_still_to_come(
@@ -111,8 +112,8 @@ def test_a_plan_alone_takes_a_calibration_that_is_there(
     shot: Shot, measurements: list[int]
 ) -> None:
     ran = run(shot, 0.3)
-    found = plan_stylize(
-        shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"]
+    found = pipeline.plan(
+        Request(shot.stage, shot.style, shot.output, ["optimize.target_error=0.3"])
     )
     optimize = replace(found.config.optimize, threads=ran.config.optimize.threads, device="cpu")
     assert replace(found.config, optimize=optimize) == ran.config

@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from usdsmoke.farm.dask import stylize_on_cluster
     from usdsmoke.farm.openjd import submit
     from usdsmoke.pictures.preview import preview
-    from usdsmoke.pipeline import assemble, run_coarse, run_window, stylize
+    from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
     from usdsmoke.usd.inspect import inspect
     from usdsmoke.usd.rules import validate
 
 __all__ = [
     "Config",
+    "Request",
     "UsdSmokeError",
     "__version__",
     "assemble",
@@ -54,6 +55,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Config": "usdsmoke.base.config",
+    "Request": "usdsmoke.pipeline",
     "UsdSmokeError": "usdsmoke.base.errors",
     "assemble": "usdsmoke.pipeline",
     "inspect": "usdsmoke.usd.inspect",

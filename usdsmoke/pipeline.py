@@ -1,23 +1,14 @@
-"""The main job from end to end: stage -> plan -> grids -> core -> grids -> layer, nothing else."""
+"""The table of contents: a stage is planned, stylized window by window, and assembled."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import Interrupted, LayerError
-from usdsmoke.base.given_settings import (
-    FilePath,
-    Settings,
-    Styles,
-    resolve_settings,
-    style_paths,
-)
+from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
 from usdsmoke.base.locks import lock_output
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, prepare_job, published_runs, requested_job
-from usdsmoke.planning.originals import settle_output
+from usdsmoke.planning.job import Job, Request, prepare_job, recorded_request
+from usdsmoke.planning.output_folder import settle_output
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, summarize_result
 from usdsmoke.runs.begin import (
@@ -37,60 +28,49 @@ from usdsmoke.runs.manifests import finished_window, manifest_path
 from usdsmoke.runs.progress import WAITING, RunProgress, RunProgressCallback
 from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.runs.window import check_frames, list_tasks, pick_task, stylize_windows
+from usdsmoke.usd.look import published_runs
+from usdsmoke.usd.stage import StageOrFile
 
 __all__ = [
+    "Request",
     "StepResult",
     "StylizeResult",
     "assemble",
-    "plan_stylize",
+    "plan",
     "run_coarse",
     "run_window",
     "stylize",
 ]
 
+_Planned = Callable[[Plan], None]
 
-def plan_stylize(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-    fits: bool = True,
-) -> Plan:
+
+def plan(request: Request, fits: bool = True) -> Plan:
     """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
 
-    With ``optimize.target_error`` a calibration that the output folder has is used; without one the
+    With ``optimize.target_error`` a calibration in the output folder is used. Without one the
     plan is that before the choice, and says so.
 
     Args:
-        stage: as in ``stylize``, like those that follow it.
-        style: one image file or several; None where every Volume's prim brings its own.
-        output: the folder of the result.
-        config: settings.
-        settings: further ones, stronger than ``config``.
-        fits: whether memory and disk of this machine must be large enough; not if others work.
+        request: what is asked for.
+        fits: whether memory and disk of this machine must be sufficient; not if others work.
 
     Raises:
         UsdSmokeError: everything that can be known before voxels are read.
     """
-    resolved, explicit = resolve_settings(config, settings)
-    styles = style_paths(style)
-
-    def prepare(config: Config) -> Job:
-        return prepare_job(stage, styles, Path(output), config, fits, explicit)
-
-    return foresee_tolerance(prepare(resolved), prepare).plan
+    job = prepare_job(request, fits)
+    return foresee_tolerance(job, job.with_config).plan
 
 
 def stylize(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
+    stage: StageOrFile,
+    style: Styles = None,
+    output: FilePath = "look",
+    settings: RunSettings = None,
+    *,
     force: bool = False,
     progress: RunProgressCallback | None = None,
-    planned: Callable[[Plan], None] | None = None,
+    planned: _Planned | None = None,
 ) -> StylizeResult:
     """Stylize the smoke of a stage after one or more images and write the result as a look layer.
 
@@ -100,13 +80,13 @@ def stylize(
     files are only read.
 
     Args:
-        stage: a .usda, .usdc or .usd file.
+        stage: a .usda, .usdc or .usd file, or an open stage without unsaved edits.
         style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result; made if missing.
-        config: a YAML file, a mapping of sections, or ready made; None takes the defaults.
-        settings: further ones, stronger than ``config`` and than what a Volume's prim asks for:
-            a mapping of sections, or texts such as ``windows.size=3``.
-        force: replace an earlier result, which stays whole until the new one is.
+        settings: a YAML file or a Config, which a Volume's own settings override; a mapping or
+            texts such as ``windows.size=3``, which override a Volume's own; or a list of these,
+            the strongest last. None takes the defaults.
+        force: replace an earlier result, which stays whole until the new one is complete.
         progress: called often, with how far the run is.
         planned: called once with the plan, before anything heavy is loaded.
 
@@ -114,17 +94,11 @@ def stylize(
         UsdSmokeError: see ``usdsmoke.base.errors``; nothing is left behind but finished windows.
         Interrupted: by Ctrl-C.
     """
-    clock = PartClock()
-    job = clock.timed("preparing", _prepare, stage, style, output, config, settings, planned)
-    tell = progress or _tell_nobody
+    clock, tell = PartClock(), progress or _tell_nobody
+    request = Request(stage, style, output, settings, force)
+    job = clock.timed("preparing", _prepare, request, planned)
     with lock_output(job.output) as lock:
-        job, run, redone = open_or_redo(
-            job,
-            force,
-            lambda config: prepare_job(
-                stage, style_paths(style), job.output, config, explicit=job.explicit
-            ),
-        )
+        job, run, redone = open_or_redo(job)
         to_do = [
             task
             for task in list_tasks(job.plan)
@@ -142,26 +116,25 @@ def stylize(
 
 
 def run_coarse(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-    force: bool = False,
+    request: Request,
     progress: RunProgressCallback | None = None,
-    planned: Callable[[Plan], None] | None = None,
+    planned: _Planned | None = None,
 ) -> StepResult:
     """The step that all windows of a run share, for a queue that runs them one by one.
 
-    Where another process is at it, its end is waited for. See ``run_window`` for the arguments.
+    Where another process is at it, its end is waited for.
+
+    Args:
+        request: what is asked for; equal for all tasks of a run.
+        progress: called often, with how far the step is.
+        planned: called once with the plan.
 
     Raises:
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job = _prepare(stage, style, output, config, settings, planned)
-    tell = progress or _tell_nobody
-    with joined_run(job, force, tell) as (job, run, lock):
+    job, tell = _prepare(request, planned), progress or _tell_nobody
+    with joined_run(job, tell) as (job, run, lock):
         with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
             check_room(job, run, ())
             reader = FrameReader(job.plan)
@@ -175,15 +148,10 @@ def run_coarse(
 
 
 def run_window(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
+    request: Request,
     window: int,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-    force: bool = False,
     progress: RunProgressCallback | None = None,
-    planned: Callable[[Plan], None] | None = None,
+    planned: _Planned | None = None,
     again: bool = False,
 ) -> StepResult:
     """One window of a run, for a queue; the coarse step before it, if no one has done it yet.
@@ -193,13 +161,9 @@ def run_window(
     it is, and one that another process is at is waited for.
 
     Args:
-        stage: as in ``stylize``, like those that follow it.
-        style: one image file or several; None where every Volume's prim brings its own.
-        output: the folder of the result.
+        request: what is asked for; equal for all tasks of a run. With ``force`` the run begins
+            beside a result of other settings, which ``assemble`` will then replace.
         window: its number, from 0, in the order of the plan's ``windows``.
-        config: settings.
-        settings: further ones, stronger than ``config``.
-        force: begin beside a result of other settings, which ``assemble`` will then replace.
         progress: called often, with how far the window is.
         planned: called once with the plan.
         again: do it once more though it is finished.
@@ -210,9 +174,9 @@ def run_window(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job = _prepare(stage, style, output, config, settings, planned)
-    task, tell = pick_task(job.plan, window), progress or _tell_nobody
-    with joined_run(job, force, tell, task) as (job, run, lock):
+    job, tell = _prepare(request, planned), progress or _tell_nobody
+    task = pick_task(job.plan, window)
+    with joined_run(job, tell, task) as (job, run, lock):
         manifest = manifest_path(run, window)
         if not again and finished_window(run, window) is not None:
             return StepResult(run.folder, manifest, True, job.plan)
@@ -259,9 +223,13 @@ def assemble(
     tell = progress or _tell_nobody
     with lock_output(output, waits=lambda: tell(WAITING)):
         run = run_to_assemble(output, look)
-        job = requested_job(output, run.request, mode)
+        job = prepare_job(recorded_request(output, run.request, mode), fits=False)
         check_same(run, job)
-        if run.complete and run.run_id in published_runs(job) and is_whole(run, job):
+        if (
+            run.complete
+            and run.run_id in published_runs(job.targets.look_layer)
+            and is_whole(run, job)
+        ):
             return summarize_result(job, run)
         try:
             return assemble_run(job, run, FrameReader(job.plan), tell, clock)
@@ -269,29 +237,14 @@ def assemble(
             raise Interrupted("stopped; run the same command again to continue") from None
 
 
-def _prepare(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings,
-    settings: Mapping[str, Any] | Sequence[str],
-    planned: Callable[[Plan], None] | None,
-) -> Job:
+def _prepare(request: Request, planned: _Planned | None) -> Job:
+    """The job with the settings that a tolerance comes to; the plan is told."""
     prepare_torch_environment()
-    resolved, explicit = resolve_settings(config, settings)
-    job = _settled(stage, style, Path(output), resolved, explicit)
+    job = prepare_job(request)
+    job = settle_tolerance(job, job.with_config)
     if planned is not None:
         planned(job.plan)
     return job
-
-
-def _settled(
-    stage: FilePath, style: Styles, output: Path, config: Config, explicit: frozenset[str]
-) -> Job:
-    def prepare(config: Config) -> Job:
-        return prepare_job(stage, style_paths(style), output, config, explicit=explicit)
-
-    return settle_tolerance(prepare(config), prepare)
 
 
 def _tell_nobody(report: RunProgress) -> None:

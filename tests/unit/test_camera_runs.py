@@ -14,7 +14,7 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.description import describe_run
 from usdsmoke.ui.cli.main import main
@@ -75,7 +75,7 @@ def shot(tmp_path: Path) -> Shot:
 
 def job_of(shot: Shot, *settings: str) -> Job:
     config = resolve_config(assignments=[f"views.camera={PATH}", *settings])
-    return prepare_job(shot.stage, [shot.style], shot.output, config)
+    return prepare_job(Request(shot.stage, shot.style, shot.output, config))
 
 
 def reasons(plan: Plan) -> dict[str, str]:

@@ -17,71 +17,57 @@ import pytest
 from tests.pipeline_fixtures import Shot
 from usdsmoke import __version__
 from usdsmoke.base.errors import ClusterError
-from usdsmoke.farm import dask_check as cluster_check
-from usdsmoke.farm import dask_connection as cluster_connection
+from usdsmoke.farm import dask
 from usdsmoke.farm.dask import stylize_on_cluster
-from usdsmoke.farm.dask_check import check_answer, look_around
+from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 
 
 @pytest.fixture
 def answer(tmp_path: Path) -> dict[str, Any]:
     """Of a worker that sees what was written."""
-    token_path = tmp_path / "token"
-    token_path.write_text("abc", encoding="utf-8")
-    return look_around(str(token_path), [str(token_path)])
+    (tmp_path / "token").touch()
+    return dask._look_around([str(tmp_path / "token")])
 
 
 def test_a_worker_that_sees_everything_is_taken_without_a_note(answer: dict[str, Any]) -> None:
-    assert check_answer("tcp://w:1", answer, "abc", "/out") == []
+    assert dask._check_answer("tcp://w:1", answer) == []
 
 
-def test_a_worker_without_the_token_is_refused_for_its_file_system(
+def test_a_worker_that_does_not_see_a_file_is_refused_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_check, "_TOKEN_S", 0.2)
+    monkeypatch.setattr(dask, "_VISIBLE_S", 0.2)
     began = time.monotonic()
-    answer = look_around(str(tmp_path / "token"), [])
+    answer = dask._look_around([str(tmp_path / "shot.usda")])
     assert 0.2 <= time.monotonic() - began < 2
-    with pytest.raises(ClusterError, match=r"tcp://w:1 does not see .*/out; wanted a file system"):
-        check_answer("tcp://w:1", answer, "abc", "/out")
+    with pytest.raises(ClusterError, match=r"tcp://w:1 does not see .*/shot\.usda"):
+        dask._check_answer("tcp://w:1", answer)
 
 
-def test_the_token_of_another_run_is_not_taken_for_this_one(answer: dict[str, Any]) -> None:
-    with pytest.raises(ClusterError, match="does not see"):
-        check_answer("tcp://w:1", answer, "xyz", "/out")
-
-
-def test_a_token_that_shows_late_is_waited_for(tmp_path: Path) -> None:
+def test_a_file_that_shows_late_is_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "token"
-    timer = threading.Timer(0.3, lambda: path.write_text("abc", encoding="utf-8"))
+    timer = threading.Timer(0.3, path.touch)
     timer.start()
-    assert look_around(str(path), [])["token"] == "abc"
+    assert dask._look_around([str(path)])["missing"] == []
     timer.join()
 
 
 def test_a_worker_of_another_version_is_refused(answer: dict[str, Any]) -> None:
-    with pytest.raises(ClusterError, match=rf"has usdsmoke 0\.0\.1 and this machine {__version__}"):
-        check_answer("tcp://w:1", answer | {"version": "0.0.1"}, "abc", "/out")
+    with pytest.raises(ClusterError, match=rf"tcp://w:1 .* 0\.0\.1, .*{__version__}"):
+        dask._check_answer("tcp://w:1", answer | {"version": "0.0.1"})
 
 
 def test_a_worker_without_usdsmoke_is_refused() -> None:
     error = ModuleNotFoundError("No module named 'usdsmoke'")
-    with pytest.raises(ClusterError, match=r"cannot load usdsmoke .*No module named"):
-        check_answer("tcp://w:1", error, "abc", "/out")
-
-
-def test_inputs_that_a_worker_does_not_see_are_named(tmp_path: Path) -> None:
-    (tmp_path / "token").write_text("abc", encoding="utf-8")
-    answer = look_around(str(tmp_path / "token"), [str(tmp_path / "shot.usda")])
-    with pytest.raises(ClusterError, match=r"does not see .*shot\.usda; wanted the inputs"):
-        check_answer("tcp://w:1", answer, "abc", "/out")
+    with pytest.raises(ClusterError, match=r"tcp://w:1 .*No module named"):
+        dask._check_answer("tcp://w:1", error)
 
 
 def test_other_packages_are_worth_a_note(answer: dict[str, Any]) -> None:
     packages = answer["packages"] | {"torch": "0.1"}
-    (note,) = check_answer("tcp://w:1", answer | {"packages": packages}, "abc", "/out")
-    assert "has torch 0.1, this machine" in note
+    (note,) = dask._check_answer("tcp://w:1", answer | {"packages": packages})
+    assert "tcp://w:1 has torch 0.1" in note
 
 
 def test_without_the_package_the_error_says_how_to_get_it(
@@ -89,15 +75,15 @@ def test_without_the_package_the_error_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ClusterError, match=r'pip install "usdsmoke\[cluster\]"'):
-        stylize_on_cluster("tcp://127.0.0.1:9", shot.stage, shot.style, shot.output)
+        stylize_on_cluster("tcp://127.0.0.1:9", Request(shot.stage, shot.style, shot.output))
     assert not shot.output.exists()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "", "threads"])
 def test_an_address_without_a_protocol_is_refused(shot: Shot, address: str) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    with pytest.raises(ClusterError, match="wanted tcp://HOST:PORT"):
-        stylize_on_cluster(address, shot.stage, shot.style, shot.output)
+    with pytest.raises(ClusterError, match="tcp://HOST:PORT"):
+        stylize_on_cluster(address, Request(shot.stage, shot.style, shot.output))
 
 
 def test_the_command_ends_with_1_where_no_cluster_is(
@@ -119,9 +105,9 @@ def test_a_scheduler_that_does_not_answer_is_named_soon(
     shot: Shot, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    monkeypatch.setattr(cluster_connection, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(dask, "_CONNECT_S", 0.5)
     with pytest.raises(ClusterError, match=f"no Dask scheduler answers at {address}"):
-        stylize_on_cluster(address, shot.stage, shot.style, shot.output)
+        stylize_on_cluster(address, Request(shot.stage, shot.style, shot.output))
     assert not shot.output.exists()
 
 
@@ -179,7 +165,7 @@ def test_whatever_else_answers_is_found_out_without_a_trace(
     server: Callable[[], AbstractContextManager[int]],
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed")
-    monkeypatch.setattr(cluster_connection, "_PROBE_S", 0.5)
+    monkeypatch.setattr(dask, "_CONNECT_S", 0.5)
     with server() as port:
         assert main(shot.arguments("--cluster", f"tcp://127.0.0.1:{port}", "--json")) == 1
     out, err = capfd.readouterr()

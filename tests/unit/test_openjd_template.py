@@ -14,11 +14,12 @@ from usdsmoke.base.config import read_config, resolve_config
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.farm.openjd import JobBundle, submit
 from usdsmoke.farm.openjd_template import bundle_text, job_parameters, job_template
+from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 
 
 def make(shot: Shot, *settings: str, **options: Any) -> JobBundle:
-    return submit(shot.stage, shot.style, shot.output, settings=settings, **options)
+    return submit(Request(shot.stage, shot.style, shot.output, settings), **options)
 
 
 def read(file_path: Path) -> Any:
@@ -118,12 +119,12 @@ def test_a_command_that_no_queue_can_run_is_refused(command: str) -> None:
 def test_a_line_of_a_shell_is_refused_and_a_program_with_a_space_in_its_path_is_not(
     shot: Shot,
 ) -> None:
-    with pytest.raises(ConfigError, match=r'no single program(.|\n)*exec python -m usdsmoke "\$@"'):
-        submit(shot.stage, shot.style, shot.output, command="python -m usdsmoke")
+    with pytest.raises(ConfigError, match=r'one program(.|\n)*exec python -m usdsmoke "\$@"'):
+        submit(Request(shot.stage, shot.style, shot.output), command="python -m usdsmoke")
     assert not shot.output.exists()
     program = shot.folder / "my tools"
     program.touch()
-    submit(shot.stage, shot.style, shot.output, command=str(program))
+    submit(Request(shot.stage, shot.style, shot.output), command=str(program))
 
 
 def test_more_styles_than_a_template_can_name_are_refused() -> None:
@@ -164,7 +165,9 @@ def test_equal_runs_give_equal_files_and_the_template_names_no_folder(shot: Shot
 
 def test_the_bundle_holds_all_settings_and_lists_every_file_that_is_read(shot: Shot) -> None:
     config = {"windows": {"size": 2}}
-    bundle = submit(shot.stage, shot.style, shot.output, config, ["optimize.seed=5"])
+    bundle = submit(
+        Request(shot.stage, shot.style, shot.output, [resolve_config(config), "optimize.seed=5"])
+    )
     settings, overrides, values, references = bundle.files
     assert read(overrides) == {"optimize": {"seed": 5}}
     expected = resolve_config(config, assignments=["optimize.seed=5"])
@@ -199,6 +202,6 @@ def test_a_file_of_somebody_else_is_not_replaced(shot: Shot) -> None:
     own = shot.folder / "settings.yaml"
     own.write_text("optimize: {seed: 3}\n", encoding="utf-8")
     with pytest.raises(OutputExists, match=r"settings\.yaml stands where .*--template"):
-        submit(shot.stage, shot.style, shot.output, own, template=shot.folder / "job.yaml")
+        submit(Request(shot.stage, shot.style, shot.output, own), template=shot.folder / "job.yaml")
     assert own.read_text(encoding="utf-8") == "optimize: {seed: 3}\n"
     assert not (shot.folder / "job.yaml").exists()

@@ -18,7 +18,7 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader, hash_sources
-from usdsmoke.planning.job import Job, requested_job
+from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
 from usdsmoke.usd.volume_settings import resolve_volumes
@@ -83,7 +83,7 @@ def _job(record: LookRecord, config: Config) -> Job | None:
     """The run's job with the inputs as they are now; None where that is impossible."""
     request = {**record.request(), "config": config_to_dict(config)}
     try:
-        return requested_job(record.folder, request)
+        return prepare_job(recorded_request(record.folder, request), fits=False)
     except UsdSmokeError:
         return None
 

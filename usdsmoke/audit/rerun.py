@@ -72,11 +72,10 @@ def rerun(
         _place(record, request["stage"]),
         [_place(record, name) for name in request["styles"]],
         output,
-        config,
-        explicit_values(config, frozenset(request.get("explicit", ()))),
-        force,
-        progress,
-        planned,
+        [config, explicit_values(config, frozenset(request.get("explicit", ())))],
+        force=force,
+        progress=progress,
+        planned=planned,
     )
     (again,) = find_records(result.look_layer)
     frames = _frame_hashes(record)

@@ -1,7 +1,7 @@
 """What a run is called with: files in any spelling, settings from files, mappings and texts."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -19,10 +19,12 @@ from usdsmoke.base.config import (
 
 __all__ = [
     "FilePath",
+    "RunSettings",
     "Settings",
     "Styles",
     "explicit_values",
     "portable_settings",
+    "read_settings",
     "resolve_settings",
     "settle_files",
     "style_paths",
@@ -31,6 +33,7 @@ __all__ = [
 FilePath = str | PathLike[str]
 Styles = FilePath | Sequence[FilePath] | None
 Settings = Config | Mapping[str, Any] | FilePath | None
+RunSettings = Settings | Sequence[Any]  # of these
 
 
 def style_paths(style: Styles) -> list[FilePath]:
@@ -38,6 +41,54 @@ def style_paths(style: Styles) -> list[FilePath]:
     if style is None:
         return []
     return [style] if isinstance(style, (str, PathLike)) else list(style)
+
+
+def read_settings(settings: RunSettings) -> tuple[Config, frozenset[str]]:
+    """The run's settings, and the dotted names of those that are stronger than a Volume's own.
+
+    >>> config, explicit = read_settings([Config(), {"windows.size": 3}, "optimize.seed=7"])
+    >>> config.windows.size, sorted(explicit)
+    (3, ['optimize.seed', 'windows.size'])
+
+    Args:
+        settings: a YAML file or a ready-made Config, which a Volume's own settings override; a
+            mapping (nested or with dotted names) or texts such as ``windows.size=3``, which
+            override a Volume's own; or a sequence of these, the strongest last.
+
+    Raises:
+        ConfigError: see ``resolve_config``.
+    """
+    merged: dict[str, dict[str, Any]] = {}
+    explicit: frozenset[str] = frozenset()
+    for source in _sources(settings):
+        is_explicit = isinstance(source, Mapping) or (isinstance(source, str) and "=" in source)
+        part = _read_source(source)
+        merged = merge_settings(merged, part)
+        names = explicit_names(part)
+        explicit = explicit | names if is_explicit else explicit - names
+    return resolve_config(merged), explicit
+
+
+def _sources(settings: Any) -> Iterator[Any]:
+    """Settings one source after the other; sequences may hold sequences."""
+    if isinstance(settings, (Config, Mapping, str, PathLike)):
+        yield settings
+    else:
+        for part in settings or ():
+            yield from _sources(part)
+
+
+def _read_source(source: Any) -> dict[str, dict[str, Any]]:
+    """One source of settings by section and key."""
+    if isinstance(source, Config):
+        return config_to_dict(source)
+    if isinstance(source, str) and "=" in source:
+        return merge_settings(assignments=[source])
+    if not isinstance(source, Mapping):
+        return merge_settings(read_config(Path(source)))
+    nested = {name: value for name, value in source.items() if "." not in name}
+    dotted = [(*name.partition("."), value) for name, value in source.items() if "." in name]
+    return merge_settings(nested, *({section: {key: value}} for section, _, key, value in dotted))
 
 
 def resolve_settings(

@@ -135,6 +135,17 @@ class StageSource:
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
 
     @property
+    def grid_files(self) -> list[str]:
+        """The VDB files of all selected frames, each once, in order."""
+        fields = (
+            field
+            for volume in self.volumes
+            for frame in volume.frames
+            for field in frame.fields.values()
+        )
+        return list(dict.fromkeys(field.file_path for field in fields))
+
+    @property
     def frame_length(self) -> float:
         """TimeCodes in a frame; 1 where the stage's rates make no sense."""
         rates = (self.time_codes_per_second, self.frames_per_second)

@@ -1,20 +1,25 @@
-"""Windows of a run as tasks of an existing Dask cluster, for those without a render farm.
+"""Windows of a run as tasks of a Dask cluster that is already there, for those without a farm.
 
-Every task is what a queue would call: it reads the inputs and writes its window into the output
-folder by itself, so nothing but names travels over the network, and a worker that dies takes only
-the window with it that it was at. The scheduler gives that window to another worker.
+Each task reads the inputs and writes its window into the output folder itself, so only names
+travel over the network, and a worker that dies takes with it only the window that it was computing.
+Dask gives that window to another worker.
 """
 
+import asyncio
+import logging
+import socket
+import struct
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.config import Config
+from usdsmoke import __version__
 from usdsmoke.base.errors import (
     ClusterError,
     FileUnreadable,
@@ -22,25 +27,9 @@ from usdsmoke.base.errors import (
     UsdSmokeError,
     WriteFailed,
 )
-from usdsmoke.base.given_settings import (
-    FilePath,
-    Settings,
-    Styles,
-    explicit_values,
-    resolve_settings,
-    style_paths,
-)
-from usdsmoke.base.publish import make_folders, remove_empty
-from usdsmoke.farm.dask_check import check_answer, look_around
-from usdsmoke.farm.dask_connection import asking, connected, lost
-from usdsmoke.pipeline import (
-    StylizeResult,
-    assemble,
-    plan_stylize,
-    run_coarse,
-    run_window,
-)
-from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.base.publish import make_folders, publish_file, remove_empty
+from usdsmoke.pipeline import Request, StylizeResult, assemble, plan, run_coarse, run_window
+from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.begin import frames_again
 from usdsmoke.runs.machine import settle_threads
@@ -49,37 +38,24 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["TaskRequest", "stylize_on_cluster"]
+__all__ = ["stylize_on_cluster"]
 
+_CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
 _LOST_S = 60.0  # without any worker, after which the run is given up
 _POLL_S = 2.0
+_VISIBLE_S = 5.0  # for a new file to appear on another machine
 _RETRIES = 2  # of a task that failed for a reason that may pass
+_LONGEST_GREETING = 2**20  # bytes; a scheduler's has about 100
+_PACKAGES = ("torch", "numpy")  # their versions decide the last bits of a result
+_LOUD = ("distributed", "tornado")  # loggers that print tracebacks when a connection breaks
 
 _one_at_a_time = threading.Lock()  # threads and determinism of torch belong to the whole process
 
 
-@dataclass(frozen=True)
-class TaskRequest:
-    """What a worker needs to know; paths are absolute and the same on all machines."""
-
-    stage: str
-    styles: tuple[str, ...]
-    output: str
-    config: Config
-    explicit: frozenset[str] = frozenset()
-    force: bool = False
-    again: frozenset[int] = frozenset()  # windows of a result that are to be made once more, alone
-
-
 def stylize_on_cluster(
     address: str,
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-    force: bool = False,
+    request: Request,
     progress: RunProgressCallback | None = None,
     planned: Callable[[Plan], None] | None = None,
 ) -> StylizeResult:
@@ -91,13 +67,7 @@ def stylize_on_cluster(
 
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.
-        stage: as in ``stylize``, like those that follow it.
-        style: one image file or several; None where every Volume's prim brings its own.
-        output: the folder of the result.
-        config: settings.
-        settings: further ones, stronger than ``config``.
-        force: give up what the folder holds of other settings; a result stays whole until the new
-            one is there.
+        request: what is asked for.
         progress: called when a step or a window is finished.
         planned: called once with the plan, before the cluster is asked.
 
@@ -106,70 +76,157 @@ def stylize_on_cluster(
         UsdSmokeError: what ``stylize`` raises; a task's own error is raised here.
         Interrupted: by Ctrl-C; workers end the windows they are at.
     """
-    styles = style_paths(style)
-    resolved, explicit = resolve_settings(config, settings)
-    plan = plan_stylize(stage, styles, output, config, settings, fits=False)
+    found = plan(request, fits=False)
     if planned is not None:
-        planned(plan)
-    request = TaskRequest(
-        stage=str(Path(stage).absolute()),
-        styles=tuple(str(Path(image).absolute()) for image in styles),
-        output=str(Path(output).absolute()),
-        config=settle_threads(Path(output), resolved, force),  # as here
-        explicit=explicit,
-        force=force,
-    )
-    if not force and resolved.stage.frames:
-        request, plan = _frames_again(request, plan)
-    with connected(address) as client:
-        notes = _check_workers(client, request, plan)
-        _compute(client, request, plan, progress or (lambda report: None))
-    layer = plan.config.layer
-    result = assemble(output, progress, layer.look, layer.mode)
+        planned(found)
+    request, whole, again = _whole_request(request.settled(), found)
+    with _connected(address) as client:
+        notes = _check_workers(client, request, whole)
+        _compute(client, request, whole, again, progress or (lambda report: None))
+    layer = whole.config.layer
+    result = assemble(request.output, progress, layer.look, layer.mode)
     return replace(result, warnings=(*result.warnings, *notes))
 
 
-def _frames_again(request: TaskRequest, plan: Plan) -> tuple[TaskRequest, Plan]:
-    """The whole result's request and plan, where some of its frames are to be made once more."""
+def _whole_request(request: Request, found: Plan) -> tuple[Request, Plan, frozenset[int]]:
+    """What the tasks are asked for: with the number of threads settled, and where some frames of a
+    result are selected, with all of them; the plan, and the windows to make once more."""
+    output, again = Path(request.output), frozenset[int]()
+    if not request.force and found.config.stage.frames:
+        repeated = frames_again(prepare_job(request.with_config(found.config), fits=False))
+        if repeated is not None:
+            job, _, numbers = repeated
+            return job.request.with_config(job.config), job.plan, frozenset(numbers)
+    config = settle_threads(output, request.config, request.force)
+    return request.with_config(config), found, again
 
-    def prepare(config: Config) -> Job:
-        return prepare_job(
-            request.stage, request.styles, Path(request.output), config, False, request.explicit
+
+def _compute(
+    client: "Client",
+    request: Request,
+    found: Plan,
+    again: frozenset[int],
+    tell: RunProgressCallback,
+) -> None:
+    """The coarse step, then all windows; the first error ends the run."""
+    windows = [window for volume in found.volumes for window in volume.windows]
+    starts = {window.index: min(window.time_codes) for window in windows}
+    to_do, n_done = sorted(again or starts), 0
+    futures: list[Future] = []
+
+    def begin(numbers: Sequence[int | None]) -> list["Future"]:
+        with _asking():
+            key = f"usdsmoke-{uuid.uuid4().hex}"
+            submitted = client.map(
+                _run_task, numbers, request=request, again=again,
+                key=[f"{key}-{number}" for number in numbers], retries=_RETRIES,
+            )  # fmt: skip
+        futures.extend(submitted)
+        return submitted
+
+    try:
+        for _ in _finished(client, begin([None]), ["the coarse step"]):
+            tell(RunProgress("coarse", starts[to_do[0]], 0, len(to_do), 0.0))
+        names = [f"window {number}" for number in to_do]
+        for place in _finished(client, begin(to_do), names):
+            n_done += 1
+            share = n_done / len(to_do)
+            tell(RunProgress("window", starts[to_do[place]], n_done - 1, len(to_do), share))
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"stopped with {n_done} of {len(to_do)} windows finished in {request.output}. "
+            "Run the same command again to continue."
+        ) from None
+    finally:
+        with suppress(Exception):  # the scheduler may be gone
+            client.cancel([future for future in futures if not future.done()])
+
+
+def _run_task(window: int | None, request: Request, again: frozenset[int]) -> UsdSmokeError | None:
+    """On a worker: one window, or the coarse step; an error that another try would not mend."""
+    with _one_at_a_time:
+        try:
+            if window is None:
+                run_coarse(request)
+            else:
+                run_window(replace(request, force=False), window, again=window in again)
+        except (WriteFailed, FileUnreadable):
+            raise  # the next try may succeed: a full disk, a file server
+        except UsdSmokeError as error:
+            return error
+    return None
+
+
+def _finished(client: "Client", futures: Sequence["Future"], names: Sequence[str]) -> Iterator[int]:
+    """The places of futures as they succeed; the first error of one is raised.
+
+    A scheduler that is gone and a cluster without workers are errors too.
+    """
+    from distributed import wait
+
+    waiting, seen = dict(zip(futures, range(len(futures)), strict=True)), time.monotonic()
+    while waiting:
+        with suppress(TimeoutError), _asking(limited=True):
+            wait(list(waiting), timeout=_POLL_S, return_when="FIRST_COMPLETED")
+        for future in [future for future in waiting if future.done()]:
+            if _succeeded(future, names[waiting[future]]):
+                seen = time.monotonic()
+                yield waiting.pop(future)
+        with _asking():
+            workers = client.nthreads()
+        if workers:
+            seen = time.monotonic()
+        elif time.monotonic() - seen > _LOST_S:
+            raise _lost(f"the Dask cluster has had no workers for {_LOST_S:.0f} s")
+
+
+def _succeeded(future: "Future", name: str) -> bool:
+    """Raise what went wrong in a task; False where its worker died before it could tell."""
+    from distributed.scheduler import KilledWorker
+
+    try:
+        with _asking(limited=True):
+            failure = future.exception(timeout=_POLL_S)
+            failure = failure or future.result(timeout=_POLL_S)
+    except TimeoutError:
+        return False
+    if isinstance(failure, KilledWorker):
+        raise _lost(
+            f"{name} was given up: every worker that took it died. Their logs say why. If it was "
+            "memory, give workers more, or lower views.pool, views.image_size or grids.refine"
         )
-
-    found = frames_again(prepare(plan.config), prepare)
-    if found is None:
-        return request, plan
-    whole, _, numbers = found
-    return replace(request, config=whole.config, again=frozenset(numbers)), whole.plan
+    if failure is not None:
+        raise failure
+    return True
 
 
-def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[str]:
+# Workers
+
+
+def _check_workers(client: "Client", request: Request, found: Plan) -> list[str]:
     """Refuse workers that would give another result or none; what is worth knowing otherwise."""
     try:
-        with asking(limited=True):
+        with _asking(limited=True):
             client.wait_for_workers(1, timeout=_WORKERS_S)
     except TimeoutError:
         raise _no_workers() from None
-    made = make_folders(Path(request.output))
-    token = uuid.uuid4().hex
-    token_path = Path(request.output) / f".usdsmoke-{token}"
+    output = Path(request.output)
+    made, token = make_folders(output), output / f".usdsmoke-{uuid.uuid4().hex}"
+    images = [image for volume in found.volumes for image in volume.source.request.styles]
+    styles: Any = request.style
     try:
-        _write_token(token_path, token)
-        asked_for = [image for volume in plan.volumes for image in volume.source.request.styles]
-        files = [request.stage, *request.styles, *asked_for]
-        with asking():
-            answers = client.run(look_around, str(token_path), files, on_error="return")
+        publish_file(token, lambda path: path.touch())
+        with _asking():
+            files = [str(token), str(request.stage), *styles, *images]
+            answers = client.run(_look_around, files, on_error="return")
             n_threads = client.nthreads()
     finally:
-        token_path.unlink(missing_ok=True)
+        token.unlink(missing_ok=True)
         remove_empty(made)
     answers = {worker: answer for worker, answer in answers.items() if worker in n_threads}
-    if not answers:  # those that are gone meanwhile have nothing to say
+    if not answers:  # workers that are gone meanwhile have nothing to say
         raise _no_workers()
-    notes = []
-    for worker, answer in sorted(answers.items()):
-        notes += check_answer(worker, answer, token, request.output)
+    notes = [n for worker in sorted(answers) for n in _check_answer(worker, answers[worker])]
     several = sorted(worker for worker, threads in n_threads.items() if threads > 1)
     if several:
         notes.append(
@@ -179,115 +236,148 @@ def _check_workers(client: "Client", request: TaskRequest, plan: Plan) -> list[s
     return notes
 
 
-def _compute(client: "Client", request: TaskRequest, plan: Plan, tell: RunProgressCallback) -> None:
-    """The coarse step, then all windows; the first error ends the run."""
-    windows = [window for volume in plan.volumes for window in volume.windows]
-    starts = {window.index: min(window.time_codes) for window in windows}
-    to_do = sorted(request.again or starts)
-    n_done = 0
-    key = f"usdsmoke-{uuid.uuid4().hex}"
-    futures: list[Future] = []
-
-    def begin(window: int | None, name: str) -> "Future":
-        with asking():
-            future = client.submit(
-                _run_task, request, window, key=f"{key}-{name}", retries=_RETRIES
-            )
-        futures.append(future)
-        return future
-
-    try:
-        for _ in _completed(client, {begin(None, "coarse"): "the coarse step"}):
-            tell(RunProgress("coarse", starts[to_do[0]], 0, len(to_do), 0.0))
-        numbers = {begin(number, str(number)): number for number in to_do}
-        names = {future: f"window {number}" for future, number in numbers.items()}
-        for future in _completed(client, names):
-            n_done += 1
-            share = n_done / len(to_do)
-            tell(RunProgress("window", starts[numbers[future]], n_done - 1, len(to_do), share))
-    except KeyboardInterrupt:
-        raise Interrupted(
-            f"stopped with {n_done} of {len(to_do)} windows finished in {request.output}; "
-            "run the same command again to continue"
-        ) from None
-    finally:
-        with suppress(Exception):  # there may be nobody left to be told
-            client.cancel([future for future in futures if not future.done()])
+def _look_around(files: Sequence[str]) -> dict[str, Any]:
+    """On a worker: its versions, and which of some files it does not see."""
+    until = time.monotonic() + _VISIBLE_S
+    while (missing := [f for f in files if not Path(f).is_file()]) and time.monotonic() < until:
+        time.sleep(0.1)
+    packages = {name: _package_version(name) for name in _PACKAGES}
+    return {"version": __version__, "packages": packages, "missing": missing}
 
 
-def _run_task(request: TaskRequest, window: int | None) -> UsdSmokeError | None:
-    """On a worker: one window, or the coarse step; the error that no other try would mend."""
-    config = request.config
-    settings = explicit_values(config, request.explicit)
-    files = (request.stage, request.styles, request.output)
-    with _one_at_a_time:
-        try:
-            if window is None:
-                run_coarse(*files, config, settings, force=request.force)
-            else:
-                run_window(*files, window, config, settings, again=window in request.again)
-        except (WriteFailed, FileUnreadable):
-            raise  # a file server may be well again the next time
-        except UsdSmokeError as error:
-            return error
-    return None
+def _check_answer(worker: str, answer: Any) -> list[str]:
+    """Refuse a worker of another version, or on another file system.
 
-
-def _completed(client: "Client", futures: "Mapping[Future, str]") -> "Iterator[Future]":
-    """Futures of tasks, named, as these succeed; the first error of one is raised.
-
-    The scheduler's silence and a cluster without workers are errors.
+    Args:
+        worker: its address.
+        answer: of ``_look_around`` there, or the exception that came instead.
     """
-    from distributed import wait
-
-    waiting = set(futures)
-    seen = time.monotonic()
-    while waiting:
-        done: set[Future] = set()
-        with suppress(TimeoutError), asking(limited=True):
-            done, waiting = wait(waiting, timeout=_POLL_S, return_when="FIRST_COMPLETED")
-        known = {future for future in done if _take_outcome(future, futures[future])}
-        waiting |= done - known  # their worker died with what they had to say
-        yield from known
-        with asking():
-            workers = client.nthreads()
-        if workers or known:
-            seen = time.monotonic()
-        elif time.monotonic() - seen > _LOST_S:
-            raise lost(f"the Dask cluster has had no workers for {_LOST_S:.0f} s")
-
-
-def _take_outcome(future: "Future", what: str) -> bool:
-    """Raise what went wrong in a task; whether its outcome was to be had."""
-    from distributed.scheduler import KilledWorker
-
-    try:
-        with asking(limited=True):
-            failure = future.exception(timeout=_POLL_S)
-            refusal = failure or future.result(timeout=_POLL_S)
-    except TimeoutError:
-        return False
-    if isinstance(failure, KilledWorker):
-        raise lost(
-            f"{what} was given up: every worker that took it died; their logs say why, and often "
-            "it is memory: give workers more, or lower views.pool, views.image_size or grids.refine"
+    if isinstance(answer, BaseException):
+        raise ClusterError(
+            f"the worker {worker} cannot load usdsmoke {__version__} "
+            f"({type(answer).__name__}: {answer}). Install this version there."
         )
-    if refusal is not None:
-        raise refusal
-    return True
+    if answer["version"] != __version__:
+        raise ClusterError(
+            f"the worker {worker} has usdsmoke {answer['version']}, this machine {__version__}. "
+            "Install the same version on both."
+        )
+    if answer["missing"]:
+        raise ClusterError(
+            f"the worker {worker} does not see {answer['missing'][0]}. Put the inputs and the "
+            "output folder on a file system that all machines see under the same path."
+        )
+    return [
+        f"the worker {worker} has {name} {there}, this machine {_package_version(name)}: "
+        "their results may differ in the last bits"
+        for name, there in answer["packages"].items()
+        if there != _package_version(name)
+    ]
+
+
+def _package_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
+
+# The connection
+
+
+@contextmanager
+def _connected(address: str) -> "Iterator[Client]":
+    """A client of the scheduler at an address; an error within seconds where there is none."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError(
+            "--cluster needs the package distributed, which is not installed. "
+            'Install it with: pip install "usdsmoke[cluster]"'
+        ) from None
+    _check_greeting(address)
+    with _quiet():
+        try:
+            client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        except Exception as error:
+            raise _no_scheduler(address, " ".join(str(error).split())[:200]) from None
+        # Exceptions that nobody has fetched would be printed later, when they are garbage.
+        loop = getattr(client.loop, "asyncio_loop", None)
+        if loop is not None:
+            loop.set_exception_handler(lambda loop, context: None)
+        try:
+            with client.as_current():
+                yield client
+        finally:
+            with suppress(Exception):  # a scheduler that is gone cannot say goodbye
+                client.close(timeout=_CONNECT_S)
+
+
+def _check_greeting(address: str) -> None:
+    """Refuse an address where something else than a scheduler answers, or nothing.
+
+    Dask itself takes the first eight bytes of any server for a length and reserves that much
+    memory, or waits for them for ever. A scheduler sends its greeting first.
+    """
+    protocol, separator, place = address.partition("://")
+    host, _, port = place.rpartition(":")
+    if not separator:
+        raise ClusterError(f"the cluster {address!r} has no protocol. Give tcp://HOST:PORT.")
+    if protocol != "tcp":
+        return  # with TLS the client speaks first; Dask knows the other protocols
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S) as connection:
+            connection.settimeout(_CONNECT_S)
+            head = connection.recv(8, socket.MSG_WAITALL)
+    except (OSError, ValueError, OverflowError) as error:
+        raise _no_scheduler(address, str(error)) from None
+    if len(head) < 8 or not 0 < struct.unpack("<Q", head)[0] < _LONGEST_GREETING:
+        raise _no_scheduler(address, "something else answers there")
+
+
+@contextmanager
+def _asking(limited: bool = False) -> Iterator[None]:
+    """Whatever goes wrong between this process and the scheduler is a lost connection.
+
+    For calls of the client only: errors of tasks and of this program have names of their own.
+
+    Args:
+        limited: the call has a time limit of its own, and may raise TimeoutError.
+    """
+    try:
+        yield
+    except (Exception, asyncio.CancelledError) as error:
+        if limited and isinstance(error, TimeoutError):
+            raise
+        raise _lost("the Dask scheduler is gone, or has dropped the run") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the tracebacks that Dask logs when a connection breaks; the error says it all."""
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in _LOUD]
+    loggers = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
+    for logger in loggers:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.disabled = False
+
+
+def _lost(what: str) -> ClusterError:
+    return ClusterError(f"{what}. Finished windows are kept: run the same command again.")
+
+
+def _no_scheduler(address: str, reason: str) -> ClusterError:
+    return ClusterError(
+        f"no Dask scheduler answers at {address} ({reason}). Start one with 'dask scheduler', or "
+        "check host, port and firewall."
+    )
 
 
 def _no_workers() -> ClusterError:
     return ClusterError(
-        "the Dask scheduler has no workers; start some with 'dask worker --nthreads 1 ADDRESS'"
+        "the Dask scheduler has no workers. Start some with 'dask worker --nthreads 1 ADDRESS'."
     )
-
-
-def _write_token(token_path: Path, token: str) -> None:
-    try:
-        token_path.write_text(token, encoding="utf-8")
-    except OSError as error:
-        raise WriteFailed(
-            f"cannot write to {token_path.parent}: {error.strerror or error}; "
-            "choose an output folder that may be written to"
-        ) from None

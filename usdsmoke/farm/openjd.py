@@ -1,20 +1,12 @@
 """A run handed to a render queue: a folder with a job template and what belongs to it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from usdsmoke.base.config import Config, config_to_yaml
 from usdsmoke.base.errors import ConfigError, OutputExists
-from usdsmoke.base.given_settings import (
-    FilePath,
-    Settings,
-    Styles,
-    explicit_values,
-    resolve_settings,
-    style_paths,
-)
+from usdsmoke.base.given_settings import FilePath
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.farm.openjd_template import (
     FIRST_LINE,
@@ -24,9 +16,9 @@ from usdsmoke.farm.openjd_template import (
     job_template,
     parameter_values,
 )
-from usdsmoke.pipeline import plan_stylize
+from usdsmoke.pipeline import Request
+from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.usd.stage import open_stage
 
 __all__ = ["JobBundle", "submit"]
 
@@ -42,13 +34,7 @@ class JobBundle:
 
 
 def submit(
-    stage: FilePath,
-    style: Styles,
-    output: FilePath,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-    template: FilePath | None = None,
-    command: str = "usdsmoke",
+    request: Request, template: FilePath | None = None, command: str = "usdsmoke"
 ) -> JobBundle:
     """Plan a run and write it as an Open Job Description; nothing is stylized or sent.
 
@@ -56,44 +42,39 @@ def submit(
     when frames come or go.
 
     Args:
-        stage: as in ``stylize``, like those that follow it.
-        style: one image file or several; None where every Volume's prim brings its own.
-        output: the folder of the result.
-        config: settings.
-        settings: further ones, stronger than ``config``.
+        request: what is asked for.
         template: the file to write; None takes ``OUT/job/template.yaml``. The folder becomes a
             job bundle of AWS Deadline Cloud when the file is named ``template.yaml``.
         command: the program that the queue's machines start.
 
     Raises:
-        UsdSmokeError: what ``plan_stylize`` raises; the command is no single program.
+        UsdSmokeError: what ``plan`` raises.
+        ConfigError: the command is not one program.
         OutputExists: a file of another origin stands where one of the bundle goes.
         WriteFailed: the operating system refused.
     """
     _check_program(command)
-    styles = style_paths(style)
-    resolved, explicit = resolve_settings(config, settings)
-    resolved = _with_network_file(resolved)
-    plan = plan_stylize(stage, styles, output, config, settings, fits=False)
-    folder = Path(output).absolute()
+    request = request.with_config(_with_network_file(request.config)).settled()
+    job = prepare_job(request, fits=False)
+    folder = Path(request.output)
     target = Path(template).absolute() if template is not None else folder / "job/template.yaml"
-    images = [str(Path(image).absolute()) for image in styles]
+    images = [str(image) for image in job.style_files]
     beside = {
         name: target.with_name(f"{name}.yaml")
         for name in ("settings", "overrides", "parameter_values", "asset_references")
     }
-    n_windows = sum(len(volume.windows) for volume in plan.volumes)
-    stage_file = _read_stage(stage, plan)
+    n_windows = sum(len(volume.windows) for volume in job.plan.volumes)
+    stage_file = _read_stage(Path(str(request.stage)), job.plan)
     given = [str(beside[name]) for name in ("settings", "overrides")]
     parameters = job_parameters(str(stage_file), images, str(folder), *given)
-    memory, layer = plan.estimate.memory_gib, plan.config.layer
+    memory, layer = job.plan.estimate.memory_gib, job.config.layer
     assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
-        beside["settings"]: f"{FIRST_LINE}\n{config_to_yaml(resolved, comments=False)}",
-        beside["overrides"]: bundle_text(explicit_values(resolved, explicit)),
+        beside["settings"]: f"{FIRST_LINE}\n{config_to_yaml(request.config, comments=False)}",
+        beside["overrides"]: bundle_text(request.explicit),
         beside["parameter_values"]: bundle_text(parameter_values(parameters)),
         beside["asset_references"]: bundle_text(
-            asset_references([*_read_files(plan), *images], str(folder))
+            asset_references([str(file_path) for file_path in job.files], str(folder))
         ),
         target: bundle_text(
             job_template(stage_file.stem, n_windows, len(images), memory, command, assembly)
@@ -107,9 +88,8 @@ def _check_program(command: str) -> None:
     """A queue starts a program and hands it arguments; it takes no line of a shell apart."""
     if len(command.split()) > 1 and not Path(command).is_file():
         raise ConfigError(
-            f"the command {command!r} is no single program; wanted one program, by name or path, "
-            "without arguments: write them into an executable script, such as\n"
-            f'  #!/bin/sh\n  exec {command} "$@"\nand give --command its path'
+            f"--command takes one program without arguments, got {command!r}. Put the call into "
+            f'an executable script:\n  #!/bin/sh\n  exec {command} "$@"'
         )
 
 
@@ -121,26 +101,10 @@ def _with_network_file(config: Config) -> Config:
     return replace(config, features=replace(config.features, vgg19_file=found))
 
 
-def _read_stage(given: FilePath, plan: Plan) -> Path:
+def _read_stage(given: Path, plan: Plan) -> Path:
     """The stage as it was given, or what it was made from where it is a result itself."""
-    stage_file = Path(given).absolute()
-    is_read = stage_file.samefile(plan.source.file_path)
-    return stage_file if is_read else Path(plan.source.file_path)
-
-
-def _read_files(plan: Plan) -> list[str]:
-    """Layers, VDB files and the network's parameters; absolute."""
-    stage = open_stage(plan.source.file_path)
-    layers = [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
-    grids = [
-        field.file_path
-        for volume in plan.source.volumes
-        for frame in volume.frames
-        for field in frame.fields.values()
-    ]
-    images = [image for volume in plan.volumes for image in volume.source.request.styles]
-    network = [plan.config.features.vgg19_file] if plan.config.features.vgg19_file else []
-    return [str(Path(file_path).absolute()) for file_path in (*layers, *grids, *images, *network)]
+    source = Path(plan.source.file_path)
+    return given if given.samefile(source) else source
 
 
 def _refuse_foreign(file_path: Path) -> None:

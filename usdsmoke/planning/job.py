@@ -1,55 +1,114 @@
-"""All that is known before voxels are read: stage, plan, styles, and what they are made of."""
+"""What a run was asked for (`Request`), and the same opened, planned and found possible (`Job`)."""
 
 import dataclasses
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd
 
 from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.config import Config, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.given_settings import portable_settings, settle_files
+from usdsmoke.base.given_settings import (
+    FilePath,
+    RunSettings,
+    Styles,
+    explicit_values,
+    portable_settings,
+    read_settings,
+    settle_files,
+    style_paths,
+)
 from usdsmoke.base.naming import colour_names, run_record_files
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.pictures.png import StyleImage, read_style_image
 from usdsmoke.planning.features import check_features
 from usdsmoke.planning.needs import Omission
-from usdsmoke.planning.originals import check_originals, check_output_folder, settle_output
+from usdsmoke.planning.output_folder import check_output_folder, settle_output
 from usdsmoke.planning.plan import Plan, VolumePlan, check_plan, make_plan
-from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
-from usdsmoke.usd.stage import find_volumes, open_source, seen_through
-from usdsmoke.usd.volume_settings import resolve_volumes
+from usdsmoke.usd.stage import (
+    StageOrFile,
+    check_originals,
+    find_volumes,
+    layer_files,
+    open_source,
+    seen_through,
+    stage_file,
+)
+from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
 
-__all__ = [
-    "Job",
-    "describe_request",
-    "frame_files",
-    "prepare_job",
-    "published_runs",
-    "requested_job",
-]
+__all__ = ["Job", "Request", "describe_request", "prepare_job", "recorded_request"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run is asked for: the arguments of ``usdsmoke.stylize``.
+
+    Paths are used as they are given; ``Request.settled`` makes them absolute, as a process
+    elsewhere needs them.
+    """
+
+    stage: StageOrFile  # a file, or an open stage without unsaved edits
+    style: Styles = None  # image files; None where every Volume's prim brings its own
+    output: FilePath = "look"  # the folder of the result
+    settings: RunSettings = None  # see ``read_settings``
+    force: bool = False  # replace a result, and give up an unfinished run of other settings
+
+    @property
+    def config(self) -> Config:
+        """The settings, resolved.
+
+        Raises:
+            ConfigError: the settings are wrong.
+        """
+        return read_settings(self.settings)[0]
+
+    @property
+    def explicit(self) -> dict[str, dict[str, Any]]:
+        """The settings that are stronger than a Volume's own, by section and key."""
+        return explicit_values(*read_settings(self.settings))
+
+    def settled(self) -> "Request":
+        """The same with absolute paths and one Config, and nothing left open to a working folder.
+
+        Raises:
+            ConfigError: the settings are wrong.
+            StageError: an open stage has unsaved edits.
+        """
+        return dataclasses.replace(
+            self,
+            stage=str(stage_file(self.stage)),
+            style=tuple(str(Path(image).absolute()) for image in style_paths(self.style)),
+            output=str(Path(self.output).absolute()),
+            settings=(self.config, self.explicit),
+        )
+
+    def with_config(self, config: Config) -> "Request":
+        """The same with other settings; those that were explicit stay explicit."""
+        explicit = explicit_values(config, read_settings(self.settings)[1])
+        return dataclasses.replace(self, settings=(config, explicit))
 
 
 @dataclass(frozen=True)
 class Job:
     """A run as it was asked for, found possible as far as stage, headers and images tell."""
 
-    stage: Usd.Stage
+    request: Request  # settled
+    stage: Any  # the open Usd.Stage
     plan: Plan
     styles: tuple[StyleImage, ...]
     style_files: tuple[Path, ...]  # those given for the run, absolute; none: Volumes bring theirs
-    output: Path
+    output: Path  # without links
     targets: LookFiles
     earlier: EarlierLooks  # looks that the stage has already
+    files: tuple[Path, ...]  # everything that the run reads: layers, VDB files, style images
     explicit: frozenset[str] = frozenset()  # settings that are stronger than a Volume's own
+    fits: bool = True  # the machine was checked: see ``prepare_job``
     digests: dict[str, str] = dataclasses.field(default_factory=dict, compare=False)  # of files
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
@@ -61,33 +120,35 @@ class Job:
         """The run's settings; a Volume's own are in its plan."""
         return self.plan.config
 
+    @property
+    def sheets(self) -> list[Path]:
+        """The contact sheets of the result, one for each Volume."""
+        return _sheets(self.plan, self.output)
 
-def prepare_job(
-    stage_path: str | PathLike[str],
-    style_paths: Sequence[str | PathLike[str]],
-    output: Path,
-    config: Config,
-    fits: bool = True,
-    explicit: Collection[str] = (),
-) -> Job:
+    def with_config(self, config: Config) -> "Job":
+        """The same job with other settings, prepared anew."""
+        return prepare_job(self.request.with_config(config), self.fits)
+
+
+def prepare_job(request: Request, fits: bool = True) -> Job:
     """Open the stage, find its Volumes, read the style images, make the plan and see that it fits.
 
     Args:
-        stage_path: a file.
-        style_paths: files; none where every Volume brings its own.
-        output: the output folder.
-        config: the run's settings.
-        fits: whether memory, disk and the network's file must do for the whole work.
-        explicit: dotted names of the settings that are stronger than a Volume's own.
+        request: what is asked for.
+        fits: whether memory, disk and the network's file of this machine must be sufficient for
+            the whole work.
 
     Raises:
         UsdSmokeError: everything that can be wrong without a voxel being read.
     """
-    output = settle_output(output)
-    style_files = tuple(Path(style_path).absolute() for style_path in style_paths)
+    request = request.settled()
+    config, explicit = read_settings(request.settings)
+    output = settle_output(request.output)
+    style_files = tuple(Path(image) for image in style_paths(request.style))
     if style_files:  # then no Volume's own images or weights count
         style_shares(config.style, len(style_files))
-    stage, earlier = open_source(stage_path, config.stage.restylize)
+    # The stage: Volumes, their own settings, cameras.
+    stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
     found = find_volumes(stage, config.stage, {*explicit, *(["style"] if style_files else [])})
     if not config.stage.restylize:
         check_originals(stage, found)
@@ -97,67 +158,20 @@ def prepare_job(
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
         check_features(own.config.features, fits)
-    styles = tuple(read_style_image(style_file) for style_file in resolved.style_files)
+    styles = tuple(read_style_image(image) for image in resolved.style_files)
     if config.layer.mode == "reference":
         check_asset(stage)
-    plan = make_plan(source, config, resolved.volumes)
-    left_out = [Omission("earlier look", note) for note in earlier.notes]
-    plan = dataclasses.replace(plan, omitted=(*plan.omitted, *left_out))
+    # The plan, and where its result goes.
+    plan = _plan(source, config, resolved, earlier)
     targets = look_files(source, output, config.layer)
-    sheets = sheet_files([volume.stem for volume in plan.volumes], output, config.layer.look)
-    inputs = _input_files(stage, source, resolved.style_files)
-    inputs += [Path(file_path) for file_path in earlier.layers]
-    check_output_folder(output, config.layer.look, inputs, [*targets.written, *sheets])
-    if fits:
-        check_plan(
-            plan, None if any(run_record_files(output)) else output
-        )  # with a run: ``check_room``
-    return Job(stage, plan, styles, style_files, output, targets, earlier, frozenset(explicit))
-
-
-def published_runs(job: Job) -> frozenset[str]:
-    """Run ids that this look's layers in the output folder name; "" for one that names none."""
-    found = set()
-    for suffix in (".usda", ".usdc"):
-        file_path = job.targets.look_layer.with_suffix(suffix)
-        if file_path.exists():
-            found.add(_named_run(file_path))
-    return frozenset(found)
-
-
-def _check_names(volume: VolumeSource, config: Config) -> None:
-    """Refuse to write a colour under a name that the Volume uses for something else."""
-    if "colour" not in config.optimize.steps:
-        return
-    colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
-    uses = {volume.density: "density", volume.mask: "mask"}
-    uses |= dict.fromkeys(volume.velocity, "velocity")
-    for name in colours:
-        if name in uses:
-            raise ConfigError(
-                f"the colour field {name} of the result would take the place of the "
-                f"{uses[name]} of <{volume.prim_path}>, which is called the same; wanted "
-                "another name for it: rename the field on the stage, or change "
-                "optimize.steps, layer.scatter_colour or layer.split_rgb"
-            )
-
-
-def _input_files(stage: Usd.Stage, source: StageSource, styles: Iterable[Path]) -> list[Path]:
-    """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
-    layers = [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
-    files = [*layers, *frame_files(source), *styles]
-    return list(dict.fromkeys(Path(file_path).absolute() for file_path in files))
-
-
-def frame_files(source: StageSource) -> list[str]:
-    """The VDB files of all selected frames, each once, in order."""
-    return list(
-        dict.fromkeys(
-            field.file_path
-            for volume in source.volumes
-            for frame in volume.frames
-            for field in frame.fields.values()
-        )
+    files = _read_files(layer_files(stage), source, resolved)
+    written = [*targets.written, *_sheets(plan, output)]
+    inputs = [*files, *(Path(file_path) for file_path in earlier.layers)]
+    check_output_folder(output, config.layer.look, inputs, written)
+    if fits:  # of a run that has begun, ``check_room`` looks at what is still to be written
+        check_plan(plan, None if any(run_record_files(output)) else output)
+    return Job(
+        request, stage, plan, styles, style_files, output, targets, earlier, files, explicit, fits
     )
 
 
@@ -173,30 +187,58 @@ def describe_request(job: Job) -> dict[str, Any]:
     }
 
 
-def requested_job(output: Path, request: Mapping[str, Any], mode: str | None = None) -> Job:
-    """The job that a run was begun for.
+def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None = None) -> Request:
+    """The request that a run was begun with.
 
     Args:
         output: the output folder.
-        request: from ``describe_request``.
-        mode: ``layer.mode`` in the place of the request's.
+        record: from ``describe_request``.
+        mode: ``layer.mode`` in the place of the record's.
 
     Raises:
-        UsdSmokeError: an input has vanished or is no longer what it was.
+        ConfigError: this version of usdsmoke knows other settings.
     """
-    stage, *styles = [
-        os.path.normpath(output / name) for name in (request["stage"], *request["styles"])
-    ]
+    names = (record["stage"], *record["styles"])
+    stage, *styles = [os.path.normpath(output / name) for name in names]
     other = {"layer": {"mode": mode}} if mode else {}
-    config = settle_files(resolve_config(request["config"], other), output)
-    return prepare_job(stage, styles, output, config, False, request.get("explicit", ()))
+    config = settle_files(resolve_config(record["config"], other), output)
+    explicit = explicit_values(config, frozenset(record.get("explicit", ())))
+    return Request(stage, styles, output, (config, explicit))
 
 
-def _named_run(look_layer: Path) -> str:
-    try:
-        with captured_diagnostics():
-            layer = Sdf.Layer.OpenAsAnonymous(str(look_layer), metadataOnly=True)
-    except Tf.ErrorException:
-        return ""  # no layer of ours, but somebody's file
-    record = layer.customLayerData.get("usdsmoke", {})
-    return str(record.get("run", "")) if isinstance(record, dict) else ""
+def _plan(
+    source: StageSource, config: Config, resolved: ResolvedVolumes, earlier: EarlierLooks
+) -> Plan:
+    plan = make_plan(source, config, resolved.volumes)
+    left_out = [Omission("earlier look", note) for note in earlier.notes]
+    return dataclasses.replace(plan, omitted=(*plan.omitted, *left_out))
+
+
+def _sheets(plan: Plan, output: Path) -> list[Path]:
+    stems = [volume.stem for volume in plan.volumes]
+    return list(sheet_files(stems, output, plan.config.layer.look))
+
+
+def _check_names(volume: VolumeSource, config: Config) -> None:
+    """Refuse to write a colour under a name that the Volume uses for something else."""
+    if "colour" not in config.optimize.steps:
+        return
+    uses = {volume.density: "density", volume.mask: "mask"}
+    uses |= dict.fromkeys(volume.velocity, "velocity")
+    for name in colour_names(config.layer.scatter_colour, config.layer.split_rgb):
+        if name in uses:
+            raise ConfigError(
+                f"the result's colour field {name} has the name of the {uses[name]} of "
+                f"<{volume.prim_path}>. Rename the field on the stage, or change optimize.steps, "
+                "layer.scatter_colour or layer.split_rgb."
+            )
+
+
+def _read_files(
+    layers: list[str], source: StageSource, resolved: ResolvedVolumes
+) -> tuple[Path, ...]:
+    """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
+    networks = [own.config.features.vgg19_file for own in resolved.volumes]
+    files: list[str | Path] = [*layers, *source.grid_files, *resolved.style_files]
+    files += filter(None, networks)
+    return tuple(dict.fromkeys(Path(file_path).absolute() for file_path in files))

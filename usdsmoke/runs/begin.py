@@ -7,12 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import Interrupted, OutputExists
 from usdsmoke.base.locks import OutputLock, lock_output
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, describe_request, published_runs
+from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.changes import list_changes
 from usdsmoke.runs.choice import Describe, find_equal, open_run, taken_up
@@ -29,6 +28,7 @@ from usdsmoke.runs.manifests import (
 )
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.window import WindowTask, list_tasks
+from usdsmoke.usd.look import published_runs
 
 __all__ = [
     "begin_run",
@@ -42,9 +42,7 @@ __all__ = [
 ]
 
 
-def open_or_redo(
-    job: Job, force: bool, prepare: Callable[[Config], Job]
-) -> tuple[Job, RunFolder, Set[int]]:
+def open_or_redo(job: Job) -> tuple[Job, RunFolder, Set[int]]:
     """The run of a whole job, and which of its windows are to be done again though they are done.
 
     A selection of a result's own frames means these frames once more: the job becomes the result's.
@@ -52,38 +50,34 @@ def open_or_redo(
 
     Args:
         job: what was asked for.
-        force: replace a result, and give up unfinished runs of other settings.
-        prepare: makes the same job with other settings.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
         ConfigError: the device is not there.
     """
-    if not force and (again := frames_again(job, prepare)) is not None:
+    force = job.request.force
+    if not force and (again := frames_again(job)) is not None:
         return again
-    published = published_runs(job)
+    published = published_runs(job.targets.look_layer)
     run = open_run(job.output, job.config.layer.look, describing(job), published, force)
     return with_settled(job, run), run, frozenset()
 
 
-def frames_again(
-    job: Job, prepare: Callable[[Config], Job]
-) -> tuple[Job, RunFolder, Set[int]] | None:
+def frames_again(job: Job) -> tuple[Job, RunFolder, Set[int]] | None:
     """The whole job, its run and the windows to do, where the job is a part of a result's frames.
 
     Args:
         job: what was asked for.
-        prepare: makes the same job with other settings.
 
     Raises:
         OutputExists: the result is of other settings or inputs.
     """
-    published = published_runs(job)
+    published = published_runs(job.targets.look_layer)
     for run in find_runs(job.output):
         if run.complete and run.run_id in published and _has_other_frames(job, run):
             frames = run.description["settings"]["stage"]["frames"]
             stage = dataclasses.replace(job.config.stage, frames=frames)
-            whole = prepare(dataclasses.replace(job.config, stage=stage))
+            whole = job.with_config(dataclasses.replace(job.config, stage=stage))
             if redone := _windows_of(whole.plan, job.plan):
                 _refuse_other(run, whole)
                 return with_settled(whole, run), run, redone
@@ -92,7 +86,7 @@ def frames_again(
 
 @contextmanager
 def joined_run(
-    job: Job, force: bool, tell: RunProgressCallback, task: WindowTask | None = None
+    job: Job, tell: RunProgressCallback, task: WindowTask | None = None
 ) -> Iterator[tuple[Job, RunFolder, OutputLock]]:
     """The run of a job that several processes may work on, begun if it was not; the folder is held.
 
@@ -100,8 +94,7 @@ def joined_run(
     frame is read.
 
     Args:
-        job: what was asked for.
-        force: begin beside a result of other settings.
+        job: what was asked for; with ``force`` begun beside a result of other settings.
         tell: hears of it where others at work have to be waited for, some minutes at most.
         task: the window that is to be done: no other inputs are read where the run has begun and
             this window's coarse starts are there. None: all.
@@ -114,7 +107,7 @@ def joined_run(
             does not say to begin beside it.
         ConfigError: the device is not there.
     """
-    describe, look = describing(job, task), job.config.layer.look
+    describe, look, force = describing(job, task), job.config.layer.look, job.request.force
 
     def waits() -> None:
         tell(WAITING)
@@ -122,11 +115,11 @@ def joined_run(
     if force and find_equal(job.output, describe) is None:
         # Unfinished runs of other settings go: nobody may be at them.
         with lock_output(job.output, waits=waits):
-            open_run(job.output, look, describe, published_runs(job), force)
+            open_run(job.output, look, describe, published_runs(job.targets.look_layer), force)
     with lock_output(job.output, alone=False, waits=waits) as lock:
         run = find_equal(job.output, describe)
         if run is None:
-            published = published_runs(job)  # as it is now, after the waiting
+            published = published_runs(job.targets.look_layer)  # as it is now, after the waiting
             open_run(job.output, look, describe, published, force, alone=False)  # or be refused
             with _held_beginning(job.output, lock):
                 run = find_equal(job.output, describe)

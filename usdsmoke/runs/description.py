@@ -11,7 +11,7 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures.png import StyleImage
-from usdsmoke.planning.job import Job, frame_files
+from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
 
@@ -47,7 +47,7 @@ def describe_run(
     folder = Path(source.file_path).parent
     requests = requested_values(job.plan, job.styles)
     files = {}
-    for file_path in frame_files(source):
+    for file_path in source.grid_files:
         name = os.path.relpath(file_path, folder)
         if wanted is None or known is None or file_path in wanted or name not in known:
             files[name] = _file_digest(job, file_path)

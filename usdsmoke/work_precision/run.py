@@ -6,11 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import Interrupted
-from usdsmoke.base.given_settings import FilePath, Settings, Styles, resolve_settings, style_paths
+from usdsmoke.base.given_settings import (
+    FilePath,
+    Settings,
+    Styles,
+    explicit_values,
+    resolve_settings,
+)
 from usdsmoke.base.machine import prepare_torch_environment
-from usdsmoke.planning.job import Job, prepare_job
+from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
 from usdsmoke.work_precision import (
     sweep_backtrace,
@@ -122,14 +127,12 @@ def make_report(
     resolved, explicit = resolve_settings(config, settings)
     tell("scene", "reading", 0.0)
 
-    def prepare(config: Config) -> Job:
-        return prepare_job(stage, style_paths(style), target, config, False, explicit)
-
-    first = prepare(resolved)
+    request = Request(stage, style, target, [resolved, explicit_values(resolved, explicit)])
+    first = prepare_job(request, fits=False)
     check_network(first.plan)
     with report_folder(target, [*(f"{s.name}.png" for s in taken), TABLE, DATA, PAGE]) as folder:
         try:
-            job = settle_tolerance(first, prepare, keep=False)
+            job = settle_tolerance(first, first.with_config, keep=False)
             longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
             case = open_case(job, longest, seconds)
             report = _measured(case, taken, Budget(seconds, now), clock or _clock_of(case), tell)

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline_fixtures import make_shot
+from usdsmoke import pipeline
 from usdsmoke.base.frame_report import FrameReport, TemporalErrors
-from usdsmoke.pipeline import plan_stylize
+from usdsmoke.pipeline import Request
 from usdsmoke.runs.budget import ErrorBudget, run_budget
 from usdsmoke.ui.cli.budget_text import budget_text
 
@@ -21,7 +22,7 @@ def budget_of(
 ) -> ErrorBudget:
     """Of a shot whose frames had these reports."""
     shot = make_shot(folder, n_frames)
-    plan = plan_stylize(shot.stage, shot.style, shot.output, settings=list(settings))
+    plan = pipeline.plan(Request(shot.stage, shot.style, shot.output, list(settings)))
     names = [frame.file_name for frame in plan.volumes[0].frames]
     return run_budget(plan, dict(zip(names, reports, strict=True)))
 

@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable
-from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.base.config import config_to_dict
@@ -11,7 +11,9 @@ from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.text import job_text, plan_text, print_json, result_text, step_text
 
 if TYPE_CHECKING:
-    from usdsmoke.pipeline import StepResult, StylizeResult
+    from usdsmoke.pipeline import Request, StepResult, StylizeResult
+    from usdsmoke.planning.plan import Plan
+    from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
 __all__ = ["result_as_dict", "run_assemble", "run_stylize", "run_submit"]
 
@@ -20,24 +22,23 @@ _Result = TypeVar("_Result")
 
 def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
-    from usdsmoke.pipeline import plan_stylize
-
-    config, settings = given_settings(arguments)
     if arguments.dry_run:
-        plan = plan_stylize(arguments.stage, arguments.style, arguments.output, config, settings)
+        from usdsmoke.pipeline import plan as make_plan
+
+        plan = make_plan(_request(arguments))
         if arguments.json:
             print_json(plan.to_dict() | {"config": config_to_dict(plan.config)})
         else:
             print(plan_text(plan))
         return 0
     if arguments.coarse or arguments.window is not None:
-        step = _with_progress(_step_call(arguments), arguments)
+        step = _with_progress(_run_step, arguments)
         if arguments.json:
             print_json(_step_as_dict(step))
         else:
             print(step_text(step))
         return 0
-    _show_result(_with_progress(_whole_call(arguments), arguments), arguments)
+    _show_result(_with_progress(_run_whole, arguments), arguments)
     return 0
 
 
@@ -45,16 +46,7 @@ def run_submit(arguments: argparse.Namespace) -> int:
     """``usdsmoke submit``; the exit code."""
     from usdsmoke.farm.openjd import submit
 
-    config, settings = given_settings(arguments)
-    bundle = submit(
-        arguments.stage,
-        arguments.style,
-        arguments.output,
-        config,
-        settings,
-        template=arguments.template,
-        command=arguments.program,
-    )
+    bundle = submit(_request(arguments), arguments.template, arguments.program)
     if arguments.json:
         print_json(
             {
@@ -84,42 +76,53 @@ def run_assemble(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _whole_call(arguments: argparse.Namespace) -> Callable[..., "StylizeResult"]:
-    """What does a whole run: this process or a cluster."""
+def _request(arguments: argparse.Namespace) -> "Request":
+    """What the options ask for; those beside ``--config`` are stronger than a Volume's own."""
+    from usdsmoke.pipeline import Request
+
+    options = given_settings(arguments)[1]
+    settings: list[Any] = [Path(arguments.config)] if arguments.config else []
+    force = bool(getattr(arguments, "force", False))
+    return Request(arguments.stage, arguments.style, arguments.output, [*settings, options], force)
+
+
+def _run_whole(
+    arguments: argparse.Namespace, progress: "ConsoleProgress", planned: "Callable[[Plan], None]"
+) -> "StylizeResult":
+    """A whole run: in this process or on a cluster."""
+    request = _request(arguments)
     if arguments.cluster is not None:
         from usdsmoke.farm.dask import stylize_on_cluster
 
-        return partial(stylize_on_cluster, arguments.cluster)
+        return stylize_on_cluster(arguments.cluster, request, progress, planned)
     from usdsmoke.pipeline import stylize
 
-    return stylize
+    return stylize(
+        request.stage, request.style, request.output, request.settings,
+        force=request.force, progress=progress, planned=planned,
+    )  # fmt: skip
 
 
-def _step_call(arguments: argparse.Namespace) -> Callable[..., "StepResult"]:
-    """What does a part of a run: one window or the coarse step."""
+def _run_step(
+    arguments: argparse.Namespace, progress: "ConsoleProgress", planned: "Callable[[Plan], None]"
+) -> "StepResult":
+    """A part of a run: one window or the coarse step."""
     from usdsmoke.pipeline import run_coarse, run_window
 
-    return run_coarse if arguments.coarse else partial(run_window, window=arguments.window)
+    request = _request(arguments)
+    if arguments.coarse:
+        return run_coarse(request, progress, planned)
+    return run_window(request, arguments.window, progress, planned)
 
 
 def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) -> _Result:
-    """Call ``stylize`` or a part of it, telling the plan and the progress on stderr."""
+    """Call ``stylize`` or a part of it; the plan and the progress are shown on stderr."""
     from rich.console import Console
 
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
-    config, settings = given_settings(arguments)
     with ConsoleProgress(Console(stderr=True)) as progress:
-        result = call(
-            stage=arguments.stage,
-            style=arguments.style,
-            output=arguments.output,
-            config=config,
-            settings=settings,
-            force=arguments.force,
-            progress=progress,
-            planned=lambda plan: progress.say(plan_text(plan)),
-        )
+        result = call(arguments, progress, lambda plan: progress.say(plan_text(plan)))
         for warning in getattr(result, "warnings", ()):
             progress.say(f"note: {warning}")
     return result

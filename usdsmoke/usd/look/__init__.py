@@ -7,7 +7,14 @@ Opinions go to new layers through Sdf; the source's layers and the session layer
 """
 
 from usdsmoke.usd.look.asset import check_asset
-from usdsmoke.usd.look.look import author_look
+from usdsmoke.usd.look.look import author_look, published_runs
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 
-__all__ = ["LookFiles", "StylizedVolume", "author_look", "check_asset", "look_files"]
+__all__ = [
+    "LookFiles",
+    "StylizedVolume",
+    "author_look",
+    "check_asset",
+    "look_files",
+    "published_runs",
+]

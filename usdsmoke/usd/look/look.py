@@ -23,7 +23,7 @@ from usdsmoke.usd.look.fields import author_field, close_fields, held_files, ret
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.usd.look.root import author_root, copy_stage_metadata
 
-__all__ = ["author_look"]
+__all__ = ["author_look", "published_runs"]
 
 
 def author_look(
@@ -179,3 +179,23 @@ def _refresh(target: Path) -> None:
     layer = Sdf.Layer.Find(str(target))
     if layer is not None and not layer.dirty:
         layer.Reload()
+
+
+def published_runs(look_layer: Path) -> frozenset[str]:
+    """The run ids that a look's layers name, .usda or .usdc; "" for a layer that names none.
+
+    Args:
+        look_layer: with either suffix; need not exist.
+    """
+    files = [look_layer.with_suffix(suffix) for suffix in (".usda", ".usdc")]
+    return frozenset(_named_run(file_path) for file_path in files if file_path.exists())
+
+
+def _named_run(look_layer: Path) -> str:
+    try:
+        with captured_diagnostics():
+            layer = Sdf.Layer.OpenAsAnonymous(str(look_layer), metadataOnly=True)
+    except Tf.ErrorException:
+        return ""  # not a layer that usdsmoke has written
+    record = layer.customLayerData.get("usdsmoke", {})
+    return str(record.get("run", "")) if isinstance(record, dict) else ""

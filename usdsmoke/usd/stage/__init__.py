@@ -8,12 +8,15 @@ Volume's relationships to its field prims, `assets` says which file and grid tho
 from usdsmoke.base.time_codes import parse_frames
 from usdsmoke.usd.stage.cameras import read_camera, seen_through
 from usdsmoke.usd.stage.composed import open_original, shown_volumes
-from usdsmoke.usd.stage.opening import open_stage
-from usdsmoke.usd.stage.originals import open_source
+from usdsmoke.usd.stage.opening import StageOrFile, layer_files, open_stage, stage_file
+from usdsmoke.usd.stage.originals import check_originals, open_source
 from usdsmoke.usd.stage.volumes import find_volumes
 
 __all__ = [
+    "StageOrFile",
+    "check_originals",
     "find_volumes",
+    "layer_files",
     "open_original",
     "open_source",
     "open_stage",
@@ -21,4 +24,5 @@ __all__ = [
     "read_camera",
     "seen_through",
     "shown_volumes",
+    "stage_file",
 ]

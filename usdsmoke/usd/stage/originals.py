@@ -11,12 +11,16 @@ from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
-from usdsmoke.base.volume import EarlierLooks
+from usdsmoke.base.volume import EarlierLooks, StageSource
+from usdsmoke.usd import schema
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.stage.opening import open_stage
+from usdsmoke.vdb.header import read_header
 
-__all__ = ["is_look_layer", "leave_looks_out", "open_source"]
+__all__ = ["check_originals", "is_look_layer", "leave_looks_out", "open_source"]
+
+_MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 
 _INSTEAD = "stage.restylize (--restylize) takes the stylized smoke instead"
 
@@ -87,6 +91,33 @@ def leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
         if names - after.get(path, set())
     }
     return EarlierLooks((note,), files, tuple(variants), gone)
+
+
+def check_originals(stage: Usd.Stage, source: StageSource) -> None:
+    """Refuse smoke that was stylized before and has no look layer that could be left out.
+
+    That is so when a stage was flattened or its files were collected by hand. Of a Volume that is
+    not marked as stylized only the first file is looked at.
+
+    Args:
+        stage: without the looks that can be left out, see ``open_source``.
+        source: what ``find_volumes`` made of it.
+
+    Raises:
+        StageError: a density's file is a result of usdsmoke.
+        GridError: a file cannot be read.
+    """
+    for volume in source.volumes:
+        files = [frame.fields[volume.density].file_path for frame in volume.frames]
+        is_marked = stage.GetPrimAtPath(volume.prim_path).HasAttribute(schema.RUN)
+        for file_path in dict.fromkeys(files if is_marked else files[:1]):
+            if _MARK in read_header(file_path).metadata:
+                raise StageError(
+                    f"the density of <{volume.prim_path}> is stylized already: {file_path} was "
+                    "written by usdsmoke, and the stage has no look layer that could be left out, "
+                    "as after flattening; give the stage it was made from, or stylize the result "
+                    "once more with stage.restylize (--restylize)"
+                )
 
 
 def is_look_layer(layer: Sdf.Layer) -> bool:

@@ -1,47 +1,14 @@
-"""Results start from original smoke, go where they can, and write over nothing that is read."""
+"""The output folder: it can hold the result, and the result overwrites nothing that is read."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from pxr import Usd
+from usdsmoke.base.errors import LayerError
 
-from usdsmoke.base.errors import LayerError, StageError
-from usdsmoke.base.volume import StageSource
-from usdsmoke.usd import schema
-from usdsmoke.vdb.header import read_header
+__all__ = ["check_output_folder", "settle_output"]
 
-__all__ = ["check_originals", "check_output_folder", "settle_output"]
-
-_MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
-
-
-def check_originals(stage: Usd.Stage, source: StageSource) -> None:
-    """Refuse smoke that was stylized before and has no look layer that could be left out.
-
-    That is so when a stage was flattened or its files were collected by hand. Of a Volume that is
-    not marked as stylized only the first file is looked at.
-
-    Args:
-        stage: without the looks that can be left out, see ``open_source``.
-        source: what ``find_volumes`` made of it.
-
-    Raises:
-        StageError: a density's file is a result of usdsmoke.
-        GridError: a file cannot be read.
-    """
-    for volume in source.volumes:
-        files = [frame.fields[volume.density].file_path for frame in volume.frames]
-        is_marked = stage.GetPrimAtPath(volume.prim_path).HasAttribute(schema.RUN)
-        for file_path in dict.fromkeys(files if is_marked else files[:1]):
-            if _MARK in read_header(file_path).metadata:
-                raise StageError(
-                    f"the density of <{volume.prim_path}> is stylized already: {file_path} was "
-                    "written by usdsmoke, and the stage has no look layer that could be left out, "
-                    "as after flattening; give the stage it was made from, or stylize the result "
-                    "once more with stage.restylize (--restylize)"
-                )
 
 
 def settle_output(output: str | os.PathLike[str]) -> Path:
