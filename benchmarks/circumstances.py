@@ -19,9 +19,7 @@ def circumstances(command: Sequence[str]) -> list[str]:
     The commit is marked ``-dirty`` where code differs from it. Of absolute paths in the command
     the last part alone is told: they are one machine's.
     """
-    from usdsmoke.work_precision.circumstances import (
-        processor_name,  # loads much: late, and not in forks
-    )
+    from usdsmoke.work_precision.report import processor_name  # loads much: late, not in forks
 
     commit = _git("rev-parse", "--short", "HEAD") or "unknown"
     if _git("status", "--porcelain", "--untracked-files=no", "--", *_CODE):

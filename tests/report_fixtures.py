@@ -70,7 +70,7 @@ def case_of(scene: TinyScene, *settings: str) -> Case:
 def point(curve: str, label: str, error: float, cost: float, **more: Any) -> Point:
     """A point whose runs all agree."""
     spread = Spread(cost, cost, cost)
-    values: Mapping[str, Any] = {"configured": False, "setting": None, **more}
+    values: Mapping[str, Any] = {"configured": False, **more}
     return Point(
         curve, label, error=Spread(error, error, error), cost=spread, cpu=spread, wall=spread,
         n_runs=3, **values,
@@ -78,7 +78,7 @@ def point(curve: str, label: str, error: float, cost: float, **more: Any) -> Poi
 
 
 def result_of(points: Sequence[Point], name: str = "sweep", **plan: Any) -> SweepResult:
-    """A sweep of these points, without sentences."""
+    """A sweep of these points."""
     tasks: list[Task] = []
     made = Plan(tasks, "error", "what is done", "what it is compared with", **plan)
     return SweepResult(name, "A sweep", made, tuple(points), ())

@@ -14,10 +14,7 @@ from usdsmoke.base.errors import (
     OutputExists,
     WriteFailed,
 )
-from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.folder import report_folder
-from usdsmoke.work_precision.records import Plan, Task
-from usdsmoke.work_precision.run import ReportResult, make_report
+from usdsmoke.work_precision import Plan, ReportResult, Sweep, Task, make_report
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 
@@ -30,7 +27,7 @@ def sweep_of(name: str, tell: list[str]) -> Sweep:
         return 0.5
 
     plan = Plan([Task("curve", "point", work, lambda found: found, configured=True)], *"xyz")
-    return Sweep(name, f"Sweep {name}", 1.0, lambda case: "", lambda case: plan)
+    return Sweep(name, f"Sweep {name}", lambda case: "", lambda case: plan)
 
 
 def report(
@@ -80,15 +77,16 @@ def test_a_folder_that_cannot_be_made_is_refused_first(target: str, scene: TinyS
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused_and_none_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: TinyScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*args: object, **more: object) -> None:
         raise PermissionError(13, "Permission denied")
 
+    told: list[str] = []
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    with pytest.raises(WriteFailed, match="Permission denied"), report_folder(tmp_path / "a/b", []):
-        raise AssertionError("must not be entered")
-    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(WriteFailed, match="Permission denied"):
+        report(scene, told=told)
+    assert not told and not scene.output.exists()
 
 
 def test_a_style_that_is_none_is_refused_first(scene: TinyScene) -> None:
@@ -106,13 +104,13 @@ def test_an_old_report_goes_as_a_whole_and_other_files_stay(scene: TinyScene) ->
     (scene.output / "other.png").write_text("mine")
     second = report(scene, names="a")
     kept = {file_path.name for file_path in scene.output.iterdir()}
-    assert kept == {"a.png", "report.html", "report.csv", "report.json", "notes.txt", "other.png"}
+    assert kept == {"a.png", "report.html", "report.json", "notes.txt", "other.png"}
     assert set(first.files) - set(second.files) == {scene.output / "b.png"}
     held = json.loads((scene.output / "report.json").read_text(encoding="utf-8"))["files"]
     assert {scene.output / name for name in held} == set(second.files)
 
 
-@pytest.mark.parametrize("name", ["a.png", "report.csv", "report.html", "report.json"])
+@pytest.mark.parametrize("name", ["a.png", "report.html", "report.json"])
 def test_a_file_of_somebody_else_is_not_overwritten(name: str, scene: TinyScene) -> None:
     scene.output.mkdir()
     (scene.output / name).write_text("mine")
@@ -141,8 +139,8 @@ def test_a_report_that_is_stopped_keeps_nothing_and_says_so(
     def stop(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("usdsmoke.work_precision.run.run_sweeps", stop)
-    with pytest.raises(Interrupted, match="nothing that was measured is kept"):
+    monkeypatch.setattr("usdsmoke.work_precision.report.run_sweeps", stop)
+    with pytest.raises(Interrupted, match="no measurement is kept"):
         report(scene)
     assert old.page.read_bytes() == before
     new = TinyScene(scene.stage, scene.style, scene.stage.parent / "new")

@@ -18,7 +18,7 @@ from usdsmoke.planning.plan import Plan
 from usdsmoke.runs import tolerance as pipeline_tolerance
 from usdsmoke.runs.tolerance import choice_notes
 from usdsmoke.ui.cli.main import main
-from usdsmoke.work_precision.run import make_report
+from usdsmoke.work_precision import make_report
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_a_report_is_on_the_settings_that_were_chosen(
         opened.append(job)
         raise PlanError("seen enough")
 
-    monkeypatch.setattr("usdsmoke.work_precision.run.open_case", stop)
+    monkeypatch.setattr("usdsmoke.work_precision.report.open_case", stop)
     with pytest.raises(PlanError, match="seen enough"):
         make_report(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
     assert opened[0].config.views.image_size == 80 and len(measurements) == 1

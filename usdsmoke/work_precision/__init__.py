@@ -1,6 +1,26 @@
-"""Work-precision diagrams of a scene: what each choice around the configured ones gains and costs.
+"""Work-precision report: what settings gain and cost in one scene, measured (``usdsmoke report``).
 
-``run.make_report`` is what the command calls. Every sweep is a module of its own that says whether
-a scene has any use for it and which points it wants; ``engine`` takes them until the time is used,
-``conclude`` says what the figures mean, ``diagrams`` and ``page`` draw and write it.
+- ``report``: the way through, from the arguments to the files
+- ``case``: the scene: one frame and a smaller copy of it for trials
+- ``sweeps``, ``windows``, ``networks``, ``files``: the questions, each a sweep over some settings
+- ``trial``, ``unseen_loss``, ``reference``: one step on the small copy, its error, what it is
+  measured against
+- ``engine``: takes points while there is time
+- ``verdict``, ``page`` (with ``page.html.j2``), ``diagrams``: what is written
+- ``records``: points, sweeps, the report
 """
+
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Report, Task
+from usdsmoke.work_precision.report import SWEEPS, ReportResult, make_report, report_as_dict
+
+__all__ = [
+    "SWEEPS",
+    "Plan",
+    "Report",
+    "ReportResult",
+    "Sweep",
+    "Task",
+    "make_report",
+    "report_as_dict",
+]

@@ -1,7 +1,7 @@
-"""The scene of a report: one frame as it is, and a smaller copy of it to try things on."""
+"""The scene of a report: one frame, and a smaller copy of it for trials."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from usdsmoke.core.smoke.active import ActiveSmoke
     from usdsmoke.core.views.scene import Scene
-    from usdsmoke.work_precision.reference import Reference
 
 __all__ = ["Case", "open_case"]
 
@@ -31,11 +30,11 @@ _SHORTEST = 24  # voxels along the longest side of the small copy: less shows no
 
 @dataclass
 class Case:
-    """What sweeps look at.
+    """What sweeps measure.
 
     ``scene`` and ``frame`` are those of a run. ``small`` is the same frame with its voxels merged
-    in blocks until its longest side has ``longest`` at most, and ``small_scene`` has the pictures
-    that go with it; extinction is the same.
+    in blocks until its longest side has at most ``longest``. ``small_scene`` has pictures to match
+    and the same extinction.
     """
 
     job: Job
@@ -44,13 +43,10 @@ class Case:
     plan: FramePlan  # of the frame
     frame: VolumeFrame
     scene: "Scene"
-    longest: int
+    longest: int  # voxels along the longest side of the small copy, at most
     seconds: float  # that the whole report may take
-    notes: list[str] = field(default_factory=list)  # on the page, made by sweeps
-    allowed: float = math.inf  # seconds that the sweep at hand may take, set by the engine
-    trial_seconds: dict[str, float] = field(default_factory=dict)  # of a configured run, by step
-    references: dict[str, "Reference"] = field(default_factory=dict)  # by step
-    shot: Any = None  # frames that the sweeps over windows share
+    allowed: float = math.inf  # seconds that the current sweep may take, set by the engine
+    cache: dict[Hashable, Any] = field(default_factory=dict)  # what several sweeps share
 
     @property
     def config(self) -> Config:
@@ -76,7 +72,7 @@ class Case:
 
     @property
     def on_gpu(self) -> bool:
-        """Whether CPU time says nothing."""
+        """Whether the core runs on a GPU, where CPU time says nothing."""
         return self.device.type != "cpu"
 
     @cached_property
@@ -108,12 +104,12 @@ class Case:
 
     @property
     def can_shrink(self) -> bool:
-        """Whether the small copy may be made smaller still."""
+        """Whether the small copy can be made smaller."""
         low, high = self.small_smoke.box
         return self.longest // 2 >= _SHORTEST and int((high - low + 1).max()) > self.longest // 2
 
     def shrink(self, longest: int) -> None:
-        """Another size of the small copy; everything that was made of it is forgotten."""
+        """Change the size of the small copy and forget what was made from it."""
         self.longest = longest
         for name in ("small", "small_smoke", "small_scene", "halvings"):
             self.__dict__.pop(name, None)
@@ -178,8 +174,8 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     ]
     if not filled:
         raise PlanError(
-            f"no selected frame of {job.plan.source.file_path} holds any smoke; wanted one at "
-            "least: choose others with --frames or --prim"
+            f"no selected frame of {job.plan.source.file_path} holds smoke. Choose other frames "
+            "with --frames, or another Volume with --prim."
         )
     volume, frames = max(filled, key=lambda item: max(f.size.active_voxels for f in item[1]))
     chosen, reader = frames[len(frames) // 2], FrameReader(job.plan)
@@ -191,7 +187,7 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     if len(case.smoke.ijk) == 0:
         raise PlanError(
             f"timeCode {frame.time_code:g} of <{volume.source.prim_path}> holds no positive "
-            "density; wanted smoke: choose other frames with --frames"
+            "density. Choose other frames with --frames."
         )
     return case
 

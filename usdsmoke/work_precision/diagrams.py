@@ -25,8 +25,8 @@ def check_matplotlib() -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         raise MissingExtra(
-            "the report's diagrams are drawn by matplotlib, which is not installed; install the "
-            "extra 'report': pip install 'usdsmoke[report]'"
+            "the report needs matplotlib, which is not installed. Run: pip install "
+            "'usdsmoke[report]'"
         ) from None
 
 
@@ -71,7 +71,7 @@ def draw_sweep(result: SweepResult) -> bytes:
 
 
 def _draw_own_error(axes: Any, result: SweepResult) -> None:
-    """How far the two references differ, where points come near it."""
+    """A line at the distance of the references, if points come near it."""
     own = result.plan.uncertain
     if own > 0 and any(0 < point.error.low < 10 * own for point in result.points):
         axes.axvline(

@@ -1,18 +1,17 @@
-"""Takes the points of sweeps one by one as far as the time goes, and names what it did not reach.
+"""Measures the points of sweeps in order until the time is over.
 
-Every sweep has a share of what is left. For its first three points, below which a curve says
-nothing, it may go beyond that, to half of what is left, and further once it is begun. Time that is
-over at the end goes to the sweeps and points that were passed over.
+First each sweep gets its three most useful points, since fewer say nothing. The remaining time goes
+to the remaining points. A point that is not expected to fit is passed over and named.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+import resource
+import time
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.work_precision.budget import Budget
-from usdsmoke.work_precision.conclude import conclude
-from usdsmoke.work_precision.measure import Clock, Measured, Run, summarize, timed_runs
+from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import (
     CPU_TIME,
     WALL_TIME,
@@ -22,17 +21,15 @@ from usdsmoke.work_precision.records import (
     Point,
     SweepResult,
     Task,
+    spread_of,
 )
+from usdsmoke.work_precision.verdict import verdict_on
 
-if TYPE_CHECKING:
-    from usdsmoke.work_precision.case import Case
-
-__all__ = ["Sweep", "Tell", "run_sweeps"]
+__all__ = ["Budget", "Clock", "Sweep", "Tell", "measure", "run_sweeps"]
 
 _FEWEST = 3  # points of a sweep, where it has as many
-_NO_TIME = "no time was left for it"
 
-# sweep, what is done in it, share of the time that is used
+# sweep, point, share of the time that is used
 Tell = Callable[[str, str, float], None]
 
 
@@ -42,239 +39,237 @@ class Sweep:
 
     name: str
     title: str
-    weight: float  # of its share of the time
-    applies: Callable[["Case"], str]  # why the scene has no use for it, or ""
-    plan: Callable[["Case"], Plan]  # may raise LeftOut, by what case.allowed seconds suffice for
+    applies: Callable[[Case], str]  # why the scene has no use for it, or ""
+    plan: Callable[[Case], Plan]  # raises LeftOut if it does not fit case.allowed seconds
+
+
+class Budget:
+    """The time that a report may take.
+
+    Args:
+        seconds: from now on.
+        clock: seconds; for tests.
+    """
+
+    def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.seconds, self._clock = seconds, clock
+        self._began = clock()
+
+    @property
+    def spent(self) -> float:
+        """Seconds since the beginning."""
+        return self._clock() - self._began
+
+    @property
+    def left(self) -> float:
+        """Remaining seconds; negative if a point took longer than expected."""
+        return self.seconds - self.spent
+
+
+def _cpu_seconds() -> float:
+    """CPU time of this process and of the children that have ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
 
 
 @dataclass(frozen=True)
-class _Failed:
-    """Why a sweep ended with nothing."""
+class Clock:
+    """Where times come from."""
 
-    reason: str
+    wall: Callable[[], float] = time.perf_counter
+    cpu: Callable[[], float] = _cpu_seconds
+    settle: Callable[[], None] = lambda: None  # waits for work that a GPU has in its queue
+
+
+@dataclass(frozen=True)
+class _Run:
+    result: Any
+    cpu: float
+    wall: float
 
 
 @dataclass
-class _UnderWay:
-    """A sweep with what was measured and what was not."""
+class _Progress:
+    """A sweep with its measured points and the rest."""
 
     sweep: Sweep
     plan: Plan
     pending: list[Task]
-    taken: list[tuple[Task, Measured]] = field(default_factory=list)
-    rates: dict[str, float] = field(default_factory=dict)  # seconds per unit of effort, by curve
-    failure: str = ""  # what ended it
+    points: list[Point] = field(default_factory=list)
+    rate: float = 0.0  # seconds per unit of effort, with all runs of a point
+    failure: str = ""
 
-    @property
-    def missing(self) -> int:
-        """Points that it has too few."""
-        return len(self.needed)
-
-    @property
-    def needed(self) -> list[Task]:
-        """What it lacks: the configured point, and the cheapest others up to three in all."""
-        too_few = max(min(_FEWEST, len(self.plan.tasks)) - len(self.taken), 0)
+    def first(self) -> list[Task]:
+        """What is missing of the first three points: the configured one and the cheapest others."""
+        n = min(_FEWEST, len(self.plan.tasks)) - len(self.points)
         ranked = sorted(self.pending, key=lambda task: (not task.configured, self.expected(task)))
-        n_configured = sum(task.configured for task in self.pending)
-        return ranked[: max(too_few, n_configured)]
-
-    def rate(self, curve: str) -> float:
-        """Seconds that a unit of effort is expected to take; 0 where nothing is known."""
-        return self.rates.get(curve, max(self.rates.values(), default=self.plan.rate))
+        chosen = ranked[: max(n, sum(task.configured for task in self.pending))]
+        return [task for task in self.pending if task in chosen]
 
     def expected(self, task: Task) -> float:
-        """Seconds of a point, by what others took; 0 where nothing is known."""
-        return self.rate(task.curve) * task.effort * (self.plan.n_runs + self.plan.warm_up)
+        """Seconds that a point is expected to take; 0 if nothing is known."""
+        return self.rate * task.effort
+
+
+def measure(task: Task, plan: Plan, clock: Clock, known: dict[Hashable, list[_Run]]) -> Point:
+    """Measure one point: all of its runs, or those of an equal point in ``known``.
+
+    Errors are computed outside the time that is taken.
+    """
+    runs = known.get(task.key, []) if task.key is not None else []
+    if not runs:
+        task.prepare()
+        if plan.warm_up:
+            task.work(0)
+        runs = [_timed(task, number, clock) for number in range(plan.n_runs)]
+        if task.key is not None:
+            known[task.key] = runs
+    results = [run.result for run in runs]
+    cpu, wall = (spread_of([getattr(run, name) for run in runs]) for name in ("cpu", "wall"))
+    cost = spread_of([task.size(r) for r in results]) if task.size else cpu
+    notes = ", ".join(dict.fromkeys(filter(None, map(task.note, results)))) if task.note else ""
+    return Point(
+        task.curve,
+        f"{task.label} ({notes})" if notes else task.label,
+        task.configured,
+        spread_of([task.error(result) for result in results]),
+        wall if plan.y_label == WALL_TIME else cost,
+        cpu,
+        wall,
+        len(runs),
+    )
+
+
+def _timed(task: Task, number: int, clock: Clock) -> _Run:
+    clock.settle()
+    wall, cpu = clock.wall(), clock.cpu()
+    result = task.work(number)
+    clock.settle()
+    return _Run(result, clock.cpu() - cpu, clock.wall() - wall)
 
 
 def run_sweeps(
-    sweeps: Sequence[Sweep], case: "Case", budget: Budget, clock: Clock, tell: Tell
+    sweeps: Sequence[Sweep], case: Case, budget: Budget, clock: Clock, tell: Tell
 ) -> tuple[list[SweepResult], list[Omission]]:
-    """Every sweep that the scene has a use for, as far as the time allows.
+    """Measure the sweeps that the scene has a use for, as far as the time allows.
 
     Args:
         sweeps: the most useful first.
         case: the scene.
-        budget: what they share; a point that is begun is finished.
+        budget: for all of them. A point that has begun is finished.
         clock: of the measurements.
-        tell: hears of every point before it is taken.
+        tell: called before each point.
 
     Returns:
-        What was measured, and what was not, with the reason. No sweep has fewer than three points,
-        or all of its own.
+        Results, and what was left out with the reason. Each result has three points at least, or
+        all of its sweep's.
     """
-    omitted, wanted = [], []
+    engine = _Engine(case, budget, clock, tell)
+    useful, omitted = [], []
     for sweep in sweeps:
-        reason = sweep.applies(case)
-        if reason:
+        if reason := sweep.applies(case):
             omitted.append(Omission(sweep.title, reason))
         else:
-            wanted.append(sweep)
-    found = _Engine(case, budget, clock, tell).run(wanted)
-    under_way = [item for item in found.values() if isinstance(item, _UnderWay)]
-    everything = [measured for item in under_way for _, measured in item.taken]
+            useful.append(sweep)
+    # The first points of each sweep; then, with what is left, sweeps that did not fit before.
+    begun: dict[str, _Progress | str] = {}
+    for number, sweep in enumerate(useful):
+        last = number == len(useful) - 1
+        begun[sweep.name] = engine.begin(sweep, budget.left * (1.0 if last else 0.5))
+    for sweep in useful:
+        if isinstance(begun[sweep.name], str) and budget.left > 0:
+            begun[sweep.name] = engine.begin(sweep, budget.left)
+    # The remaining points.
+    for item in begun.values():
+        if isinstance(item, _Progress) and not item.first():
+            engine.take(item, list(item.pending), budget.left)
     results = []
-    for sweep in wanted:
-        item = found[sweep.name]
-        if isinstance(item, _Failed):
-            omitted.append(Omission(sweep.title, item.reason))
-            continue
-        if isinstance(item, str):
-            omitted.append(Omission(sweep.title, f"{_no_time(budget)}: {item}"))
-            continue
-        if item.missing:
-            reason = item.failure or f"{_no_time(budget)}: {_too_few(item)}"
-            omitted.append(Omission(sweep.title, reason))
-            continue
-        missing = _missing(item)
-        if missing:
-            reason = f"{item.failure or _no_time(budget)}: {'; '.join(missing)}"
-            omitted.append(Omission(f"Points of “{sweep.title}”", reason))
-        points = _points(item, case.on_gpu, everything)
-        plan = item.plan
-        if plan.chance is not None:
-            plan = replace(plan, uncertain=plan.chance())
-        results.append(conclude(SweepResult(sweep.name, sweep.title, plan, points, missing)))
+    for sweep in useful:
+        result, reason = _result(begun[sweep.name], budget)
+        results += [result] if result else []
+        if reason:
+            what = f"Points of “{sweep.title}”" if result else sweep.title
+            omitted.append(Omission(what, reason))
     return results, omitted
 
 
 class _Engine:
-    def __init__(self, case: "Case", budget: Budget, clock: Clock, tell: Tell) -> None:
+    def __init__(self, case: Case, budget: Budget, clock: Clock, tell: Tell) -> None:
         self._case, self._budget, self._clock, self._tell = case, budget, clock, tell
-        self._known: dict[Hashable, list[Run]] = {}  # by key
+        self._known: dict[Hashable, list[_Run]] = {}
 
-    def run(self, wanted: Sequence[Sweep]) -> dict[str, _UnderWay | _Failed | str]:
-        """By name: what became of each, or why it was left out."""
-        budget = self._budget
-        found: dict[str, _UnderWay | _Failed | str] = {}
-        for number, sweep in enumerate(wanted):
-            end = budget.until([later.weight for later in wanted[number:]])
-            found[sweep.name] = self._begun(sweep, end, max(end, budget.spent + budget.left / 2))
-        for sweep in wanted:  # with what is left
-            if isinstance(found[sweep.name], str) and budget.left > 0:
-                found[sweep.name] = self._begun(sweep, budget.seconds, budget.seconds)
-        begun = [item for item in found.values() if isinstance(item, _UnderWay)]
-        for item in sorted(begun, key=lambda item: item.missing == 0):
-            self._take(item, budget.seconds, budget.seconds)
-        return found
-
-    def _begun(self, sweep: Sweep, end: float, least_end: float) -> _UnderWay | _Failed | str:
-        """A sweep with the points that fit; ``least_end`` holds for the first three."""
-        if self._budget.left <= 0:
-            return _NO_TIME
+    def begin(self, sweep: Sweep, allowed: float) -> _Progress | str:
+        """Plan a sweep and take its first points; a text says why that was not possible."""
+        if allowed <= 0:
+            return "no time was left"
         self._tell(sweep.title, "reference", self._share())
-        self._case.allowed = least_end - self._budget.spent
+        end = self._budget.spent + allowed
+        self._case.allowed = allowed
         try:
             plan = sweep.plan(self._case)
         except LeftOut as reason:
             return str(reason)
         except UsdSmokeError as error:
-            return _Failed(_failure(error))
-        plan = _timed_by(plan, self._case.on_gpu)
-        item = _UnderWay(sweep, plan, list(plan.tasks))
-        self._take(item, end, least_end)
+            empty = Plan((), "", "", "")
+            return _Progress(sweep, empty, [], failure=_one_line(error))
+        if self._case.on_gpu and plan.y_label == CPU_TIME:
+            plan = replace(plan, y_label=WALL_TIME)
+        rate = plan.rate * (plan.n_runs + plan.warm_up)
+        item = _Progress(sweep, plan, list(plan.tasks), rate=rate)
+        if sum(item.expected(task) for task in item.first()) > end - self._budget.spent:
+            seconds = sum(item.expected(task) for task in item.first())
+            return f"its first points take about {seconds:.2g} s"
+        while (first := item.first()) and not item.failure:
+            if not self.take(item, first[:1], self._budget.left):
+                break
         return item
 
-    def _take(self, item: _UnderWay, end: float, least_end: float) -> None:
-        for task in list(item.pending):
-            spent = self._budget.spent
-            if item.taken:  # what was begun is not given up for others
-                least_end = self._budget.seconds
-            if item.failure or self._budget.left <= 0 or self._hopeless(item, least_end):
-                return
-            limit = least_end if item.missing else end
-            if spent + self._expected(item, task) > limit:
+    def take(self, item: _Progress, tasks: Sequence[Task], allowed: float) -> int:
+        """Measure the tasks that fit; their number."""
+        end, n_taken = self._budget.spent + allowed, 0
+        for task in tasks:
+            before = self._budget.spent
+            known = task.key is not None and task.key in self._known
+            expected = 0.0 if known else item.expected(task)
+            if self._budget.left <= 0 or before + expected > end:
                 continue
             self._tell(item.sweep.title, f"{task.curve}, {task.label}", self._share())
-            known = task.key is not None and task.key in self._known
             try:
-                item.taken.append((task, self._measured(item.plan, task)))
-            except UsdSmokeError as error:  # what others have measured is written all the same
-                item.failure = _failure(error)
-                return
+                item.points.append(measure(task, item.plan, self._clock, self._known))
+            except UsdSmokeError as error:  # other points are reported all the same
+                item.failure = _one_line(error)
+                break
             item.pending.remove(task)
+            n_taken += 1
             if not known:
-                n_runs = item.plan.n_runs + item.plan.warm_up
-                item.rates[task.curve] = (self._budget.spent - spent) / task.effort / n_runs
-
-    def _hopeless(self, item: _UnderWay, end: float) -> bool:
-        """Whether a sweep cannot come to three points with the configured one among them."""
-        return self._budget.spent + sum(self._expected(item, task) for task in item.needed) > end
-
-    def _expected(self, item: _UnderWay, task: Task) -> float:
-        if task.key is not None and task.key in self._known:
-            return 0.0
-        return item.expected(task)
-
-    def _measured(self, plan: Plan, task: Task) -> Measured:
-        task.prepare()
-        runs: Iterable[Run] = timed_runs(task.work, plan.n_runs, self._clock, plan.warm_up)
-        if task.key is not None:
-            runs = self._known[task.key] if task.key in self._known else self._kept(task.key, runs)
-        return summarize(runs, task.error, task.size, task.note, task.trace)
-
-    def _kept(self, key: Hashable, runs: Iterable[Run]) -> list[Run]:
-        self._known[key] = list(runs)
-        return self._known[key]
+                item.rate = (self._budget.spent - before) / task.effort
+        return n_taken
 
     def _share(self) -> float:
         return min(self._budget.spent / self._budget.seconds, 1.0)
 
 
-def _missing(item: _UnderWay) -> tuple[str, ...]:
-    """A curve each, with the names of its points and what they would take."""
-    by_curve: dict[str, list[str]] = {}
-    for task in item.pending:
-        seconds = item.expected(task)
-        about = f": about {seconds:.2g} s" if seconds > 0 else ""
-        by_curve.setdefault(task.curve, []).append(f"{task.label}{about}")
-    return tuple(f"{curve} ({', '.join(labels)})" for curve, labels in by_curve.items())
+def _result(item: _Progress | str, budget: Budget) -> tuple[SweepResult | None, str]:
+    """A sweep's result, if it has enough points, and why something is missing."""
+    late = f"did not fit the {budget.seconds:g} s of the report"
+    if isinstance(item, str):
+        return None, f"{late}: {item}"
+    reason = f"ended with an error: {item.failure}" if item.failure else late
+    if item.first() or not item.plan.tasks:
+        return None, reason
+    missing = tuple(_labelled(item, task) for task in item.pending)
+    plan = item.plan
+    if plan.chance is not None:
+        plan = replace(plan, uncertain=plan.chance())
+    result = SweepResult(item.sweep.name, item.sweep.title, plan, tuple(item.points), missing)
+    result = replace(result, verdict=verdict_on(result))
+    return result, f"{reason}: {'; '.join(missing)}" if missing else ""
 
 
-def _too_few(item: _UnderWay) -> str:
-    seconds = sum(item.expected(task) for task in item.needed)
-    if seconds == 0:
-        return _NO_TIME
-    return f"the first points of it would take about {seconds:.2g} s more than was left"
+def _labelled(item: _Progress, task: Task) -> str:
+    seconds = item.expected(task)
+    return f"{task.label} (about {seconds:.2g} s)" if seconds > 0 else task.label
 
 
-def _points(item: _UnderWay, on_gpu: bool, everything: Sequence[Measured]) -> tuple[Point, ...]:
-    """The points; those that did the same work, in any sweep, share the times of all their runs."""
-    measured = [_with_times_of_equals(found, everything) for _, found in item.taken]
-    points = []
-    for (task, _), found in zip(item.taken, measured, strict=True):
-        cost = found.size or (found.wall if on_gpu else found.cpu)
-        notes = ", ".join(dict.fromkeys(note for note in found.notes if note))
-        label = f"{task.label} ({notes})" if notes else task.label
-        points.append(
-            Point(
-                task.curve, label, task.configured, task.setting, found.error, cost, found.cpu,
-                found.wall, item.plan.n_runs, task.offered,
-            )
-        )  # fmt: skip
-    return tuple(points)
-
-
-def _with_times_of_equals(found: Measured, others: Sequence[Measured]) -> Measured:
-    if not found.traces:
-        return found
-    same = [other for other in others if other.traces == found.traces]
-    times = dict.fromkeys((other.cpu_times, other.wall_times) for other in same)  # each once
-    return replace(
-        found,
-        cpu_times=tuple(value for cpu, _ in times for value in cpu),
-        wall_times=tuple(value for _, wall in times for value in wall),
-    )
-
-
-def _timed_by(plan: Plan, on_gpu: bool) -> Plan:
-    """On a GPU the clock on the wall counts, and the diagram says so."""
-    return replace(plan, y_label=WALL_TIME) if on_gpu and plan.y_label == CPU_TIME else plan
-
-
-def _failure(error: UsdSmokeError) -> str:
-    return f"it ended with an error: {' '.join(str(error).split())}".rstrip(".")
-
-
-def _no_time(budget: Budget) -> str:
-    return f"did not fit the {budget.seconds:g} s that the report was given"
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".")

@@ -1,9 +1,8 @@
-"""What trials are measured against: two runs that do much more than any of them."""
+"""What trials are measured against: two runs that do much more than any trial."""
 
 from dataclasses import dataclass, replace
 
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.judge import Outcome
 from usdsmoke.work_precision.records import LeftOut
 from usdsmoke.work_precision.trial import (
     Setting,
@@ -13,19 +12,20 @@ from usdsmoke.work_precision.trial import (
     trial_seconds,
     untiring,
 )
+from usdsmoke.work_precision.unseen_loss import Outcome
 
 __all__ = ["EXCESS", "Reference", "reference_of", "reference_seconds"]
 
-EXCESS = "style loss above the reference's, as a share of the fall from the start to it"
-_RUNS = 8.5  # configured runs' time that both references take
+EXCESS = "style loss above the reference's, as a share of the fall from start to reference"
+_RUNS = 8.5  # time of both references, in configured runs
 _SHARE, _POOL = 4.0, 64  # of the iterations; views
 _SEEDS = (1000, 1001)  # numbers of runs: far from those of points
-_LEAST = 0.1  # of the distance of the references: errors below it are drawn there
+_LEAST = 0.1  # of the references' distance: smaller errors are drawn there
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Losses over unused views of what was not stylized, and of the two references."""
+    """Losses over unused views: before the step, and of the two references."""
 
     trial: Trial
     start: float
@@ -34,17 +34,17 @@ class Reference:
 
     @property
     def best(self) -> float:
-        """The lower one of the two: no error is measured against a run that ended badly."""
+        """The lower of the two losses."""
         return min(self.losses)
 
     @property
     def apart(self) -> float:
-        """How far they are apart, in the unit of errors: what no error below says anything of."""
+        """Their distance in the unit of errors. Smaller errors mean nothing."""
         return abs(self.losses[0] - self.losses[1]) / (self.start - self.best)
 
     def error(self, outcome: Outcome) -> float:
-        """0 for the reference, 1 for what was not stylized."""
-        return self.of_loss(self.trial.judge.loss(outcome))
+        """0 for the reference, 1 for the state before the step."""
+        return self.of_loss(self.trial.unseen.loss(outcome))
 
     def of_loss(self, loss: float) -> float:
         """The error of a loss over unused views; not below a tenth of ``apart``."""
@@ -52,20 +52,19 @@ class Reference:
 
     @property
     def text(self) -> str:
-        """What the page says of it."""
+        """The reference in words, for the page."""
         return (
             f"two runs of {self.n_iterations} iterations ({_SHARE:g}x the configured) with {_POOL} "
-            f"views, without the stopping rule and with seeds of their own. Before the step the "
-            f"loss is {self.start:.4g}; they end at {self.losses[0]:.4g} and "
-            f"{self.losses[1]:.4g}. The lower one is error 0; the other one has the error "
-            f"{self.apart:.2g}. So much do runs differ by their seeds alone: smaller errors cannot "
-            "be told from none."
+            "views, without the stopping rule and with their own seeds. The loss is "
+            f"{self.start:.4g} before the step and {self.losses[0]:.4g} and {self.losses[1]:.4g} "
+            f"after it. The lower one is error 0; the other has error {self.apart:.2g}, which is "
+            "how much runs differ by their seeds alone. Smaller errors mean nothing."
         )
 
 
 def reference_seconds(case: Case, step: str) -> float:
-    """What making them is expected to take; nothing when they are there."""
-    return 0.0 if step in case.references else _RUNS * trial_seconds(case, step)
+    """Seconds that making the references is expected to take; 0 once they exist."""
+    return 0.0 if ("reference", step) in case.cache else _RUNS * trial_seconds(case, step)
 
 
 def reference_of(case: Case, step: str) -> Reference:
@@ -74,16 +73,16 @@ def reference_of(case: Case, step: str) -> Reference:
     Raises:
         LeftOut: the step does not lower the loss.
     """
-    if step not in case.references:
+    if ("reference", step) not in case.cache:
         base, config = base_iterations(case, step), case.config
         most = untiring(replace(config, views=replace(config.views, pool=_POOL)))
         setting = Setting(scaled(base, _SHARE), most)
         trial = Trial(case, step, config)
         trial.prepare(setting)
-        first, second = (trial.judge.loss(trial.run(setting, seed)) for seed in _SEEDS)
-        found = Reference(trial, trial.start(), (first, second), sum(setting.per_octave))
-        case.references[step] = found
-    found = case.references[step]
+        first, second = (trial.unseen.loss(trial.run(setting, seed)) for seed in _SEEDS)
+        made = Reference(trial, trial.start(), (first, second), sum(setting.per_octave))
+        case.cache["reference", step] = made
+    found: Reference = case.cache["reference", step]
     if not found.best < found.start:
         raise LeftOut(
             f"the {step} step does not lower the loss of unused views: {found.start:.4g} before it "

@@ -1,4 +1,4 @@
-"""One step of the optimisation tried on the small frame, with the configured iterations."""
+"""Trials: one step of the optimisation on the small frame, with the configured iterations."""
 
 import time
 from collections.abc import Callable, Hashable, Sequence
@@ -10,12 +10,10 @@ import numpy as np
 
 from usdsmoke.base.config import Config
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.judge import Judge, Outcome
 from usdsmoke.work_precision.records import LeftOut, Task
+from usdsmoke.work_precision.unseen_loss import Outcome, UnseenLoss
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from usdsmoke.core.smoke.active import ActiveSmoke
     from usdsmoke.core.style.targets import StyleTargets
     from usdsmoke.core.views.scene import Scene
@@ -34,38 +32,38 @@ __all__ = [
 ]
 
 N_RUNS = 2  # of a point
-_TRIALS = 20  # configured runs that the first points of all sweeps of trials take
+_TRIALS = 20  # configured runs that the first points of all sweeps take
 _WORTH = 0.75  # of the time: a smaller copy that takes more loses detail for too little
-_PILOT = 10  # iterations an octave, and twice as many: by these the others' time is guessed
+_PILOT = 10  # iterations per octave of the first short run; the second has twice as many
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a trial differs in from the configured one."""
+    """How a trial differs from the configured one."""
 
     per_octave: tuple[int, ...]  # iterations, coarse to fine
     config: Config
-    refine: int = 1  # voxels are cut this many times
+    refine: int = 1  # subdivisions of a voxel
     pixels: int = 1  # voxels of the small frame along a pixel's side; 1 is the small scene's
 
 
 def main_step(case: Case) -> str:
-    """The step that sweeps about both are made with: the one that takes the time."""
+    """The step that most sweeps use: the one that takes the time."""
     return "colour" if "colour" in case.steps else case.steps[0]
 
 
 def copy_text(case: Case) -> str:
-    """What trials are done on, and how it differs from the frame."""
+    """What trials run on, in words."""
     if case.halvings == 0:
         return "the frame at its own size"
     return (
         f"the small copy of the frame (voxels {2**case.halvings} times as large along a side, "
-        f"pictures of {case.small_scene.image_size} pixels, not {case.scene.image_size})"
+        f"pictures of {case.small_scene.image_size} pixels instead of {case.scene.image_size})"
     )
 
 
 def base_iterations(case: Case, step: str) -> tuple[int, ...]:
-    """The configured iterations per octave, which are also those of a trial."""
+    """The configured iterations per octave; trials have the same."""
     from usdsmoke.core.smoke.schedule import octave_iterations
 
     whole = getattr(case.config, step).iterations
@@ -73,7 +71,7 @@ def base_iterations(case: Case, step: str) -> tuple[int, ...]:
 
 
 def scaled(per_octave: Sequence[int], share: float) -> tuple[int, ...]:
-    """Iterations per octave times a number; an octave that has some keeps one at least.
+    """Iterations per octave times a number. An octave that has iterations keeps at least one.
 
     >>> scaled([8, 4, 0], 0.2)
     (2, 1, 0)
@@ -87,87 +85,79 @@ def untiring(config: Config) -> Config:
 
 
 def trial_seconds(case: Case, step: str) -> float:
-    """What a run with the configured settings is expected to take on the small copy, seconds of the
-    clock on the wall.
+    """Wall-clock seconds that a configured run on the small copy is expected to take.
 
-    From two short runs, which also warm the machine up. Where it takes too large a part of the
+    Two short runs tell; they also warm the machine up. If trials would take too much of the
     report's time, the small copy is made smaller first, as long as that helps.
     """
-    main, known = main_step(case), case.trial_seconds
+    main, known = main_step(case), case.cache.setdefault("trial seconds", {})
     if main not in known:
-        taken = _guess(case, main)
-        while taken.seconds * _TRIALS > case.seconds / 2 and case.can_shrink:
+        wall, work = _pilot(case, main)
+        while wall * _TRIALS > case.seconds / 2 and case.can_shrink:
             longest = case.longest
             case.shrink(longest // 2)
-            smaller = _guess(case, main)
-            if smaller.work > _WORTH * taken.work:
+            smaller = _pilot(case, main)
+            if smaller[1] > _WORTH * work:
                 case.shrink(longest)
                 break
-            taken = smaller
-        known[main] = taken.seconds
+            wall, work = smaller
+        known[main] = wall
     if step not in known:
-        known[step] = _guess(case, step).seconds
-    return known[step]
+        known[step] = _pilot(case, step)[0]
+    return float(known[step])
 
 
 def need_seconds(case: Case, what: str, seconds: float) -> None:
-    """Leaves a sweep out that takes too long.
+    """Leave a sweep out that takes too long.
 
     Raises:
-        LeftOut: ``seconds`` are more than the sweep at hand is allowed.
+        LeftOut: ``seconds`` are more than the current sweep is allowed.
     """
     if seconds > case.allowed:
         raise LeftOut(
-            f"{what} with the configured iterations would take about {seconds:.0f} s, even on the "
-            f"copy of {case.longest} voxels at most along a side, and {max(case.allowed, 0):.0f} s "
-            "were left for that"
+            f"{what} with the configured iterations take about {seconds:.0f} s on a copy of at "
+            f"most {case.longest} voxels along a side, and {max(case.allowed, 0):.0f} s were left"
         )
 
 
-@dataclass(frozen=True)
-class _Taken:
-    """What a run takes."""
+def _pilot(case: Case, step: str) -> tuple[float, float]:
+    """Wall-clock and CPU seconds of a configured run, from two short ones.
 
-    seconds: float  # by the clock on the wall: that is what the report's time is measured in
-    work: float  # CPU seconds, which other processes change little; on a GPU as ``seconds``
-
-
-def _guess(case: Case, step: str) -> _Taken:
-    base = base_iterations(case, step)
-    trial, total = Trial(case, step, case.config), sum(base)
+    CPU seconds depend little on other processes. On a GPU both are wall-clock seconds.
+    """
+    base, trial = base_iterations(case, step), Trial(case, step, case.config)
     few, more = (tuple(min(n, each) for n in base) for each in (_PILOT, 2 * _PILOT))
-    first, second = (_taken(trial, pilot, case) for pilot in (few, more))
+    first, second = (_timed(trial, pilot, case) for pilot in (few, more))
     if sum(more) == sum(few):
         return second
-    rest = (total - sum(more)) / (sum(more) - sum(few))
-    seconds = second.seconds + rest * max(second.seconds - first.seconds, 0.3 * first.seconds)
-    work = second.work + rest * max(second.work - first.work, 0.3 * first.work)
-    return _Taken(seconds, work)
+    rest = (sum(base) - sum(more)) / (sum(more) - sum(few))
+    wall, work = (b + rest * max(b - a, 0.3 * a) for a, b in zip(first, second, strict=True))
+    return wall, work
 
 
-def _taken(trial: "Trial", per_octave: Sequence[int], case: Case) -> _Taken:
+def _timed(trial: "Trial", per_octave: Sequence[int], case: Case) -> tuple[float, float]:
     setting = Setting(tuple(per_octave), untiring(case.config))
     trial.prepare(setting)
-    started = time.perf_counter(), time.process_time()
+    wall, work = time.perf_counter(), time.process_time()
     trial.run(setting, 0)
-    wall, cpu = time.perf_counter() - started[0], time.process_time() - started[1]
-    return _Taken(wall, wall if case.on_gpu else cpu)
+    wall, work = time.perf_counter() - wall, time.process_time() - work
+    return wall, wall if case.on_gpu else work
 
 
 class Trial:
-    """A step on the small frame, from its own start, without neighbours, mask or camera's frustum.
+    """A step on the small frame, without neighbours, mask or the camera's frustum.
 
     Args:
         case: gives frame, scene and styles.
         step: ``shape`` or ``colour``.
-        config: of the features and losses that results are judged by.
+        config: of the features and losses that measure results.
     """
 
     def __init__(self, case: Case, step: str, config: Config) -> None:
         self._case, self._step = case, step
         self._scene = case.small_scene
-        self.judge = Judge(case, step, config)
-        self._targets: dict[Any, StyleTargets] = {}
+        self.unseen = UnseenLoss(case, step, config)
+        self._targets: dict[Hashable, StyleTargets] = {}
         self._smokes: dict[int, ActiveSmoke] = {1: case.small_smoke}
 
     def task(
@@ -179,20 +169,26 @@ class Trial:
         effort: float = 1.0,
         error: Callable[[Outcome], float] | None = None,
     ) -> Task:
-        """A task that runs a setting; its error is the loss unless another one is given.
+        """A task that runs a setting. Its error is the unused views' loss unless one is given.
 
-        The configured one is done once in a report. The label tells where runs stopped early.
+        The configured setting is run once in a report. The label says where runs stopped early.
         """
+        key = f"{self._step}, {self._case.longest}: {setting}" if configured else None
         return Task(
-            curve, label, partial(self.run, setting), error or self.judge.loss, None, configured,
-            effort, prepare=partial(self.prepare, setting),
-            key=self._key(setting) if configured else None,
-            note=partial(_stopped, setting), trace=_trace,
-        )  # fmt: skip
+            curve,
+            label,
+            partial(self.run, setting),
+            error or self.unseen.loss,
+            configured,
+            effort,
+            prepare=partial(self.prepare, setting),
+            key=key,
+            note=partial(_stopped, setting),
+        )
 
     def start(self) -> float:
-        """The loss before anything is done."""
-        return self.judge.start(self._case.small_smoke, self._case.small.density, ("refined", 1))
+        """The loss before the step."""
+        return self.unseen.start(self._case.small_smoke, self._case.small.density, ("refined", 1))
 
     def run(self, setting: Setting, run: int) -> Outcome:
         """The result of one run. Runs differ in their seed alone."""
@@ -209,17 +205,13 @@ class Trial:
         return Outcome(smoke, found, ("refined", setting.refine), config, len(per_octave), ends)
 
     def prepare(self, setting: Setting) -> None:
-        """Makes what is the same for all runs: the style's statistics and finer voxels."""
+        """Make what all runs share: the style's statistics and finer voxels."""
         targets = self._targets_of(setting)
-        for number in range(len(setting.per_octave)):
-            if setting.per_octave[number]:
+        for number, n_iterations in enumerate(setting.per_octave):
+            if n_iterations:
                 factor = 2 ** (len(setting.per_octave) - 1 - number)
                 targets.at(factor, grey=self._step == "shape")
         self._smoke_of(setting)
-
-    def pictures(self, outcome: Outcome) -> list["Tensor"]:
-        """See ``Judge.pictures``."""
-        return self.judge.pictures(outcome)
 
     def _moved(self, setting: Setting, config: Config) -> Any:
         from usdsmoke.core.fields.potential import Displacement, hold
@@ -233,9 +225,6 @@ class Trial:
         held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, None))
         displacement = Displacement(held, lattice)
         return move_density(self._field_of(setting), smoke, displacement, config)[0], ends
-
-    def _key(self, setting: Setting) -> Hashable:
-        return f"{self._step}, {self._case.longest}: {setting}"
 
     def _scene_of(self, setting: Setting) -> "Scene":
         if setting.pixels == 1 and setting.refine == 1:
@@ -272,13 +261,8 @@ class Trial:
 
 
 def _stopped(setting: Setting, outcome: Outcome) -> str:
-    """How many iterations were done, where the rule stopped an octave."""
+    """How many iterations were done, if the rule stopped an octave."""
     if not any(end.reason == "converged" for end in outcome.ends):
         return ""
     done = sum(end.iteration + 1 for end in outcome.ends)
     return f"{done} of {sum(setting.per_octave)} done"
-
-
-def _trace(outcome: Outcome) -> Hashable:
-    """The loss of every iteration: no two paths share it."""
-    return tuple(end.losses for end in outcome.ends)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from usdsmoke.work_precision.run import ReportResult
+    from usdsmoke.work_precision import ReportResult
 
 __all__ = ["run_report"]
 
@@ -23,7 +23,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from usdsmoke.work_precision.run import make_report
+    from usdsmoke.work_precision import make_report
 
     config, settings = given_settings(arguments)
     console = Console(stderr=True)
@@ -32,13 +32,12 @@ def run_report(arguments: argparse.Namespace) -> int:
             arguments.stage,
             arguments.style,
             arguments.output,
-            config,
-            settings,
+            [config, settings],
             arguments.budget,
             _Teller(console, bar),
         )
     if arguments.json:
-        from usdsmoke.work_precision.data import report_as_dict
+        from usdsmoke.work_precision import report_as_dict
 
         files = [str(file_path) for file_path in result.files]
         print_json({"page": str(result.page), "files": files, **report_as_dict(result.report)})

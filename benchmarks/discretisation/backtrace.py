@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.work_precision import Plan, Sweep, Task
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -58,10 +57,8 @@ def _plan(case: Case) -> Plan:
             f"{n} sub-steps" if n > 1 else "1 sub-step",
             partial(lambda order, n, run: trace(order=order, n_substeps=n), order, n),
             error,
-            1 / n,
             order == 2 and n == chosen,
             float(order * n),
-            offered=order == 2 and n == chosen,
         )
         for n in sorted({*_SUBSTEPS, chosen}, key=lambda n: (n != chosen, n))
         for order, name in sorted(_ORDERS.items(), key=lambda item: item[0] != 2)
@@ -75,7 +72,6 @@ def _plan(case: Case) -> Plan:
         "gradient jumps between voxels and orders above 2 are not reached where it does.",
         f"order 4 in {_REFERENCE_SUBSTEPS} sub-steps; order 2 in {4 * _REFERENCE_SUBSTEPS} differs "
         f"from it by {error(second):.1e} voxels.",
-        setting="the sub-step",
         uncertain=error(second),
         n_runs=5,
         warm_up=True,
@@ -98,4 +94,4 @@ def _flow(case: Case) -> tuple["Tensor", "Tensor"]:
     return torch.from_numpy(rates), torch.from_numpy(places)
 
 
-SWEEP = Sweep("backtrace", "Back-trace: order and sub-steps", 0.7, _applies, _plan)
+SWEEP = Sweep("backtrace", "Back-trace: order and sub-steps", _applies, _plan)

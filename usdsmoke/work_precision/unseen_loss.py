@@ -1,4 +1,4 @@
-"""How good a result of a trial is: its loss over views that no trial has used."""
+"""How good the result of a trial is: its loss over views that no trial uses."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from usdsmoke.core.style.picture_loss import PictureLoss
     from usdsmoke.core.views.cameras import View
 
-__all__ = ["Judge", "Outcome"]
+__all__ = ["Outcome", "UnseenLoss"]
 
-_N_VIEWS = 16  # that nobody used, and at most as many that were
-_SEED = 20_011  # far from any run's
+_N_VIEWS = 16  # unused ones, and at most as many of the used ones
+_SEED = 20_011  # of the unused views: far from any run's
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Outcome:
     ends: Sequence["Minimum"] = field(default=())  # of the octaves
 
 
-class Judge:
-    """Judges results of one step by the configured features and losses.
+class UnseenLoss:
+    """The configured style loss of one step's results, over views that the step never uses.
 
     Args:
         case: gives scene and styles.
@@ -59,7 +59,7 @@ class Judge:
     def loss(self, outcome: Outcome) -> float:
         """The configured loss of a result, the mean over the unused views."""
         keep = self._config.losses.keep
-        return float(np.mean([style + keep * left for style, left in self._unseen(outcome)]))
+        return float(np.mean([style + keep * left for style, left in self._unused(outcome)]))
 
     def gap(self, outcome: Outcome) -> float:
         """How far the style loss of unused views differs from that of used ones, relative to it.
@@ -73,7 +73,7 @@ class Judge:
         pool = frame_views(outcome.smoke, config, self._scene, seed)
         used = pool[:: max(1, len(pool) // _N_VIEWS)][:_N_VIEWS]
         ours = [style for style, _ in self._losses(outcome, used)]
-        others = [style for style, _ in self._unseen(outcome)]
+        others = [style for style, _ in self._unused(outcome)]
         mean = float(np.mean(ours))
         if mean <= 0:
             return 0.0
@@ -82,8 +82,8 @@ class Judge:
         return abs(float(np.mean(others)) - mean) / mean
 
     def chance(self) -> float:
-        """What the gap of results that look alike from everywhere would be, as single views differ:
-        its standard error, the least of all gaps that were looked at."""
+        """The gap of a result that looks alike from everywhere, because single views differ: the
+        standard error of the gap, the smallest of those that were measured."""
         return float(min(self._chances, default=0.0))
 
     def start(self, smoke: "ActiveSmoke", density: Any, place: Hashable) -> float:
@@ -102,16 +102,16 @@ class Judge:
         import torch
 
         with torch.no_grad():
-            views = self._unseen_views(outcome)
+            views = self._unused_views(outcome)
             return [
                 torch.cat([picture, guide[..., None]], dim=-1)
-                for picture, guide in self._seen(outcome, views)
+                for picture, guide in self._pictures(outcome, views)
             ]
 
-    def _unseen(self, outcome: Outcome) -> list[tuple[float, float]]:
+    def _unused(self, outcome: Outcome) -> list[tuple[float, float]]:
         if self._step == "shape":
             return self._losses(outcome, self._angles(outcome.smoke))
-        return self._colour_losses(outcome, self._unseen_views(outcome))
+        return self._colour_losses(outcome, self._unused_views(outcome))
 
     def _losses(self, outcome: Outcome, views: Sequence["View"]) -> list[tuple[float, float]]:
         """Style loss and what left the smoke's outline, by view."""
@@ -131,13 +131,14 @@ class Judge:
     ) -> list[tuple[float, float]]:
         import torch
 
-        judge: PictureLoss = self._targets.at(1)
+        loss: PictureLoss = self._targets.at(1)
         with torch.no_grad():
             return [
-                (float(judge(picture, guide)), 0.0) for picture, guide in self._seen(outcome, views)
+                (float(loss(picture, guide)), 0.0)
+                for picture, guide in self._pictures(outcome, views)
             ]
 
-    def _seen(
+    def _pictures(
         self, outcome: Outcome, views: Sequence["ColourView"]
     ) -> Iterator[tuple["Tensor", "Tensor"]]:
         from usdsmoke.core.smoke.srgb import decode_srgb
@@ -155,7 +156,7 @@ class Judge:
         from usdsmoke.core.views.project import column_map
 
         scene, smoke = self._scene, outcome.smoke
-        judge: PictureLoss = self._targets.at(1, grey=True)
+        loss: PictureLoss = self._targets.at(1, grey=True)
         moved = activate(outcome.found, np.eye(4), self._case.device)
         for view in views:
             still = column_map(smoke.positions, smoke.voxel_volume, view)
@@ -163,10 +164,10 @@ class Judge:
             image = column_map(moved.positions, moved.voxel_volume, view)
             columns = image.apply(moved.density[:, None])[..., 0]
             grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
-            loss = judge(look.filled(grey, scene.grey_mean), look.guide)
-            yield float(loss), float(look.leaving(grey))
+            seen = look.filled(grey, scene.grey_mean)
+            yield float(loss(seen, look.guide)), float(look.leaving(grey))
 
-    def _unseen_views(self, outcome: Outcome) -> Sequence["ColourView"]:
+    def _unused_views(self, outcome: Outcome) -> Sequence["ColourView"]:
         from usdsmoke.core.steps.colour import prepare_views
 
         if outcome.place not in self._prepared:

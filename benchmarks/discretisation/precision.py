@@ -3,9 +3,8 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.work_precision import Plan, Sweep, Task
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -46,16 +45,12 @@ def _plan(case: Case) -> Plan:
             ),
             error,
             configured=name == "float32" and order is None,
-            offered=name == "float32" and order is None,
         )
         for name, dtype in kinds
         for layout, order in layouts
     ]
     height, width = guide.shape
     apart = _differences(judge, picture, guide, exact)
-    others: tuple[str, ...] = ("usdsmoke has no setting for either.",)
-    if not case.on_gpu:
-        others += ("float16 is for GPUs: processors have no fast sums of it.",)
     return Plan(
         tasks,
         "relative error of the loss's gradient",
@@ -67,7 +62,6 @@ def _plan(case: Case) -> Plan:
         uncertain=apart,
         n_runs=5,
         warm_up=True,
-        notes=others,
     )
 
 
@@ -189,4 +183,4 @@ def _differences(
     return abs((ends[0] - ends[1]) / 2 - wanted) / wanted
 
 
-SWEEP = Sweep("precision", "Precision and layout of the feature network", 1.0, _applies, _plan)
+SWEEP = Sweep("precision", "Precision and layout of the feature network", _applies, _plan)

@@ -1,4 +1,4 @@
-"""Window size: what frames cost that start from their neighbours, and how well they follow."""
+"""Sweeps over the window size: temporal error and style against time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +12,8 @@ from usdsmoke.base.config import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.judge import Outcome
 from usdsmoke.work_precision.records import Plan, Task
 from usdsmoke.work_precision.reference import EXCESS, Reference, reference_of, reference_seconds
-from usdsmoke.work_precision.sweep_backtrace import ONE_FRAME
 from usdsmoke.work_precision.trial import (
     N_RUNS,
     base_iterations,
@@ -24,6 +22,7 @@ from usdsmoke.work_precision.trial import (
     need_seconds,
     trial_seconds,
 )
+from usdsmoke.work_precision.unseen_loss import Outcome
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -31,34 +30,35 @@ if TYPE_CHECKING:
     from usdsmoke.core.sequence.stylize import StylizedFrame
     from usdsmoke.core.smoke.active import ActiveSmoke
 
-__all__ = ["SWEEPS"]
+__all__ = ["WINDOWS"]
 
-NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
+_NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
+_ONE_FRAME = "one frame: nothing is carried from frame to frame"
 _LEAST_FRAMES, _FEW_FRAMES = 3, 4
 _TEXTS = {
     "temporal": (
         "temporal error (mean over neighbouring frames)",
-        "0, a pattern that moves with the smoke exactly: the error is the difference of a frame "
-        "from the one before it, carried along by the velocity, over the smoke, borders of windows "
-        "included. Style errors of the same runs stand in the sweep that follows.",
+        "0, a pattern that moves exactly with the smoke: the error is the difference between a "
+        "frame and its predecessor, carried along by the velocity, including the borders of "
+        "windows. The next sweep has the style errors of the same runs.",
     ),
     "style": (
         EXCESS,
-        "{style} They are runs of the measured frame alone; the same share of its own start is "
-        "taken as the reference of every other frame. The runs are those of the sweep before.",
+        "{style} They are runs of the measured frame alone. The other frames use the same share of "
+        "their own start as reference. The runs are those of the previous sweep.",
     ),
 }
 
 
 def _applies(case: Case) -> str:
     if len(case.neighbours(2)) < 2:
-        return ONE_FRAME
+        return _ONE_FRAME
     if case.config.losses.style == 0:
         return "losses.style is 0: nothing is optimised"
     if case.config.stage.motion == "estimate":
         return ""
     velocity = case.read_with_velocity(case.plan).velocity
-    return NO_MOTION if velocity is None or velocity.is_empty else ""
+    return _NO_MOTION if velocity is None or velocity.is_empty else ""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ class _Shot:
     @cached_property
     def starts(self) -> list[float]:
         """The loss of each frame before it is stylized."""
-        judge = self.reference.trial.judge
+        unseen = self.reference.trial.unseen
         return [
-            judge.start(smoke, frame.density, ("frame", frame.time_code))
+            unseen.start(smoke, frame.density, ("frame", frame.time_code))
             for smoke, frame in zip(self.smokes, self.frames, strict=True)
         ]
 
@@ -111,7 +111,7 @@ class _Shot:
             if found[number].emission is not None:
                 result = _painted(self.case, frame, found[number])[1]
             outcome = Outcome(smoke, result, ("frame", frame.time_code))
-            loss = reference.trial.judge.loss(outcome) * reference.start / self.starts[number]
+            loss = reference.trial.unseen.loss(outcome) * reference.start / self.starts[number]
             errors.append(reference.of_loss(loss))
         return float(np.mean(errors))
 
@@ -128,7 +128,6 @@ def _plan(error: str, case: Case) -> Plan:
             _label(size, config.windows.size if size == chosen else size),
             partial(shot.stylized, size),
             measure,
-            None,
             size == chosen,
             _effort(n, size, warm),
             key=("windows", n, size),
@@ -140,12 +139,10 @@ def _plan(error: str, case: Case) -> Plan:
     return Plan(
         tasks,
         x_label,
-        f"{n} frames, each like {copy_text(case)}, from timeCode "
-        f"{shot.frames[0].time_code:g} on, the {step} step alone with its "
-        f"{sum(base_iterations(case, step))} iterations, as configured, and "
-        "windows.warm_iterations of the last octave's where a frame starts from its neighbour; "
-        "without overlap and without the coarse step that windows share. Time is that of all "
-        f"{n} frames.{_cut_text(config.windows.size, n)}",
+        f"{n} frames, each like {copy_text(case)}, from timeCode {shot.frames[0].time_code:g} on: "
+        f"the {step} step with {sum(base_iterations(case, step))} iterations as configured, and "
+        "windows.warm_iterations where a frame starts from its neighbour. There is no overlap and "
+        f"no shared coarse step. Time is for all {n} frames.{_cut_text(config.windows.size, n)}",
         reference.format(style=style.text),
         uncertain=style.apart if error == "style" else 0.0,
         n_runs=N_RUNS,
@@ -155,7 +152,7 @@ def _plan(error: str, case: Case) -> Plan:
 
 def _shot(case: Case) -> _Shot:
     """As many frames as the configured window has, three at least, and as the time allows."""
-    if case.shot is None:
+    if "shot" not in case.cache:
         step = main_step(case)
         seconds, warm = trial_seconds(case, step), _warm_share(case)
         first = reference_seconds(case, step)
@@ -169,8 +166,8 @@ def _shot(case: Case) -> _Shot:
         n = n or min(most, _LEAST_FRAMES)
         need_seconds(case, f"three points of {n} frames and the references", needed(n))
         reference = reference_of(case, step)
-        case.shot = _Shot(case, _frames(case, n), _config(case), reference)
-    shot: _Shot = case.shot
+        case.cache["shot"] = _Shot(case, _frames(case, n), _config(case), reference)
+    shot: _Shot = case.cache["shot"]
     return shot
 
 
@@ -197,8 +194,8 @@ def _cut_text(configured: int, n: int) -> str:
     if n >= configured:
         return ""
     return (
-        f" The configured windows of {configured} are longer than the {n} frames that there are or "
-        "that fit the time: what they gain beyond that is not seen here."
+        f" The configured windows of {configured} are longer than the {n} frames that exist or fit "
+        "the time. What they gain beyond that is not visible here."
     )
 
 
@@ -289,7 +286,7 @@ def _values_at(field: Any, smoke: "ActiveSmoke") -> np.ndarray:
     return values
 
 
-SWEEPS = (
-    Sweep("windows", "Window size: temporal error", 5.0, _applies, partial(_plan, "temporal")),
-    Sweep("windows_style", "Window size: style", 1.0, _applies, partial(_plan, "style")),
+WINDOWS = (
+    Sweep("windows", "Window size: temporal error", _applies, partial(_plan, "temporal")),
+    Sweep("windows_style", "Window size: style", _applies, partial(_plan, "style")),
 )

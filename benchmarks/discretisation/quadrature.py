@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.discretisation.quadrature_rules import RULES, integrate
 from usdsmoke.base.volume import DenseField
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.quadrature import RULES, integrate
 from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
@@ -78,10 +78,8 @@ def _plan(case: Case) -> Plan:
             f"{step:g} voxel a segment" if step == 1 else f"{step:g} voxels a segment",
             partial(lambda rule, step, run: rays.light(rule, step), rule, step),
             error,
-            step,
             rule == "segments" and step == finest,
             1 / step,
-            offered=rule == "segments" and step == finest,
         )
         for step in _steps(finest)
         for rule in RULES
@@ -95,7 +93,6 @@ def _plan(case: Case) -> Plan:
         f"exponential segments of 1/{1 / _REFERENCE_STEP:.0f} voxel. The ray marcher of previews, "
         f"which cuts rays at the planes of voxels and shares no rule with this, differs from it by "
         f"{apart:.1e} (in single precision).",
-        setting="the segment's length",
         uncertain=apart,
         n_runs=5,
         warm_up=True,
@@ -186,4 +183,4 @@ def _relative(found: "Tensor", exact: "Tensor") -> float:
     return float((found - exact).square().mean().sqrt() / exact.square().mean().sqrt())
 
 
-SWEEP = Sweep("quadrature", "Quadrature rule and step along a ray", 1.0, _applies, _plan)
+SWEEP = Sweep("quadrature", "Quadrature rule and step along a ray", _applies, _plan)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdsmoke.base.volume import DenseField
+from usdsmoke.work_precision import Plan, Sweep, Task
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
@@ -21,9 +20,6 @@ _SECOND_RAYS = (4, 8)  # along each side of a pixel; extrapolated, they are the 
 _QUICK_RAYS = (2, 4)  # where those would take too long
 _SPLAT, _MARCH = "voxels splatted (ours)", "rays marched (as previews are)"
 _REFINEMENTS, _RAYS = (1, 2, 3), (1, 2, 3, 4)
-_ALONG = (
-    "The views of this scene's runs lie along the voxels' axes, where the two methods do the same."
-)
 _FEW = 100_000  # voxels up to which there is a finer refinement still
 
 
@@ -46,7 +42,6 @@ def _plan(case: Case) -> Plan:
             f"grids.refine={factor}",
             partial(lambda factor, run: _splatted(case, view, fields[factor]), factor),
             error,
-            1 / factor,
             factor == configured,
             factor**3,
         )
@@ -58,9 +53,7 @@ def _plan(case: Case) -> Plan:
             f"{n} x {n} rays a pixel",
             partial(lambda n, run: _marched(case, view, n), n),
             error,
-            1 / n,
             effort=20.0 * n**2,
-            offered=False,
         )
         for n in _RAYS
     ]
@@ -75,19 +68,17 @@ def _plan(case: Case) -> Plan:
         "the exact footprints of trilinear voxels, from their Fourier transforms, which share "
         f"nothing with either method. {n_rays[0]} x {n_rays[0]} and {n_rays[1]} x {n_rays[1]} rays "
         f"a pixel, extrapolated, differ from it by {apart:.1e}.",
-        setting="the distance of samples",
         uncertain=apart,
         n_runs=3,
         warm_up=True,
-        notes=() if _askew(view) >= 1 else (_ALONG,),
     )
 
 
 def _exact(case: Case, view: "View") -> np.ndarray:
     import torch
 
+    from benchmarks.discretisation.footprint import column_depths
     from usdsmoke.core.smoke.active import activate
-    from usdsmoke.work_precision.footprint import column_depths
 
     density = case.small.density
     smoke = activate(density, np.eye(4), torch.device("cpu"))
@@ -181,4 +172,4 @@ def _applies(case: Case) -> str:
     return ""
 
 
-SWEEP = Sweep("projection", "Projection: splatting against ray marching", 1.0, _applies, _plan)
+SWEEP = Sweep("projection", "Projection: splatting against ray marching", _applies, _plan)

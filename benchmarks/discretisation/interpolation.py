@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdsmoke.base.volume import DenseField
+from usdsmoke.work_precision import Plan, Sweep, Task
 from usdsmoke.work_precision.case import Case
-from usdsmoke.work_precision.engine import Sweep
-from usdsmoke.work_precision.records import Plan, Task
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -104,7 +103,6 @@ def _plan(case: Case) -> Plan:
             f"voxels of {1 / factor:g}",
             partial(lambda t, s, limited, run: t.turned(s, limited, _STEPS), turn, own, limited),
             turn.error,
-            1 / factor,
             own == scheme and limited and factor == 1.0,
             turn.box.numel() / 1e5 * _EFFORT[own],
         )
@@ -119,7 +117,6 @@ def _plan(case: Case) -> Plan:
         "better, and what it costs, is the same.",
         "the smoke with its voxels renamed, which is what a quarter turn comes to: exact, and no "
         "method is needed to know it.",
-        setting="the voxel's size",
         n_runs=3,
     )
 
@@ -143,4 +140,4 @@ def _merged(density: DenseField) -> np.ndarray:
     return values
 
 
-SWEEP = Sweep("interpolation", "Interpolation of the transport", 1.0, _applies, _plan)
+SWEEP = Sweep("interpolation", "Interpolation of the transport", _applies, _plan)

@@ -1,4 +1,4 @@
-"""VDB files: 16-bit against 32-bit floats, and what pruning saves."""
+"""The sweep over VDB files: 16-bit against 32-bit floats, and what pruning saves."""
 
 import tempfile
 from dataclasses import replace
@@ -14,13 +14,9 @@ from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
 from usdsmoke.work_precision.records import Plan, Task
 
-__all__ = ["SWEEP"]
+__all__ = ["FILES"]
 
 _SHARES = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)  # of the largest density
-
-
-def _applies(case: Case) -> str:
-    return ""
 
 
 def _plan(case: Case) -> Plan:
@@ -42,7 +38,6 @@ def _plan(case: Case) -> Plan:
             f"grids.prune={prune:g}",
             partial(lambda f, h, run: _written(case, f, h), fields[prune], half),
             error,
-            None,
             prune == case.config.grids.prune and half == case.config.grids.half,
             size=lambda found: float(found[0]),
         )
@@ -54,11 +49,11 @@ def _plan(case: Case) -> Plan:
     return Plan(
         tasks,
         "largest relative error of a grid (rms)",
-        f"The frame's {names} written as a result's file is and read back, at full size"
-        + (". The emission has a colour that changes smoothly in space, because the source has "
-           "none yet." if len(exact) > 1 else "."),
-        "the grids before they were written; bytes are those on the disk. The file is read back "
-        "by another process.",
+        f"The frame's {names}, written like a result and read back, at full size."
+        + (" The emission has a colour that varies smoothly in space, because the source has none."
+           if len(exact) > 1 else ""),
+        "the grids before they were written. Bytes are those on disk. Another process reads the "
+        "file back.",
         y_label="size of the file [bytes]",
         n_runs=2,
     )  # fmt: skip
@@ -83,8 +78,8 @@ def _written(case: Case, fields: list[DenseField], half: bool) -> tuple[int, lis
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.vdb"
         write_frame(target, fields, {}, half, case.config.grids)
-        wanted = [GridRequest(field.name) for field in fields]
-        read = read_grids(target, wanted, case.config.grids)
+        requests = [GridRequest(field.name) for field in fields]
+        read = read_grids(target, requests, case.config.grids)
         return target.stat().st_size, read
 
 
@@ -95,8 +90,8 @@ def _relative(found: DenseField, exact: DenseField) -> float:
         start = np.subtract(found.ijk_min, exact.ijk_min)
         i, j, k = (slice(a, a + n) for a, n in zip(start, found.values.shape, strict=False))
         values[i, j, k] = found.values
-    wanted = exact.values.astype(np.float64)
-    return float(np.sqrt(np.mean((values - wanted) ** 2) / np.mean(wanted**2)))
+    truth = exact.values.astype(np.float64)
+    return float(np.sqrt(np.mean((values - truth) ** 2) / np.mean(truth**2)))
 
 
-SWEEP = Sweep("files", "VDB files: precision and pruning", 0.8, _applies, _plan)
+FILES = Sweep("files", "VDB files: precision and pruning", lambda case: "", _plan)

@@ -1,4 +1,4 @@
-"""Embedded features against those of VGG-19, judged by neither."""
+"""The sweep over feature networks: embedded features against VGG-19, measured by neither."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from usdsmoke.work_precision.trial import Setting, Trial, base_iterations, scale
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["SWEEP", "check_network", "patch_distance"]
+__all__ = ["NETWORK", "check_network", "patch_distance"]
 
 _SHARES = (1.0, 0.5, 2.0)
 _PATCH = 7  # pixels
@@ -22,7 +22,7 @@ _N_DIRECTIONS = 64
 
 
 def check_network(plan: RunPlan) -> None:
-    """Refuse a file of VGG-19 that was named and cannot be used, before anything is measured.
+    """Refuse a named VGG-19 file that cannot be used, before anything is measured.
 
     Args:
         plan: of the run that the report is about.
@@ -30,14 +30,14 @@ def check_network(plan: RunPlan) -> None:
     Raises:
         FeatureError: it is missing, or cannot be read.
     """
-    wanted = {
+    files = {
         config.features.vgg19_file
         for config in (volume.config for volume in plan.volumes)
         if config.features.network == "vgg19"
         or ("colour" in config.optimize.steps and config.losses.style > 0
             and named_vgg19_file(config.features.vgg19_file))
     }  # fmt: skip
-    for configured in sorted(wanted):
+    for configured in sorted(files):
         _load(configured)
 
 
@@ -49,7 +49,7 @@ def _load(configured: str) -> None:
 
 def _applies(case: Case) -> str:
     if "colour" not in case.steps:
-        return "optimize.steps has no colour: patches of colour tell nothing"
+        return "optimize.steps has no colour, and colour patches are what is compared"
     if case.config.losses.style == 0:
         return "losses.style is 0: no network is evaluated"
     configured = case.config.features.vgg19_file
@@ -57,10 +57,10 @@ def _applies(case: Case) -> str:
         find_vgg19_file(configured)
     except FeatureError:
         return (
-            "no weights of VGG-19 were given (features.vgg19_file), so there is nothing to "
-            "compare the embedded features with"
+            "no weights of VGG-19 were given (features.vgg19_file) to compare the embedded "
+            "features with"
         )
-    if not named_vgg19_file(configured):  # nobody has asked for what lies in torch's cache
+    if not named_vgg19_file(configured):  # a file in torch's cache that the user has not named
         try:
             _load(configured)
         except FeatureError as error:
@@ -74,7 +74,7 @@ def _plan(case: Case) -> Plan:
     style = _style_patches(case)
 
     def error(result: Any) -> float:
-        found = [patch_distance(seen, style) for seen in trial.pictures(result)]
+        found = [patch_distance(seen, style) for seen in trial.unseen.pictures(result)]
         return sum(found) / len(found)
 
     tasks = []
@@ -91,9 +91,9 @@ def _plan(case: Case) -> Plan:
     return Plan(
         tasks,
         "distance of colour patches from the style's",
-        "The colour step on the small copy of the frame with either network. A loss cannot be "
-        "compared between networks, so results are judged by the distributions of their "
-        f"{_PATCH} x {_PATCH} pixels' patches (sliced Wasserstein), which neither network sees.",
+        "The colour step on the small copy of the frame with either network. Losses of different "
+        "networks cannot be compared, so the error is the distance between the distributions of "
+        f"{_PATCH} x {_PATCH} pixel patches (sliced Wasserstein), which neither network minimises.",
         "0 is the distance of the style image from itself.",
     )
 
@@ -137,8 +137,8 @@ def patch_distance(seen: "Tensor", style: "Tensor") -> float:
     ways = torch.randn(style.shape[1], _N_DIRECTIONS, generator=generator)
     ways = ways / ways.norm(dim=0)
     levels = torch.linspace(0.005, 0.995, 100)
-    found, wanted = (torch.quantile(p[:20000] @ ways, levels, dim=0) for p in (patches, style))
-    return float((found - wanted).square().mean().sqrt())
+    found, exact = (torch.quantile(p[:20000] @ ways, levels, dim=0) for p in (patches, style))
+    return float((found - exact).square().mean().sqrt())
 
 
-SWEEP = Sweep("network", "Embedded features against VGG-19", 2.0, _applies, _plan)
+NETWORK = Sweep("network", "Embedded features against VGG-19", _applies, _plan)

@@ -1,0 +1,339 @@
+"""``usdsmoke report`` from its arguments to its files: scene, sweeps, diagrams, page."""
+
+import datetime
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from usdsmoke import __version__
+from usdsmoke.base.errors import Interrupted, OutputExists, WriteFailed
+from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
+from usdsmoke.base.machine import package_versions, prepare_torch_environment
+from usdsmoke.base.publish import make_folders, publish_file, remove_empty
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.planning.job import Request, prepare_job
+from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
+from usdsmoke.usd.stage.opening import StageOrFile
+from usdsmoke.work_precision.case import Case, open_case
+from usdsmoke.work_precision.diagrams import check_matplotlib, draw_sweep
+from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
+from usdsmoke.work_precision.files import FILES
+from usdsmoke.work_precision.networks import NETWORK, check_network
+from usdsmoke.work_precision.page import make_page
+from usdsmoke.work_precision.records import Omission, Report
+from usdsmoke.work_precision.sweeps import ITERATIONS, OCTAVES, VIEWS, VIEWS_COUNT
+from usdsmoke.work_precision.windows import WINDOWS
+
+__all__ = ["SWEEPS", "ReportResult", "make_report", "processor_name", "report_as_dict"]
+
+PAGE, DATA = "report.html", "report.json"
+
+# The most useful first: what decides a run's time and look.
+SWEEPS: tuple[Sweep, ...] = (*ITERATIONS, VIEWS, *WINDOWS, OCTAVES, VIEWS_COUNT, NETWORK, FILES)
+_LONGEST, _LONGEST_PATIENT = 64, 128  # voxels along the longest side of the small copy
+_PATIENT = 1800.0  # seconds from which on the larger copy is used
+_NEVER = (
+    Omission(
+        "Settings of the look",
+        "layers, statistic, weights of losses, learning rates, extinction and the style's size "
+        "change the goal, so no error can compare them",
+    ),
+    Omission("Memory", "it is not measured; the plan of a run (--dry-run) estimates it"),
+    Omission("What the eye sees", "errors and losses are measured; only pictures show the rest"),
+)
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written."""
+
+    page: Path
+    files: tuple[Path, ...]  # page, diagrams and JSON
+    report: Report
+
+
+def make_report(
+    stage: StageOrFile,
+    style: Styles,
+    output: FilePath,
+    settings: RunSettings = None,
+    seconds: float = 300.0,
+    progress: Tell | None = None,
+    sweeps: Sequence[Sweep] = SWEEPS,
+) -> ReportResult:
+    """Measure the settings around the configured ones in a scene and write a page about it.
+
+    Args:
+        stage: a USD file, or an open stage without unsaved edits.
+        style: one image file or several; None if each Volume's prim names its own.
+        output: the folder of the report; made if missing. A new report replaces an old one.
+        settings: as in ``usdsmoke.stylize``.
+        seconds: time for the measurements. A point that has begun is finished.
+        progress: called with the sweep, the point, and the share of the time that is used.
+        sweeps: the most useful first.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+        UsdSmokeError: the scene cannot be used; nothing is written then.
+        WriteFailed, OutputExists: the report cannot be written there.
+        FeatureError: a named VGG-19 file cannot be read.
+        Interrupted: by Ctrl-C; an old report stays as it was.
+
+    Everything but the last is raised before the first measurement.
+    """
+    # What can be refused is refused first.
+    check_matplotlib()
+    prepare_torch_environment()
+    tell = progress or (lambda sweep, point, share: None)
+    target = Path(output).absolute()
+    tell("scene", "reading", 0.0)
+    first = prepare_job(Request(stage, style, target, settings), fits=False)
+    check_network(first.plan)
+    names = [*(f"{sweep.name}.png" for sweep in sweeps), DATA, PAGE]
+    with _report_folder(target, names) as old:
+        try:
+            # The scene, and its sweeps as far as the time goes.
+            job = settle_tolerance(first, first.with_config, keep=False)
+            longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
+            case, budget = open_case(job, longest, seconds), Budget(seconds)
+            results, omitted = run_sweeps(sweeps, case, budget, _clock_of(case), tell)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"stopped; no measurement is kept, and {target} is as it was"
+            ) from None
+        # The page.
+        tell("page", "writing", 1.0)
+        source = job.plan.source.file_path
+        report = Report(
+            f"Work and precision: {Path(source).name}, {case.volume.source.prim_path}",
+            {
+                "Scene": _scene_facts(case),
+                "Machine": _machine_facts(case, budget),
+                "Versions": _version_facts(),
+            },
+            tuple(results),
+            (*omitted, *_simplified(case), *_NEVER),
+            (_time_note(case), *choice_notes(job.plan)),
+        )
+        return _write(report, target, old)
+
+
+def report_as_dict(report: Report) -> dict[str, Any]:
+    """Everything on the page as JSON values."""
+    return {
+        "title": report.title,
+        **{name.lower(): dict(facts) for name, facts in report.facts.items()},
+        "notes": list(report.notes),
+        "sweeps": [
+            {
+                "name": sweep.name,
+                "title": sweep.title,
+                "x": sweep.plan.x_label,
+                "y": sweep.plan.y_label,
+                "about": sweep.plan.about,
+                "reference": sweep.plan.reference,
+                "verdict": sweep.verdict,
+                "missing": list(sweep.missing),
+                "points": [asdict(point) for point in sweep.points],
+            }
+            for sweep in report.sweeps
+        ],
+        "omissions": [asdict(item) for item in report.omissions],
+    }
+
+
+def processor_name() -> str:
+    """The processor's name as the system gives it."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return platform.processor() or "processor unknown"
+    names = [line.split(":", 1)[1].strip() for line in text.splitlines() if "model name" in line]
+    return names[0] if names else platform.processor() or "processor unknown"
+
+
+def _clock_of(case: Case) -> Clock:
+    if not case.on_gpu:
+        return Clock()
+    import torch
+
+    return Clock(settle=torch.cuda.synchronize)
+
+
+def _time_note(case: Case) -> str:
+    if case.on_gpu:
+        return "Times are wall-clock times, because CPU time says nothing on a GPU."
+    return (
+        "Times are CPU seconds of all threads, which depend little on other processes. The tables "
+        "also have wall-clock seconds."
+    )
+
+
+def _scene_facts(case: Case) -> dict[str, str]:
+    volume, small = case.volume, case.small_scene
+    codes = [frame.source.time_code for frame in volume.frames]
+    return {
+        "stage": Path(case.job.plan.source.file_path).name,
+        "Volume": volume.source.prim_path,
+        "timeCodes": f"{format_time_codes(codes)} ({len(codes)} frames)",
+        "measured frame": f"timeCode {format_time_code(case.frame.time_code)}",
+        "its smoke": _smoke_text(case.smoke),
+        "its pictures": f"{case.scene.image_size} pixels, extinction {case.scene.gamma_w:.4g} per "
+        "density and stage unit",
+        "small copy, for trials": f"{_smoke_text(case.small_smoke)}; {small.image_size} pixels",
+        "steps": ", ".join(case.steps),
+        "network": case.config.features.network,
+        "styles": ", ".join(case.job.styles[n].name for n in volume.styles),
+    }
+
+
+def _smoke_text(smoke: Any) -> str:
+    low, high = smoke.box
+    sides = " x ".join(str(int(n)) for n in high - low + 1)
+    return f"{sides} voxels, {len(smoke.ijk):,} active"
+
+
+def _machine_facts(case: Case, budget: Budget) -> dict[str, str]:
+    """Where and when; nothing that names the machine or its user."""
+    import torch
+
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "date": datetime.date.today().isoformat(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": f"{processor_name()}, {cores} cores, {torch.get_num_threads()} threads used",
+        "memory": f"{memory:.0f} GiB",
+        "GPU": torch.cuda.get_device_name(case.device) if case.on_gpu else "not used",
+        "load": f"{os.getloadavg()[0]:.1f} at the end",
+        "time": f"{budget.spent:.0f} s of {budget.seconds:.0f} s",
+    }
+
+
+def _version_facts() -> dict[str, str]:
+    return {
+        "usdsmoke": __version__,
+        **package_versions(),
+        "matplotlib": version("matplotlib"),
+    }
+
+
+def _simplified(case: Case) -> list[Omission]:
+    """What is simpler in the report than in a run."""
+    others = [v.source.prim_path for v in case.job.plan.volumes if v is not case.volume]
+    losses = case.config.losses
+    found = {
+        "Other Volumes": f"only the largest was measured, not {', '.join(others)}"
+        if others
+        else "",
+        "Other frames": "all sweeps but that of windows use the middle frame; others may differ"
+        if len(case.volume.frames) > 1
+        else "",
+        "Full resolution of trials": f"voxels of the trials are {2**case.halvings} times as large "
+        "along each side as the scene's"
+        if case.halvings
+        else "",
+        "The mask": "trials stylize all of the smoke" if case.frame.mask is not None else "",
+        "The camera's frustum": "trials stylize all of the smoke, seen from the camera's direction"
+        if case.scene.camera is not None
+        else "",
+        "Content losses": "trials minimise them, but results are measured without them"
+        if losses.content or losses.laplacian or losses.photorealism
+        else "",
+    }
+    return [Omission(what, reason) for what, reason in found.items() if reason]
+
+
+# ---- the folder: tried before anything is measured, and replaced as a whole
+
+
+@contextmanager
+def _report_folder(target: Path, names: Collection[str]) -> Iterator[list[str]]:
+    """Make sure of the folder; yield the files of an old report in it.
+
+    A folder that was made is removed after a failure.
+
+    Raises:
+        WriteFailed: it is a file, or cannot be made or written to.
+        OutputExists: it holds files of these names that are not from a report.
+    """
+    if target.exists() and not target.is_dir():
+        raise WriteFailed(f"cannot write a report to {target}: it is a file. Name a folder.")
+    old = _files_of(target)
+    strange = sorted(name for name in names if (target / name).exists() and name not in old)
+    if strange:
+        raise OutputExists(
+            f"{target} holds {', '.join(strange)}, which no report of usdsmoke wrote. Move it away "
+            "or name another folder."
+        )
+    made = make_folders(target)
+    try:
+        try:
+            with tempfile.TemporaryFile(dir=target) as stream:
+                stream.write(b"0")
+        except OSError as error:
+            raise WriteFailed(
+                f"cannot write to the folder {target}: {error.strerror or error}. Choose another "
+                "one or change its permissions."
+            ) from None
+        yield old
+    except BaseException:
+        remove_empty(made)
+        raise
+
+
+def _files_of(target: Path) -> list[str]:
+    """The files that belong to the report in a folder."""
+    try:
+        names = json.loads((target / DATA).read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    if not isinstance(names, list):
+        return []
+    return [name for name in names if isinstance(name, str) and Path(name).name == name]
+
+
+def _write(report: Report, target: Path, old: Sequence[str]) -> ReportResult:
+    """Make everything, then write it, then remove the old report's other files.
+
+    ``DATA`` lists the files of both reports until all is done, so that a killed process leaves
+    nothing behind for good.
+    """
+    pictures = {result.name: draw_sweep(result) for result in report.sweeps}
+    contents = {f"{name}.png": data for name, data in pictures.items()}
+    contents[PAGE] = make_page(report, pictures).encode("utf-8")
+    names = [*contents, DATA]
+
+    def put_data(files: Sequence[str]) -> None:
+        values = {**report_as_dict(report), "files": list(files)}
+        _put(target / DATA, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+
+    try:
+        put_data(list(dict.fromkeys([*names, *old])))
+        for name, content in contents.items():
+            _put(target / name, content)
+        for name in set(old) - set(names):
+            (target / name).unlink(missing_ok=True)
+        put_data(names)
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"stopped while the report was written. {target} holds a part of it, which the next "
+            "report replaces."
+        ) from None
+    return ReportResult(target / PAGE, tuple(target / name for name in names), report)
+
+
+def _put(target: Path, content: bytes) -> None:
+    publish_file(target, partial(_save, content))
+
+
+def _save(content: bytes, file_path: Path) -> None:
+    file_path.write_bytes(content)

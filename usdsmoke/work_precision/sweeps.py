@@ -1,0 +1,188 @@
+"""Sweeps over one step's own settings: iterations, views, octaves and resolution."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.records import Plan, Task
+from usdsmoke.work_precision.reference import EXCESS, reference_of, reference_seconds
+from usdsmoke.work_precision.trial import (
+    N_RUNS,
+    Setting,
+    Trial,
+    base_iterations,
+    copy_text,
+    main_step,
+    need_seconds,
+    scaled,
+    trial_seconds,
+)
+
+__all__ = ["ITERATIONS", "OCTAVES", "VIEWS", "VIEWS_COUNT"]
+
+_SHARES = (0.5, 2.0, 0.25)  # of the iterations
+_TOLERANCES = (5e-2, 1e-2, 0.0)
+_POOLS, _COUNTS = (1, 4, 64, 32), (2, 4)
+_MOST_OCTAVES = 5
+_LEAST_PIXELS = 16  # of a picture
+_COARSER, _FINER = 0.8, 3.0  # time of half and of twice the resolution
+
+# curve, label, setting, share of a configured run's time
+Choice = tuple[str, str, Setting, float]
+
+
+def _against_reference(case: Case, step: str, choices: Sequence[Choice], about: str) -> Plan:
+    """Trials of one step, the configured one first, measured against the reference."""
+    reference = reference_of(case, step)
+    return Plan(
+        [
+            reference.trial.task(curve, label, setting, number == 0, effort, reference.error)
+            for number, (curve, label, setting, effort) in enumerate(choices)
+        ],
+        EXCESS,
+        f"The {step} step on {copy_text(case)}, {sum(base_iterations(case, step))} iterations as "
+        f"configured. {about}",
+        reference.text,
+        uncertain=reference.apart,
+        n_runs=N_RUNS,
+        rate=trial_seconds(case, step),
+    )
+
+
+def _need_reference(case: Case, step: str, runs: float = 3.0) -> None:
+    seconds = reference_seconds(case, step) + runs * N_RUNS * trial_seconds(case, step)
+    need_seconds(case, "two references and three points", seconds)
+
+
+def _no_style(case: Case) -> str:
+    return "losses.style is 0: nothing is optimised" if case.config.losses.style == 0 else ""
+
+
+def _without_step(step: str, case: Case) -> str:
+    return _no_style(case) if step in case.steps else f"optimize.steps has no {step}"
+
+
+def _iterations(step: str, case: Case) -> Plan:
+    _need_reference(case, step, 1.75)
+    base, config = base_iterations(case, step), case.config
+
+    def by_share(share: float) -> Choice:
+        per_octave = scaled(base, share)
+        label = f"{sum(per_octave)} iterations ({share:g}x)"
+        return "iterations", label, Setting(per_octave, config), share
+
+    def by_rule(value: float) -> Choice:
+        own = replace(config, optimize=replace(config.optimize, tolerance=value))
+        label = f"optimize.tolerance={value:g}" if value else "no rule (optimize.tolerance=0)"
+        return "stopping rule", label, Setting(base, own), 1.0
+
+    rules = [by_rule(value) for value in _TOLERANCES if value != config.optimize.tolerance]
+    half, double, quarter = map(by_share, _SHARES)
+    choices = [by_share(1.0), half, rules[0], double, *rules[1:], quarter]
+    about = (
+        "Labels say how many iterations were done where optimize.tolerance stopped an octave. "
+        "Runs differ in their seeds, so loss and time both spread."
+    )
+    return _against_reference(case, step, choices, about)
+
+
+def _views(case: Case) -> Plan:
+    step, config = main_step(case), case.config
+    base, pool = base_iterations(case, step), config.views.pool
+    need_seconds(case, "three points", 3 * N_RUNS * trial_seconds(case, step))
+    trial = Trial(case, step, config)
+    tasks: list[Task] = []
+    for n in (pool, *(n for n in _POOLS if n != pool)):
+        own = config if n == pool else replace(config, views=replace(config.views, pool=n))
+        setting, label, error = Setting(base, own), f"views.pool={n}", trial.unseen.gap
+        tasks.append(trial.task("views in the pool", label, setting, n == pool, 1.0, error))
+    return Plan(
+        tasks,
+        "style loss of unused views: distance from that of the pool's own views",
+        f"The {step} step on {copy_text(case)}, {sum(base)} iterations as configured. A small pool "
+        "fits its own views and no others. A run reports the same error as “unseen views”.",
+        "0, a result that looks as good from everywhere. Single views differ, so the measure does "
+        "not reach 0; its standard error over the views is its uncertainty.",
+        chance=trial.unseen.chance,
+        n_runs=N_RUNS,
+        rate=trial_seconds(case, step),
+    )
+
+
+def _single_sided(case: Case) -> str:
+    if case.small_smoke.thin_axis is not None:
+        return "the smoke is one voxel thick and is seen from one side only"
+    return _no_style(case)
+
+
+def _views_count(case: Case) -> Plan:
+    step, views = main_step(case), case.config.views
+    _need_reference(case, step)
+    base = base_iterations(case, step)
+
+    def with_count(count: int) -> Choice:
+        if count == views.count:
+            label, setting = f"views.count={count}, as configured", Setting(base, case.config)
+        else:
+            fewer = scaled(base, views.count / count)
+            label = f"views.count={count}, {sum(fewer)} iterations: as many pictures"
+            setting = Setting(fewer, replace(case.config, views=replace(views, count=count)))
+        return "views per iteration", label, setting, 1.0
+
+    counts = dict.fromkeys((views.count, 1, *_COUNTS))
+    about = (
+        "More views per iteration give a better direction; the number of pictures is the same, so "
+        "there are fewer iterations."
+    )
+    return _against_reference(case, step, [with_count(count) for count in counts], about)
+
+
+def _octaves(case: Case) -> Plan:
+    step = main_step(case)
+    _need_reference(case, step)
+    base, config, size = base_iterations(case, step), case.config, case.small_scene.image_size
+    choices: list[Choice] = [("octaves", _octaves_text(base), Setting(base, config), 1.0)]
+    numbers = {1, 2, len(base) - 1, len(base) + 1} - {0, len(base)}
+    for n in sorted(numbers, key=lambda n: abs(n - len(base))):
+        if n <= _MOST_OCTAVES:
+            even = tuple(max(1, sum(base) // n) for _ in range(n))
+            effort = _effort(even) / _effort(base)
+            choices.append(("octaves", _octaves_text(even), Setting(even, config), effort))
+    if size // 2 >= _LEAST_PIXELS:
+        label = f"pictures of {round(size / 2)} pixels"
+        coarser = Setting(base, config, pixels=2)
+        choices.insert(2, ("finest resolution", label, coarser, _COARSER))
+    label = f"pictures of {2 * size} pixels, grids.refine=2"
+    choices.append(("finest resolution", label, Setting(base, config, refine=2), _FINER))
+    about = (
+        "Half and twice the pictures stand for half and twice views.image_size. All results are "
+        f"measured in pictures of {size} pixels, where finer detail is blurred. The references "
+        "have the configured octaves."
+    )
+    return _against_reference(case, step, choices, about)
+
+
+def _octaves_text(per_octave: Sequence[int]) -> str:
+    noun = "octave" if len(per_octave) == 1 else "octaves"
+    return f"{len(per_octave)} {noun} ({', '.join(map(str, per_octave))})"
+
+
+def _effort(per_octave: Sequence[int]) -> float:
+    """Small pictures take nearly as long as large ones, because of the network's calls."""
+    return sum(n * (1.0 + 0.5 * 4.0 ** (k + 1 - len(per_octave))) for k, n in enumerate(per_octave))
+
+
+ITERATIONS = tuple(
+    Sweep(
+        f"iterations_{step}",
+        f"Iterations and stopping rule, {step} step",
+        partial(_without_step, step),
+        partial(_iterations, step),
+    )
+    for step in ("colour", "shape")
+)
+VIEWS = Sweep("views", "Views in the pool", _single_sided, _views)
+VIEWS_COUNT = Sweep("views_count", "Views per iteration", _single_sided, _views_count)
+OCTAVES = Sweep("octaves", "Octaves and finest resolution", _no_style, _octaves)
