@@ -20,19 +20,17 @@ EXCEPTIONS: dict[str, str] = {}
 
 # Debts of the move into rooms, to be paid before the next release.
 DEBT = {
-    "folders": {"work_precision", "runs", "base"},
+    "folders": {"runs", "base"},
     "faces": {"usd"},
     "files in cycles": {
         "planning.plan", "planning.plan_record", "planning.needs", "planning.camera_needs",
         "planning.control_needs",
-        "work_precision.case", "work_precision.judge", "work_precision.reference",
-        "work_precision.trial",
     },
     "packages": set(),
     "parameters": {
         "advect", "_transport", "optimize_colours", "run_colour_step", "run_shape_step",
         "_optimize_octave", "_Octave.__init__", "render_view", "preview",
-        "make_request", "write_result", "make_report",
+        "make_request", "write_result",
         "__init__",
     },
 }  # fmt: skip

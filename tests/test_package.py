@@ -59,7 +59,7 @@ def test_wheel_tells_version_licence_and_command(wheel: Path) -> None:
 def test_unpacked_wheel_registers_its_schema(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
-    code = "from usdsmoke import schema; print(schema.PLUGIN_FOLDER, schema.register_schema())"
+    code = "from usdsmoke.usd import schema; print(schema.PLUGIN_FOLDER, schema.register_schema())"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -34,7 +34,7 @@ def number(value: float) -> str:
 
 
 def _ratio(value: float, configured: float) -> str:
-    return ratio_text(value / configured) if configured > 0 else ""
+    return ratio_text(value / configured) if configured > 0 else "-"
 
 
 @cache
