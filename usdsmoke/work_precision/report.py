@@ -28,7 +28,7 @@ from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweep
 from usdsmoke.work_precision.files import FILES
 from usdsmoke.work_precision.networks import NETWORK, check_network
 from usdsmoke.work_precision.page import make_page
-from usdsmoke.work_precision.records import Omission, Report
+from usdsmoke.work_precision.records import Omission, Report, SweepResult
 from usdsmoke.work_precision.sweeps import ITERATIONS, OCTAVES, VIEWS, VIEWS_COUNT
 from usdsmoke.work_precision.windows import WINDOWS
 
@@ -111,19 +111,26 @@ def make_report(
             ) from None
         # The page.
         tell("page", "writing", 1.0)
-        source = job.plan.source.file_path
-        report = Report(
-            f"Work and precision: {Path(source).name}, {case.volume.source.prim_path}",
-            {
-                "Scene": _scene_facts(case),
-                "Machine": _machine_facts(case, budget),
-                "Versions": _version_facts(),
-            },
-            tuple(results),
-            (*omitted, *_simplified(case), *_NEVER),
-            (_time_note(case), *choice_notes(job.plan)),
-        )
+        report = _report(case, results, omitted, budget)
         return _write(report, target, old)
+
+
+def _report(
+    case: Case, results: list[SweepResult], omitted: list[Omission], budget: Budget
+) -> Report:
+    plan = case.job.plan
+    facts = {
+        "Scene": _scene_facts(case),
+        "Machine": _machine_facts(case, budget),
+        "Versions": _version_facts(),
+    }
+    return Report(
+        f"Work and precision: {Path(plan.source.file_path).name}, {case.volume.source.prim_path}",
+        facts,
+        tuple(results),
+        (*omitted, *_simplified(case), *_NEVER),
+        (_time_note(case), *choice_notes(plan)),
+    )
 
 
 def report_as_dict(report: Report) -> dict[str, Any]:

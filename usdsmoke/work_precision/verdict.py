@@ -2,7 +2,7 @@
 
 from usdsmoke.work_precision.records import Point, SweepResult
 
-__all__ = ["ratio_text", "verdict_on"]
+__all__ = ["costs_more", "ratio_text", "verdict_on"]
 
 _EQUAL = 1.02  # ratio of errors that count as equal
 _CLOSE = 1.05  # ratio of costs that count as equal
