@@ -199,8 +199,8 @@ def _be_child(action: Callable[[], int], log: Path) -> None:
         os._exit(code)
 
 
-def _run_forked(request: str, folder: str, config: Any) -> None:
-    """In the place of ``usdsmoke.vdb.child._run``: a fork, not a new interpreter."""
+def _run_forked(folder: str, config: Any) -> None:
+    """In the place of ``usdsmoke.vdb.child._run``: a fork a request, not a new interpreter."""
     from usdsmoke.vdb import worker
     from usdsmoke.vdb.child import ChildFailure
 
@@ -208,8 +208,8 @@ def _run_forked(request: str, folder: str, config: Any) -> None:
     if pid == 0:
         code = _FAILED
         try:
-            sys.stdin = io.StringIO(request)
-            code = worker.main()
+            worker.answer_request(Path(folder))
+            code = 0
         except BaseException:
             traceback.print_exc()
         finally:

@@ -24,8 +24,7 @@ def shot(tmp_path: Path) -> Shot:
 @pytest.fixture
 def quick_grids(monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenVDB in this process: no limits, but no process to start for every file either."""
-    monkeypatch.setattr("usdsmoke.vdb.read.run_child", run_here)
-    monkeypatch.setattr("usdsmoke.vdb.write.run_child", run_here)
+    monkeypatch.setattr("usdsmoke.vdb.child.run_child", run_here)
 
 
 @pytest.fixture

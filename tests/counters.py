@@ -79,7 +79,7 @@ class Reads:
     def _pose(self, monkeypatch: pytest.MonkeyPatch) -> None:
         from tests.pipeline_fixtures import run_here
 
-        def reading(
+        def watched(
             request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: Any
         ) -> tuple[Any, list[np.ndarray]]:
             answer, found = run_here(request, arrays, config)
@@ -87,14 +87,8 @@ class Reads:
                 name = "/".join(Path(request["file_path"]).parts[-2:])
                 self.grids += zip(itertools.repeat(name), map(str, request["names"]))
                 self.n_bytes += sum(array.nbytes for array in found)
-            return answer, found
-
-        def writing(
-            request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: Any
-        ) -> tuple[Any, list[np.ndarray]]:
             for field, array in zip(request.get("grids", []), arrays, strict=False):
                 self.written[field["name"]] += array.nbytes
-            return run_here(request, arrays, config)
+            return answer, found
 
-        monkeypatch.setattr("usdsmoke.vdb.read.run_child", reading)
-        monkeypatch.setattr("usdsmoke.vdb.write.run_child", writing)
+        monkeypatch.setattr("usdsmoke.vdb.child.run_child", watched)

@@ -233,7 +233,7 @@ class FakeCore:
 def run_here(
     request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: Any
 ) -> tuple[Any, list[np.ndarray]]:
-    """What ``grids.child.run_child`` does, without another process and its limits."""
+    """What ``vdb.child.run_child`` does, without another process and its limits."""
     with tempfile.TemporaryDirectory() as folder:
         for n, array in enumerate(arrays):
             np.save(Path(folder) / f"in{n}.npy", array)
@@ -248,12 +248,10 @@ def run_here(
 
 def pose(core: FakeCore) -> None:
     """Put the stand-ins in place for the rest of this process."""
-    import usdsmoke.vdb.read
-    import usdsmoke.vdb.write
+    import usdsmoke.vdb.child
 
     sys.modules.update(core.modules())
-    usdsmoke.vdb.read.run_child = run_here
-    usdsmoke.vdb.write.run_child = run_here
+    usdsmoke.vdb.child.run_child = run_here
 
 
 def run(shot: Shot, *settings: str, **options: Any) -> StylizeResult:

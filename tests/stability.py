@@ -19,8 +19,8 @@ OPTIMIZE = "tests/unit/core/test_optimize.py::"
 OPTICS = "tests/unit/core/test_optics.py::"
 FEATURES = "tests/unit/core/test_features.py::"
 IMAGES = "tests/unit/test_images.py::"
-READ = "tests/unit/grids/test_read.py::"
-VELOCITY = "tests/unit/grids/test_velocity.py::"
+READ = "tests/unit/vdb/test_read.py::"
+VELOCITY = "tests/unit/vdb/test_velocity.py::"
 REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
 STAGES = "tests/test_extreme_stages.py::"
 MASK = "tests/unit/test_mask.py::"
@@ -93,7 +93,7 @@ VOLUME = _group(
      (REFUSED + "[level set]", READ + "test_grid_that_is_no_smoke_is_refused_from_its_header")),
     ("points instead of fog", "named error UnsupportedGrid: detected in the file's header",
      (READ + "test_grid_that_is_no_smoke_is_refused_from_its_header",
-      "tests/unit/grids/test_header.py::test_type_is_taken_apart")),
+      "tests/unit/vdb/test_header.py::test_type_is_taken_apart")),
     ("types that the bindings lack, beside density", "finite: density is read, the others are "
      "ignored; named error UnsupportedGrid: if one of them is requested",
      (READ + "test_grids_of_other_types_in_the_file_are_left_alone", REFUSED + "[whole numbers]")),

@@ -113,7 +113,7 @@ def test_a_dry_run_reads_no_voxel(shot: Shot, monkeypatch: pytest.MonkeyPatch) -
     def refuse(*arguments: object) -> None:
         raise AssertionError("a VDB file was opened by OpenVDB")
 
-    monkeypatch.setattr("usdsmoke.vdb.read.run_child", refuse)
+    monkeypatch.setattr("usdsmoke.vdb.child.run_child", refuse)
     assert main(shot.arguments("--dry-run", "--json")) == 0
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdVol
 
 import usdsmoke
+from tests.counters import Reads
 from tests.grids_fixtures import check_content
 from tests.pipeline_fixtures import (
     FakeCore,
@@ -25,7 +26,6 @@ from tests.usd_fixtures import density_prim, file_hashes, world, write_text, wri
 from usdsmoke.base.config import Config, GridsConfig, resolve_config
 from usdsmoke.base.errors import ImageError
 from usdsmoke.pipeline import stylize
-from usdsmoke.planning.frames import read_frame
 from usdsmoke.runs.progress import RunProgress
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -210,22 +210,14 @@ def test_settings_come_as_a_file_as_sections_as_texts_or_ready_made(shot: Shot, 
     assert [len(window.time_codes) for window in result.plan.volumes[0].windows] == [2, 1]
 
 
-@pytest.mark.usefixtures("core")
-@pytest.mark.parametrize(("kept", "n_readings"), [(2**20, 3), (0, 12)], ids=["small", "large"])
-def test_small_frames_are_read_once_and_large_ones_as_often_as_they_are_wanted(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch, kept: int, n_readings: int
+def test_every_source_frame_is_read_once(
+    shot: Shot, core: FakeCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Checked, measured, stylized, shown: with three frames each of them wants every frame."""
-    read = []
-
-    def count(volume: Any, frame: Any, *more: Any) -> Any:
-        read.append(frame.time_code)
-        return read_frame(volume, frame, *more)
-
-    monkeypatch.setattr("usdsmoke.planning.frame_reader.read_frame", count)
-    monkeypatch.setattr("usdsmoke.planning.frame_reader.KEPT_BYTES", kept)
-    run(shot)
-    assert len(read) == n_readings
+    """Checked, measured, stylized twice in the overlap, shown: each of them needs the frames."""
+    reads = Reads(monkeypatch)
+    run(shot, "windows.size=2", "windows.overlap=1")
+    sources = [name for name, _ in reads.grids if (shot.stage.parent / name).is_file()]
+    assert len(sources) == len(set(sources)) == 3
 
 
 @pytest.mark.usefixtures("core")

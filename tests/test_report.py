@@ -39,8 +39,7 @@ def shortened(sweep: Sweep) -> Sweep:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReportResult]:
     """A report with two points of every sweep that a moving puff has a use for."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("usdsmoke.vdb.read.run_child", run_here)
-        patch.setattr("usdsmoke.vdb.write.run_child", run_here)
+        patch.setattr("usdsmoke.vdb.child.run_child", run_here)
         scene = make_scene(tmp_path_factory.mktemp("report"))
         sweeps = [shortened(sweep) for sweep in SWEEPS]
         yield make_report(

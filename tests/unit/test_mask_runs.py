@@ -65,18 +65,6 @@ def test_the_masks_box_counts_in_the_memory(masked_shot: Shot) -> None:
     assert masked.estimate.bytes_written == plain.estimate.bytes_written
 
 
-@pytest.mark.usefixtures("quick_grids")
-@pytest.mark.parametrize(("missing", "kept"), [(0, True), (1, False)])
-def test_a_frame_is_remembered_when_density_and_mask_fit_together(
-    masked_shot: Shot, monkeypatch: pytest.MonkeyPatch, missing: int, kept: bool
-) -> None:
-    monkeypatch.setattr("usdsmoke.planning.frame_reader.KEPT_BYTES", 4 * (24 + 12) - missing)
-    plan = plan_of(masked_shot.stage)
-    reader, (volume,) = FrameReader(plan), plan.volumes
-    first = reader.read(volume, volume.frames[0])
-    assert (reader.read(volume, volume.frames[0]) is first) == kept
-
-
 def test_the_core_gets_the_mask_and_the_layer_records_it_but_leaves_its_field_as_it_is(
     masked_shot: Shot, core: FakeCore
 ) -> None:

@@ -40,7 +40,7 @@ def no_voxels(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*arguments: object) -> None:
         raise AssertionError("the plan has read voxels")
 
-    monkeypatch.setattr("usdsmoke.vdb.read.run_child", refuse)
+    monkeypatch.setattr("usdsmoke.vdb.child.run_child", refuse)
 
 
 def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -> None:

@@ -1,20 +1,16 @@
-"""The frames of a run as they are asked for: to be checked, measured, stylized, shown."""
+"""The source frames of a run: checked, measured, stylized and shown, and read from disk once."""
 
-from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.planning.frames import read_frame
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.planning.frames import read_frame, read_velocity_grids
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.content_hash import hash_fields
+from usdsmoke.vdb.store import GridStore
 
-__all__ = ["KEPT_BYTES", "FrameReader", "hash_sources"]
-
-KEPT_BYTES = 8 * 2**20  # of voxels, over all frames: memory must not grow with the shot
+__all__ = ["FrameReader", "hash_sources"]
 
 
 class FrameReader:
-    """Reads frames from disk, and remembers the first ones as long as they are small.
-
-    A frame is wanted two or three times in a run, and every reading starts a process. Frames that
-    do not fit ``KEPT_BYTES`` together with those before are read again each time.
+    """Reads the frames of a plan. Each grid is decoded and checked once, see ``GridStore``.
 
     Args:
         plan: which grids of which files.
@@ -22,27 +18,36 @@ class FrameReader:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._kept: dict[str, VolumeFrame] = {}
-        self._n_bytes = 0
+        self._store = GridStore(plan.estimate.bytes_written)
 
     def read(self, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
-        """The dense fields of a frame; its arrays are not to be written to.
+        """The dense fields of a frame. Do not write to its arrays.
 
         Raises:
             GridError: a file or grid cannot be used.
             NonFiniteError: NaN or infinite voxels that are not to be repaired.
         """
-        if frame.file_name in self._kept:
-            return self._kept[frame.file_name]
         rate = self._plan.source.time_codes_per_second
-        config = volume.config
-        read = read_frame(volume.source, frame.source, config, frame.velocity, rate, frame.mask)
-        fields = (read.density, read.velocity, read.mask)
-        n_bytes = sum(field.values.nbytes for field in fields if field is not None)
-        if self._n_bytes + n_bytes <= KEPT_BYTES:
-            self._kept[frame.file_name] = read
-            self._n_bytes += n_bytes
-        return read
+        return read_frame(
+            volume.source,
+            frame.source,
+            volume.config,
+            frame.velocity,
+            rate,
+            frame.mask,
+            self._store.read,
+        )
+
+    def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
+        """The velocity's grids that are written beside a frame's result, as they are in the file.
+
+        Raises:
+            GridError: see ``read_velocity_grids``.
+        """
+        if frame.copied is None:
+            return []
+        density = frame.source.fields[volume.source.density]
+        return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:

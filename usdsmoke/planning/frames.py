@@ -12,7 +12,7 @@ from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
 from usdsmoke.vdb.header import FileHeader, GridHeader
-from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
+from usdsmoke.vdb.read import GridRequest, ReadGrids, check_readable, find_grid, read_grids
 from usdsmoke.vdb.velocity import find_velocity, read_velocity
 
 __all__ = [
@@ -170,6 +170,7 @@ def read_frame(
     velocity: VelocitySource | None = None,
     time_codes_per_second: float = 24.0,
     mask: MaskSource | None = None,
+    read: ReadGrids = read_grids,
 ) -> VolumeFrame:
     """The dense fields of one timeCode.
 
@@ -181,17 +182,18 @@ def read_frame(
         time_codes_per_second: turns velocities per frame, that is per timeCode, into
             velocities per second; how fast a player shows frames does not count.
         mask: from ``find_frame_mask``; None reads no mask.
+        read: reads the grids of a file.
 
     Raises:
         GridError: a file or grid cannot be used.
         NonFiniteError: NaN or infinite voxels, unless ``grids.repair_nan`` replaces them.
     """
     source = frame.fields[volume.density]
-    (density,) = read_grids(source.file_path, [_density_request(source)], config.grids)
+    (density,) = read(source.file_path, [_density_request(source)], config.grids)
     moving = None
     if velocity is not None:
         request = GridRequest(velocity.name, velocity.field.grid_index, _where(velocity.field))
-        moving = read_velocity(velocity.field.file_path, request, config.grids)
+        moving = read_velocity(velocity.field.file_path, request, config.grids, read)
     if moving is not None and config.stage.velocity_unit == "frame":
         values = moving.values * np.float32(time_codes_per_second)
         moving = dataclasses.replace(moving, values=values)
@@ -201,21 +203,24 @@ def read_frame(
         density_to_stage=source.field_to_stage,
         velocity=moving,
         velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
-        mask=None if mask is None else _read_mask(mask, config),
+        mask=None if mask is None else _read_mask(mask, config, read),
         mask_to_stage=None if mask is None else mask.field.field_to_stage,
         controls=frame.controls,
         camera=frame.camera,
     )
 
 
-def _read_mask(mask: MaskSource, config: Config) -> DenseField:
+def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
     """By itself, even from the density's file: the limits of reading are one grid's."""
     request = _mask_request(mask.field, mask.grid.name, mask.grid.index)
-    return read_grids(mask.field.file_path, [request], config.grids)[0]
+    return read(mask.field.file_path, [request], config.grids)[0]
 
 
 def read_velocity_grids(
-    velocity: VelocitySource, density: FieldSource, config: Config
+    velocity: VelocitySource,
+    density: FieldSource,
+    config: Config,
+    read: ReadGrids = read_grids,
 ) -> list[DenseField]:
     """The velocity's grids as they are in the file, to be written beside the density.
 
@@ -231,7 +236,7 @@ def read_velocity_grids(
             f"<{density.prim_path}>; wanted the same: unset layer.copy_velocity"
         )
     wanted = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
-    return read_grids(velocity.field.file_path, wanted, config.grids)
+    return read(velocity.field.file_path, wanted, config.grids)
 
 
 def _density_request(source: FieldSource) -> GridRequest:

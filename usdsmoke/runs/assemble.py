@@ -30,7 +30,6 @@ from usdsmoke.runs.outputs import (
     collect_volume,
     frame_record,
     result_fields,
-    with_storage,
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.sheet import write_contact_sheet
@@ -142,7 +141,7 @@ def _assemble(
     tell: RunProgressCallback,
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """All of it but the run's record: the layers' files, and what went wrong with the sheets."""
-    _collect_frames(job, run, windows, tell)
+    _collect_frames(job, run, windows, reader, tell)
     volumes = [
         collect_volume(run, volume, scene["gamma_w"], job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
@@ -184,7 +183,11 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
 
 
 def _collect_frames(
-    job: Job, run: RunFolder, windows: Sequence[WindowRecord], tell: RunProgressCallback
+    job: Job,
+    run: RunFolder,
+    windows: Sequence[WindowRecord],
+    reader: FrameReader,
+    tell: RunProgressCallback,
 ) -> None:
     """Note every frame of the result in the run's record; blend those that two windows have."""
     versions = _versions(job.plan, run, windows)
@@ -199,7 +202,7 @@ def _collect_frames(
         if name in kept and kept[name].get("parts") == pair.digests:
             continue
         tell(RunProgress("blend", pair.frame.source.time_code, number, len(versions), 1.0))
-        run.finish_frame(name, _blend(run, pair))
+        run.finish_frame(name, _blend(run, pair, reader))
         give_back_memory()
 
 
@@ -217,7 +220,7 @@ def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> di
     return found
 
 
-def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
+def _blend(run: RunFolder, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
     """Write the blend of both versions of a frame; its record."""
     volume, frame, config = pair.volume, pair.frame, pair.volume.config
     tail, head = (_read_part(run, pair, window) for window in (pair.tail, pair.head))
@@ -229,9 +232,9 @@ def _blend(run: RunFolder, pair: _Versions) -> dict[str, Any]:
     blended = blend_frames(tail, head, pair.weight)
     gamma_w = pair.reports[1].extinction
     gamma_w = pair.gamma_w if gamma_w is None else gamma_w
-    fields = result_fields(blended, volume, frame, gamma_w, config)
+    copied, report = reader.read_copied(volume, frame), _blended_report(pair, difference)
+    fields, report = result_fields(blended, copied, report, gamma_w, config)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
-    report = with_storage(_blended_report(pair, difference), blended, config.grids)
     metadata = frame_metadata(run, volume, frame, hashes, report, config.grids)
     target = run.folder / frame.file_name
     content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)

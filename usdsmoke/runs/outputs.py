@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke import __version__
-from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.publish import make_folders
@@ -15,7 +15,7 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.pictures.png import StyleImage
-from usdsmoke.planning.frames import read_velocity_grids
+from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, VolumePlan, result_file_names
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata
@@ -32,37 +32,37 @@ __all__ = [
     "frame_record",
     "plain_values",
     "result_fields",
-    "with_storage",
     "write_result",
 ]
 
 
 def result_fields(
     fields: Sequence[DenseField],
-    volume: VolumePlan,
-    frame: FramePlan,
+    copied: Sequence[DenseField],
+    report: FrameReport,
     gamma_w: float,
     config: Config,
-) -> list[DenseField]:
-    """The grids of a result's file: density and emission, pruned, the other colours that are asked
-    for, and the velocity when it is asked for.
+) -> tuple[list[DenseField], FrameReport]:
+    """The grids of a result's file, and the frame's report with what is lost by storing them.
 
     Args:
         fields: density and, after a colour step, emission.
-        volume, frame: what they are the result of.
+        copied: grids that are written beside them as they are.
+        report: of the frame.
         gamma_w: extinction per density, 1/stage unit.
         config: the resolved settings.
+
+    Returns:
+        Density and emission, pruned, and the other grids that are asked for; the report.
     """
-    fields = pruned(fields, config.grids.prune)
-    fields[1:] = [
+    density, *emissions = kept = pruned(fields, config.grids.prune)
+    colours = [
         grid
-        for emission in fields[1:]
-        for grid in make_colour_grids(fields[0], emission, gamma_w, config.layer)
+        for emission in emissions
+        for grid in make_colour_grids(density, emission, gamma_w, config.layer)
     ]
-    if frame.copied is not None:
-        source = frame.source.fields[volume.source.density]
-        fields += read_velocity_grids(frame.copied, source, config)
-    return fields
+    lost = storage_errors(fields, config.grids, report.errors, kept)
+    return [density, *colours, *copied], dataclasses.replace(report, errors=lost)
 
 
 def write_result(
@@ -72,7 +72,7 @@ def write_result(
     frame: FramePlan,
     stylized: "StylizedFrame",
     gamma_w: float,
-    config: Config,
+    reader: FrameReader,
     source_hashes: Mapping[str, str],
 ) -> dict[str, Any]:
     """Write what one window made of a frame.
@@ -87,7 +87,7 @@ def write_result(
         volume, frame: what it is the result of.
         stylized: the result.
         gamma_w: the scene's extinction, for frames without one of their own.
-        config: the resolved settings.
+        reader: of the source's frames, for grids that are copied.
         source_hashes: content hashes of what was read, see ``hash_sources``.
 
     Returns:
@@ -101,11 +101,11 @@ def write_result(
     if stylized.emission is not None:
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
     is_part, report = name != frame.file_name, stylized.report
+    config = volume.config
     if not is_part:
-        report = with_storage(report, fields, config.grids)
-        own = report.extinction
-        gamma_w = gamma_w if own is None else own
-        fields = result_fields(fields, volume, frame, gamma_w, config)
+        gamma_w = gamma_w if report.extinction is None else report.extinction
+        copied = reader.read_copied(volume, frame)
+        fields, report = result_fields(fields, copied, report, gamma_w, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
     half = config.grids.half and not is_part
@@ -113,13 +113,6 @@ def write_result(
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
     return {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
-
-
-def with_storage(
-    report: FrameReport, fields: Sequence[DenseField], config: GridsConfig
-) -> FrameReport:
-    """A frame's report with what is lost when these fields are written, see ``storage_errors``."""
-    return dataclasses.replace(report, errors=storage_errors(fields, config, report.errors))
 
 
 def frame_record(

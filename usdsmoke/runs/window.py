@@ -203,7 +203,7 @@ def _stylize_window(
         name, hashes = task.file_name(frame), source_hashes[frame.file_name]
         records[name] = clock.timed(
             "writing", write_result,
-            run, name, task.volume, frame, stylized, gamma_w, config, hashes,
+            run, name, task.volume, frame, stylized, gamma_w, reader, hashes,
         )  # fmt: skip
         give_back_memory()
     window = WindowRecord(

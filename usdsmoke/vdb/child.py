@@ -1,83 +1,247 @@
-"""The parent's side of the process that touches VDB files: start it, limit it, understand its end.
+"""The caller's side of the process that touches VDB files: start it, ask it, limit it.
 
 OpenVDB trusts what it reads: a damaged file can abort the process or make it take all memory. So
-no file is opened by OpenVDB in this process. A child does it under a limit of address space and of
-time, and hands arrays over through files in a private folder.
+this process opens no file with OpenVDB. A worker process does it under a limit of address space
+and of time, and hands arrays over through files in a private folder.
+
+One worker serves all requests of a process, one after the other. It is replaced after anything but
+a success, and when it has grown. It ends when its parent ends, however rudely.
 """
 
+import atexit
 import fcntl
 import json
-import math
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from usdsmoke.base import errors
 from usdsmoke.base.config import GridsConfig
 
-__all__ = ["ChildFailure", "run_child"]
+__all__ = ["ChildFailure", "end_worker", "run_child"]
 
 _GIB = 2**30
 _PATIENCE = 10  # seconds by the clock for each of the processor: disks and neighbours are slow
-_OUT_OF_TIME = getattr(signal, "SIGXCPU", 0)  # Windows has no such signal
-_STDERR_TAIL = 400  # bytes of the child's last words that a message quotes
+_OUT_OF_TIME = getattr(signal, "SIGPROF", 0)  # Windows has no such signal
+_STDERR_TAIL = 400  # bytes of the worker's last words that a message quotes
 _PREFIX = "usdsmoke-"  # of folders for temporary files
 _HELD = "held"  # a file in them, locked as long as their process lives
-_STALE = 600.0  # seconds after which a folder that nobody holds is swept away
+_STALE = 600.0  # seconds after which a folder that no process holds is removed
+_FAREWELL = 10.0  # seconds that a worker has to end when it is told to
 _PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
 class ChildFailure(Exception):
-    """The child gave no answer; the text says why. Its callers turn it into a named error."""
+    """The worker gave no answer; the text says why. Its callers turn it into a named error."""
 
 
 def run_child(
     request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: GridsConfig
 ) -> tuple[Any, list[np.ndarray]]:
-    """What ``usdsmoke.vdb.worker`` answers to a request.
+    """Ask ``usdsmoke.vdb.worker``, which is started if it does not run. Threads take turns.
 
     Args:
         request: JSON values; ``action`` names one of the worker's functions.
         arrays: handed over with it, in this order.
-        config: ``memory_limit_gib`` and ``time_limit_s`` hold for the child.
+        config: ``memory_limit_gib`` and ``time_limit_s`` hold for this request.
 
     Returns:
         The answer's JSON values and the arrays that came with it.
 
     Raises:
-        ChildFailure: the child was stopped by a limit, crashed, or OpenVDB refused.
-        UsdSmokeError: the named error that the child answered with.
+        ChildFailure: the worker was stopped by a limit, crashed, or OpenVDB refused.
+        UsdSmokeError: the named error that the worker answered with.
         WriteFailed: the folder for temporary files is full or may not be written to.
     """
+    limits = {
+        "memory_limit_bytes": int(config.memory_limit_gib * _GIB),
+        "cpu_limit_s": config.time_limit_s,
+    }
     try:
         _sweep(tempfile.gettempdir())
         with _private_folder() as folder:
             for n, array in enumerate(arrays):
                 np.save(Path(folder) / f"in{n}.npy", array, allow_pickle=False)
-            limits = {
-                "folder": folder,
-                "memory_limit_bytes": int(config.memory_limit_gib * _GIB),
-                "cpu_limit_s": math.ceil(config.time_limit_s),
-            }
-            _run(json.dumps({**request, **limits}), folder, config)
+            text = json.dumps({**request, **limits})
+            (Path(folder) / "request.json").write_text(text, encoding="utf-8")
+            _run(folder, config)
             answer = _answer(folder)
             return answer["answer"], _arrays(folder, answer["n_arrays"])
     except OSError as error:
         raise errors.WriteFailed(
-            f"cannot hand grids over in {tempfile.gettempdir()}: {error.strerror or error}; "
-            "free some space there or set TMPDIR to another folder"
+            f"cannot hand grids over in {tempfile.gettempdir()}: {error.strerror or error}. "
+            "Free some space there or set TMPDIR to another folder."
         ) from error
+
+
+def end_worker() -> None:
+    """End this process's worker, if there is one. The next request starts another."""
+    global _worker
+    with _turn:
+        worker, _worker = _worker, None
+        if worker is not None:
+            worker.end()
+
+
+class _Worker:
+    """A running ``usdsmoke.vdb.worker`` and the pipes to it."""
+
+    def __init__(self) -> None:
+        self.messages: IO[bytes] = tempfile.TemporaryFile()  # a file: they cannot fill memory
+        with _interrupts_held():  # Ctrl-C is for the parent, which then ends the worker
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "usdsmoke.vdb.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self.messages,
+                env=_environment(),
+                bufsize=0,
+            )
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.requests, self.answers = self.process.stdin, self.process.stdout
+
+    def ask(self, folder: str, seconds: float) -> bool:
+        """Have the request in a folder answered there; whether the worker takes another one.
+
+        Raises:
+            ChildFailure: it ended, or did not answer within ``seconds`` by the clock.
+        """
+        self.messages.seek(0)
+        self.messages.truncate()
+        with suppress(BrokenPipeError):  # it has ended, which the empty answer shows
+            self.requests.write(json.dumps(folder).encode() + b"\n")
+        waiting = select.poll()
+        waiting.register(self.answers, select.POLLIN)
+        if not waiting.poll(1000 * seconds):
+            raise ChildFailure(f"it took longer than {seconds:.3g} s and was given up")
+        word = self.answers.read(16)
+        if word:
+            return word == b"next\n"
+        raise _Ended(self.wait(_FAREWELL))
+
+    def last_words(self) -> str:
+        """The last line that it has printed."""
+        size = self.messages.seek(0, os.SEEK_END)
+        self.messages.seek(max(0, size - _STDERR_TAIL))
+        lines = self.messages.read().decode("utf-8", errors="replace").strip().splitlines()
+        return lines[-1].strip() if lines else ""
+
+    def end(self, patience: float = _FAREWELL) -> None:
+        """Let it end, or make it end."""
+        self.requests.close()
+        self.wait(patience)
+        self.forget()
+
+    def wait(self, patience: float) -> int:
+        """Its return code; it is killed when it does not end within ``patience`` seconds."""
+        try:
+            return self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def forget(self) -> None:
+        """Close this process's ends of the pipes."""
+        for stream in (self.requests, self.answers, self.messages):
+            stream.close()
+
+
+class _Ended(Exception):
+    """The worker ended without an answer; with its return code."""
+
+
+_worker: _Worker | None = None
+_turn = threading.RLock()
+atexit.register(end_worker)
+
+
+def _forget_parents_worker() -> None:
+    """In a fork: the worker and its turn belong to the parent."""
+    global _worker, _turn
+    if _worker is not None:
+        _worker.forget()
+        _worker.process.returncode = 0  # nothing to wait for
+    _worker, _turn = None, threading.RLock()
+
+
+os.register_at_fork(after_in_child=_forget_parents_worker)
+
+
+def _run(folder: str, config: GridsConfig) -> None:
+    """Have the request in a folder answered there.
+
+    Raises:
+        ChildFailure: there is no answer.
+    """
+    global _worker
+    with _turn:
+        if _worker is not None and _worker.process.poll() is not None:
+            end_worker()  # somebody has killed it while it had nothing to do
+        if _worker is None:
+            _worker = _Worker()
+        worker, goes_on, patience = _worker, False, 0.0
+        try:
+            goes_on = worker.ask(folder, _PATIENCE * config.time_limit_s)
+            patience = _FAREWELL
+        except _Ended as ended:
+            raise ChildFailure(_ending(ended.args[0], worker.last_words(), config)) from None
+        finally:
+            if not goes_on:
+                _worker = None
+                worker.end(patience)
+
+
+def _ending(return_code: int, last_words: str, config: GridsConfig) -> str:
+    """Why a worker ended."""
+    if return_code == -_OUT_OF_TIME:
+        return f"it took more than {config.time_limit_s:.3g} s of the processor and was given up"
+    if return_code < 0:
+        try:
+            ending = f"OpenVDB ended with {signal.Signals(-return_code).name}"
+        except ValueError:
+            ending = f"OpenVDB ended with signal {-return_code}"
+    else:
+        ending = f"OpenVDB's process ended with code {return_code}"
+    return f"{ending} ({last_words})" if last_words else ending
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Processes that are started meanwhile never get Ctrl-C; this one gets it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _environment() -> dict[str, str]:
+    """This process's own, with its search path, one thread each, and nothing loaded late."""
+    search = [_PACKAGE_PARENT, *(entry for entry in sys.path if entry)]
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(search),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MALLOC_ARENA_MAX": "2",  # every arena reserves address space, which is what is limited
+        "OPENVDB_DISABLE_DELAYED_LOAD": "1",
+    }
 
 
 @contextmanager
@@ -102,57 +266,6 @@ def _sweep(folder: str) -> None:
             with open(path, "rb") as held:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(path.parent, ignore_errors=True)
-
-
-def _run(request: str, folder: str, config: GridsConfig) -> None:
-    """Run the child to its end; its messages go to a file, so that they cannot fill memory."""
-    with open(Path(folder) / "stderr", "wb+") as messages:
-        try:
-            ended = subprocess.run(
-                [sys.executable, "-P", "-m", "usdsmoke.vdb.worker"],
-                input=request.encode(),
-                stdout=subprocess.DEVNULL,
-                stderr=messages,
-                env=_environment(),
-                timeout=_PATIENCE * config.time_limit_s,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise ChildFailure(
-                f"it took longer than {_PATIENCE * config.time_limit_s:.3g} s and was given up"
-            ) from None
-        if ended.returncode == -_OUT_OF_TIME:
-            raise ChildFailure(
-                f"it took more than {config.time_limit_s:.3g} s of the processor and was given up"
-            )
-        if ended.returncode != 0:
-            messages.seek(0)
-            raise ChildFailure(_last_words(ended.returncode, messages.read()))
-
-
-def _environment() -> dict[str, str]:
-    """This process's own, with its search path, one thread each, and nothing loaded late."""
-    search = [_PACKAGE_PARENT, *(entry for entry in sys.path if entry)]
-    return {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(search),
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-        "MALLOC_ARENA_MAX": "2",  # every arena reserves address space, which is what is limited
-        "OPENVDB_DISABLE_DELAYED_LOAD": "1",
-    }
-
-
-def _last_words(return_code: int, messages: bytes) -> str:
-    if return_code < 0:
-        try:
-            ending = f"OpenVDB ended with {signal.Signals(-return_code).name}"
-        except ValueError:
-            ending = f"OpenVDB ended with signal {-return_code}"
-    else:
-        ending = f"OpenVDB's process ended with code {return_code}"
-    lines = messages[-_STDERR_TAIL:].decode("utf-8", errors="replace").strip().splitlines()
-    return f"{ending} ({lines[-1].strip()})" if lines else ending
 
 
 def _answer(folder: str) -> dict[str, Any]:

@@ -9,8 +9,10 @@ import math
 import os
 import re
 import struct
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,8 @@ _NEWEST = 299  # beyond every version there is: a number above it is damage, not
 _MASK_COMPRESSION = 222  # before it, one flag for the file; since then, flags for every grid
 
 _MAX_VALUE = 1_048_576  # bytes of a metadata value that is kept; longer ones are passed over
+
+_SETTLED = 2.0  # seconds: file systems tell no two changes apart that follow each other at once
 
 _SUFFIX = "\x1e"  # OpenVDB tells grids of one name apart by this and a number
 _TREE = re.compile(r"Tree_(?P<value>.+?)_(?P<levels>\d+(?:_\d+)*)(?P<half>_HalfFloat)?")
@@ -87,7 +91,8 @@ class FileHeader:
 def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
     """The header of a VDB file, of any grid types, without reading a voxel.
 
-    Costs milliseconds and at most some tens of MiB, whatever the file holds.
+    Costs milliseconds and at most some tens of MiB, whatever the file holds. A file that has not
+    changed for a while is parsed once in a process.
 
     Raises:
         AssetNotResolved: the file is missing or may not be read.
@@ -96,9 +101,11 @@ def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
     """
     where = os.fspath(file_path)
     try:
-        with open(where, "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            return _read_file_header(ByteReader(stream, size, where))
+        status = os.stat(where)
+        identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+        if time.time() - status.st_mtime > _SETTLED:
+            return _read_settled(where, identity)
+        return _read_now(where)
     except FileNotFoundError:
         raise AssetNotResolved(
             f"no file {where}; check the field's filePath and that the file was not moved"
@@ -107,6 +114,18 @@ def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
         raise AssetNotResolved(
             f"cannot read {where}: {error.strerror or error}; check the file and its permissions"
         ) from None
+
+
+def _read_now(where: str) -> FileHeader:
+    with open(where, "rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        return _read_file_header(ByteReader(stream, size, where))
+
+
+@lru_cache(maxsize=1024)
+def _read_settled(where: str, identity: tuple[int, ...]) -> FileHeader:
+    """The same, remembered as long as the file is the same one."""
+    return _read_now(where)
 
 
 def _read_file_header(reader: ByteReader) -> FileHeader:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,18 @@ from usdsmoke.base.errors import (
     UnsupportedGrid,
 )
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.child import ChildFailure, run_child
+from usdsmoke.vdb import child
+from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
-__all__ = ["GridRequest", "check_readable", "find_grid", "read_binding_version", "read_grids"]
+__all__ = [
+    "GridRequest",
+    "ReadGrids",
+    "check_readable",
+    "find_grid",
+    "read_binding_version",
+    "read_grids",
+]
 
 _COMPONENTS = {"float": 1, "vec3s": 3}  # the value types that every version of the bindings knows
 _STANDARD_TREE = "5_4_3"
@@ -43,12 +51,16 @@ class GridRequest:
     components: int | None = None  # 1 wants numbers, 3 wants vectors, None takes either
 
 
+# ``read_grids``, or what takes its place.
+ReadGrids = Callable[[str | os.PathLike[str], Sequence[GridRequest], GridsConfig], list[DenseField]]
+
+
 def read_grids(
     file_path: str | os.PathLike[str], wanted: Sequence[GridRequest], config: GridsConfig
 ) -> list[DenseField]:
     """The active boxes of the wanted grids, in the order asked for.
 
-    OpenVDB opens the file in one child process under ``config``'s memory and time limits. Values
+    OpenVDB opens the file in the worker process under ``config``'s memory and time limits. Values
     are delivered as they are stored, negative ones too; a non-zero background fills the box.
 
     Args:
@@ -157,7 +169,7 @@ def read_binding_version(config: GridsConfig) -> str:
         BindingMissing: the bindings are missing, do not fit the installed NumPy, or do not load.
     """
     try:
-        version, _ = run_child({"action": "describe"}, [], config)
+        version, _ = child.run_child({"action": "describe"}, [], config)
     except ChildFailure as failure:
         raise BindingMissing(
             f"the OpenVDB bindings cannot be loaded: {failure}; install them again, and raise "
@@ -180,7 +192,7 @@ def _open(
     }
     limited = dataclasses.replace(config, time_limit_s=_time_limit(header, config))
     try:
-        return run_child(request, [], limited)
+        return child.run_child(request, [], limited)
     except ChildFailure as failure:
         raise DamagedFile(
             f"cannot read {_place(header, wanted[0])}: {failure}; it is probably damaged: write or "

@@ -10,7 +10,7 @@ from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
-from usdsmoke.vdb.read import GridRequest, find_grid, read_grids
+from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids
 
 __all__ = ["centre_staggered", "find_velocity", "join_components", "read_velocity"]
 
@@ -40,7 +40,10 @@ def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
 
 
 def read_velocity(
-    file_path: str | os.PathLike[str], request: GridRequest, config: GridsConfig
+    file_path: str | os.PathLike[str],
+    request: GridRequest,
+    config: GridsConfig,
+    read: ReadGrids = read_grids,
 ) -> DenseField | None:
     """The velocity at voxel centres, [i j k 3], in whatever unit the file holds.
 
@@ -51,6 +54,7 @@ def read_velocity(
         file_path: a VDB file.
         request: with an empty name, the usual names are tried; see ``find_velocity``.
         config: limits of the reading process.
+        read: reads the grids of the file.
 
     Returns:
         None when no name was given and the file has no velocity.
@@ -70,9 +74,9 @@ def read_velocity(
     if len(grids) == 1:
         index = request.index if request.name else grids[0].index
         vector = GridRequest(grids[0].name, index, where, components=3)
-        return centre_staggered(read_grids(file_path, [vector], config)[0])
+        return centre_staggered(read(file_path, [vector], config)[0])
     wanted = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
-    return join_components(read_grids(file_path, wanted, config), where or os.fspath(file_path))
+    return join_components(read(file_path, wanted, config), where or os.fspath(file_path))
 
 
 def centre_staggered(field: DenseField) -> DenseField:

@@ -1,11 +1,18 @@
 """The process that touches VDB files through OpenVDB; started by ``usdsmoke.vdb.child``.
 
-``python -m usdsmoke.vdb.worker`` reads one request as JSON from stdin, and leaves ``answer.json``
-and arrays in the folder that the request names. It holds no rules of its own: what may be read was
-decided from the file's header before, and what came out is checked by the parent.
+``python -m usdsmoke.vdb.worker`` reads the name of a folder from stdin, a JSON text on a line. It
+answers the ``request.json`` there with ``answer.json`` and arrays beside it. Then it prints
+``next`` when it waits for another folder, or ``end`` when it ends itself.
+
+It decides nothing: what may be read was decided from the file's header before, and what came out
+is checked by the parent. Nothing is carried from one request to the next: a worker that has
+refused a request, or has grown, ends.
 """
 
 import json
+import os
+import shutil
+import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,19 +21,46 @@ from typing import Any
 import numpy as np
 
 from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
 
-__all__ = ["main"]
+__all__ = ["answer_request", "main"]
 
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
+_GROWTH = 2**28  # bytes of address space beyond the first answer's that end a worker
 
 
 def main() -> int:
-    """Answer one request; 0 whenever there is an answer, be it a refusal."""
-    request = json.load(sys.stdin)
-    _set_limits(request["memory_limit_bytes"], request["cpu_limit_s"])
-    folder = Path(request["folder"])
+    """Answer requests until one is refused, or the parent ends."""
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what OpenVDB prints must not be taken for an answer
+    first, folder = 0, ""
+    for line in sys.stdin:
+        folder = json.loads(line)
+        answered = answer_request(Path(folder), max(0, _address_space() - first) if first else 0)
+        give_back_memory()
+        first = first or _address_space()
+        goes_on = answered and _address_space() - first <= _GROWTH
+        os.write(answers, b"next\n" if goes_on else b"end\n")
+        if not goes_on:
+            return 0
+    if folder:  # it is gone, unless the parent was killed
+        shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+def answer_request(folder: Path, grown: int = 0) -> bool:
+    """Answer the request in a folder; whether it was fulfilled.
+
+    Args:
+        folder: with ``request.json`` and arrays ``in0.npy`` and so on.
+        grown: bytes of address space that earlier requests have left. They are not part of what
+            this request may take.
+    """
+    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
+    _set_limits(request["memory_limit_bytes"] + grown, request["cpu_limit_s"])
+    answer: dict[str, Any]
     try:
         content, n_arrays = _ACTIONS[request["action"]](request, folder)
         answer = {"answer": content, "n_arrays": n_arrays}
@@ -39,27 +73,36 @@ def main() -> int:
         text = " ".join(str(error).split()) or type(error).__name__
         answer = {"failure": f"OpenVDB says: {text}"}
     (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
-    return 0
+    return "answer" in answer
 
 
-def _set_limits(n_bytes: int, cpu_seconds: int) -> None:
-    """Limit address space and processor time, and leave no core file where there is a crash."""
+def _set_limits(n_bytes: int, cpu_seconds: float) -> None:
+    """Limit address space, and processor time from now on; leave no core file after a crash.
+
+    A timer ends the process when its time is used up. ``RLIMIT_CPU`` would count from the start of
+    the process, in whole seconds of a clock that drifts from those which a program can read.
+    """
     try:
         import resource
-    except ImportError:  # Windows has no such limits; the time limit still holds
+    except ImportError:  # Windows has no such limits; the time limit by the clock still holds
         return
-    limits = (
-        (resource.RLIMIT_AS, n_bytes),
-        (resource.RLIMIT_CPU, cpu_seconds),
-        (resource.RLIMIT_CORE, 0),
-    )
-    for kind, limit in limits:
+    signal.setitimer(signal.ITIMER_PROF, cpu_seconds)
+    for kind, limit in ((resource.RLIMIT_AS, n_bytes), (resource.RLIMIT_CORE, 0)):
         hard = resource.getrlimit(kind)[1]
         soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
         try:
             resource.setrlimit(kind, (soft, hard))
         except (OSError, ValueError):  # a system that knows the limit but does not set it
             continue
+
+
+def _address_space() -> int:
+    """Bytes that this process has reserved; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _describe(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:

@@ -34,7 +34,10 @@ def pruned(fields: Sequence[DenseField], prune: float) -> list[DenseField]:
 
 
 def storage_errors(
-    fields: Sequence[DenseField], config: GridsConfig, others: FrameErrors | None = None
+    fields: Sequence[DenseField],
+    config: GridsConfig,
+    others: FrameErrors | None = None,
+    kept: Sequence[DenseField] | None = None,
 ) -> FrameErrors:
     """How far what a file holds is from what was computed, relative to that.
 
@@ -45,14 +48,16 @@ def storage_errors(
         fields: density and, after a colour step, emission, before they are pruned.
         config: ``half`` and ``prune``.
         others: errors of the frame that are kept; None: there are none.
+        kept: the fields from ``pruned``, where they are at hand.
     """
     found: dict[str, Estimate] = {}
     names = ("storage_density", "storage_emission")
-    for name, field, kept in zip(names, fields, pruned(fields, config.prune), strict=False):
+    kept = pruned(fields, config.prune) if kept is None else kept
+    for name, field, stored in zip(names, fields, kept, strict=False):
         started = time.perf_counter()
         lost = 0.0
         if config.prune > 0 or config.half:
-            lost = _difference(field.values, kept.values, config.half)
+            lost = _difference(field.values, stored.values, config.half)
         found[name] = Estimate(lost, time.perf_counter() - started)
     return dataclasses.replace(others or FrameErrors(), **found)
 

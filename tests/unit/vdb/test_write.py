@@ -16,7 +16,7 @@ import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, make_vectors
 from usdsmoke.base.errors import NonFiniteError, WriteFailed
-from usdsmoke.vdb import write
+from usdsmoke.vdb import child, write
 from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -98,14 +98,10 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
         "from usdsmoke.base.errors import WriteFailed\n"
         "from usdsmoke.vdb import child\n"
         "from usdsmoke.vdb.write import write_frame\n"
-        "def limited(*arguments):\n"  # only the writing process: the hand-over needs room too
-        "    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, hard))\n"
-        "    try:\n"
-        "        return run(*arguments)\n"
-        "    finally:\n"
-        "        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))\n"
         "hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]\n"
-        "run, child._run = child._run, limited\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, hard))\n"
+        "child._worker = child._Worker()\n"  # only this process: the hand-over needs room too
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))\n"
         "try:\n"
         "    write_frame(sys.argv[1], [make_field(shape=(40, 40, 40))], {}, half=False)\n"
         "except WriteFailed as error:\n"
@@ -139,7 +135,7 @@ def test_a_full_disk_is_called_so_and_not_a_damaged_file(
         if is_crash:
             raise ChildFailure("OpenVDB ended with SIGSEGV")
 
-    monkeypatch.setattr(write, "run_child", write_nothing)
+    monkeypatch.setattr(child, "run_child", write_nothing)
     monkeypatch.setattr(write, "open", lambda *_, **__: FullDisk(), raising=False)
     message = r"cannot write a\.vdb in .*: No space left on device; free some space"
     with pytest.raises(WriteFailed, match=message):
@@ -154,7 +150,7 @@ def test_a_folder_that_may_not_be_written_to_is_named_before_anything_is_compute
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
-    monkeypatch.setattr(write, "run_child", lambda *_: pytest.fail("OpenVDB was started"))
+    monkeypatch.setattr(child, "run_child", lambda *_: pytest.fail("OpenVDB was started"))
     with pytest.raises(WriteFailed, match="Read-only file system; choose an output folder"):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
 
@@ -178,12 +174,12 @@ def test_file_that_came_back_different_is_found_out(
 
     monkeypatch.setattr(write, "_described", describe_another)
     if "values" in change:
-        run = write.run_child
-        monkeypatch.setattr(
-            write,
-            "run_child",
-            lambda request, arrays, config: run(request, [change["values"]], config),
-        )
+        run = child.run_child
+
+        def write_others(request: Any, arrays: Any, config: Any) -> Any:
+            return run(request, [change["values"]] if arrays else [], config)
+
+        monkeypatch.setattr(child, "run_child", write_others)
     with pytest.raises(WriteFailed, match=r"a\.vdb did not come back from disk as it was written"):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
     assert os.listdir(tmp_path) == []
