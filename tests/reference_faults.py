@@ -18,7 +18,7 @@ OPTICS = "tests/unit/core/test_optics.py::"
 SCENE = "tests/unit/core/test_scene.py::"
 VIEWS = "tests/unit/core/test_views.py::"
 WARM = "tests/unit/core/test_warm.py::"
-IMAGES = "tests/unit/test_images.py::"
+IMAGES = "tests/unit/pictures/test_png.py::"
 PROJECTION = "tests/numerics/test_projection.py::"
 
 FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (

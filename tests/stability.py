@@ -18,7 +18,7 @@ STYLIZE = "tests/unit/core/test_stylize.py::"
 OPTIMIZE = "tests/unit/core/test_optimize.py::"
 OPTICS = "tests/unit/core/test_optics.py::"
 FEATURES = "tests/unit/core/test_features.py::"
-IMAGES = "tests/unit/test_images.py::"
+IMAGES = "tests/unit/pictures/test_png.py::"
 READ = "tests/unit/vdb/test_read.py::"
 VELOCITY = "tests/unit/vdb/test_velocity.py::"
 REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
@@ -168,7 +168,7 @@ TRANSFORMS = _group(
     ("transforms on the prims of field and Volume",
      "finite: the same smoke as with the grid's own transform; may change with time",
      (EXTREMES + "test_the_field_prim_s_place_counts_like_the_grid_s_own",
-      "tests/unit/test_stage.py::test_field_to_stage_is_the_field_prims_own_place_at_each_time")),
+      "tests/unit/usd/test_stage.py::test_field_to_stage_is_the_field_prims_own_place_at_each_time")),
     ("metersPerUnit 0.01 and 1000", "finite: kept on the result, no effect on the smoke",
      (STAGES + "test_the_stage_s_unit_is_kept_and_changes_no_bit_of_the_smoke",)),
     ("Y-up and Z-up", "finite: views turn around the stage's axis",

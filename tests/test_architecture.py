@@ -21,7 +21,6 @@ EXCEPTIONS: dict[str, str] = {}
 # Debts of the move into rooms, to be paid before the next release.
 DEBT = {
     "folders": {"runs", "base"},
-    "faces": {"usd"},
     "files in cycles": {
         "planning.plan", "planning.plan_record", "planning.needs", "planning.camera_needs",
         "planning.control_needs",

@@ -11,8 +11,8 @@ from typing import Any
 from pxr import Ar, Sdf, Tf, Vt
 
 from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
-from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
-from usdsmoke.usd.look.digests import RECORD_KEY
+from usdsmoke.usd import captured_diagnostics, short_reason
+from usdsmoke.usd.look import RECORD_KEY
 from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header
 

@@ -21,7 +21,6 @@ __all__ = [
     "FieldSource",
     "FrameControls",
     "FrameSource",
-    "ShownVolume",
     "StageSource",
     "StyleRequest",
     "VolumeFrame",
@@ -106,17 +105,6 @@ class VolumeSource:
     mask: str = ""  # relationship name of the mask; "" when it has none, or none is asked for
     other_fields: tuple[str, ...] = ()  # relationship names that are left alone
     request: StyleRequest = StyleRequest()
-
-
-@dataclass(frozen=True)
-class ShownVolume:
-    """What a Volume shows at one timeCode, whatever is sampled there: values hold as USD holds."""
-
-    prim_path: str
-    density: FieldSource
-    emission: FieldSource | None  # None: it has no such field, or a gap there
-    extinction: float | None  # usdSmoke:extinctionPerDensity; None when nobody has authored it
-    emission_mode: str = ""  # usdSmoke:emissionMode; "" when nobody has authored it
 
 
 @dataclass(frozen=True)

@@ -9,21 +9,19 @@ import numpy as np
 from pxr import Usd
 
 from usdsmoke.base.config import Config, StageConfig
-from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError, VolumeNotFound
+from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError
 from usdsmoke.base.machine import GIB, available_memory_gib
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
     FrameSource,
-    ShownVolume,
     StageSource,
     VolumeFrame,
     VolumeSource,
 )
 from usdsmoke.usd.schema import EMISSION_PER_DENSITY
-from usdsmoke.usd.stage import find_volumes, shown_volumes
-from usdsmoke.usd.stage.originals import is_look_layer
+from usdsmoke.usd.stage import ComposedVolume, composed_volumes, find_volumes
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
@@ -56,7 +54,7 @@ class Smoke:
         """All timeCodes that were selected, of any animated Volume; of a static stage its one."""
         return _time_codes(self.selected)
 
-    def shown(self, time_code: float) -> list[ShownVolume]:
+    def shown(self, time_code: float) -> list[ComposedVolume]:
         """What there is at a timeCode, from headers alone.
 
         Raises:
@@ -64,7 +62,7 @@ class Smoke:
         """
         return [
             self._with_light(volume)
-            for volume in shown_volumes(self.stage, self.selected, time_code)
+            for volume in composed_volumes(self.stage, self.selected, time_code)
         ]
 
     def check_memory(self, time_code: float) -> None:
@@ -103,7 +101,7 @@ class Smoke:
                     raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
-    def media(self, shown: Iterable[ShownVolume]) -> list["Medium"]:
+    def media(self, shown: Iterable[ComposedVolume]) -> list["Medium"]:
         """The smoke of some Volumes as rays take it.
 
         Raises:
@@ -131,7 +129,7 @@ class Smoke:
             )
         return media
 
-    def _with_light(self, volume: ShownVolume) -> ShownVolume:
+    def _with_light(self, volume: ComposedVolume) -> ComposedVolume:
         """Without an emission that is no colour; the density has to be usable."""
         _grid(volume.density, 1)
         if volume.emission is None:
@@ -145,7 +143,7 @@ class Smoke:
         ] = None
         return replace(volume, emission=None)
 
-    def _fields(self, volume: ShownVolume) -> tuple[DenseField, DenseField | None]:
+    def _fields(self, volume: ComposedVolume) -> tuple[DenseField, DenseField | None]:
         density = _request(volume.density, 1)
         if volume.emission is None:
             return read_grids(volume.density.file_path, [density], self.config.grids)[0], None
@@ -159,7 +157,7 @@ class Smoke:
         )
 
     def _absolute(
-        self, volume: ShownVolume, density: DenseField, light: DenseField
+        self, volume: ComposedVolume, density: DenseField, light: DenseField
     ) -> DenseField | None:
         """Emission that is added as it stands; it may be stored divided by the density."""
         if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
@@ -176,7 +174,7 @@ class Smoke:
         ] = None
         return None
 
-    def _extinction(self, volume: ShownVolume, lit: bool) -> float:
+    def _extinction(self, volume: ComposedVolume, lit: bool) -> float:
         """As the look says, else as a run would choose it for the shot."""
         gamma_w = volume.extinction
         if gamma_w is None:
@@ -199,7 +197,7 @@ class Smoke:
         """Of every Volume's box at one timeCode, [8 3] each."""
         boxes = [
             self._box(volume.density, may_read)
-            for volume in shown_volumes(self.stage, self.whole, time_code)
+            for volume in composed_volumes(self.stage, self.whole, time_code)
         ]
         return [_corners(*box) for box in boxes if box is not None]
 
@@ -235,15 +233,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
             layer without its source.
     """
     everything = StageConfig(prims=list(prims))
-    try:
-        selected = _find(stage, replace(everything, frames=frames))
-    except VolumeNotFound:
-        if not is_look_layer(stage.GetRootLayer()):
-            raise
-        raise VolumeNotFound(
-            f"{stage.GetRootLayer().realPath} is a look layer by itself, over nothing; wanted a "
-            "stage with Volumes: draw the root stage that was written beside it, NAME_look.usda"
-        ) from None
+    selected = _find(stage, replace(everything, frames=frames))
     try:
         whole = _find(stage, everything) if frames else selected
     except AssetNotResolved:

@@ -9,6 +9,7 @@ from typing import Any
 from usdsmoke.base.errors import LayerError, UsdSmokeError
 from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import DenseField
 from usdsmoke.pictures.contact_sheet import sheet_files
@@ -34,9 +35,8 @@ from usdsmoke.runs.outputs import (
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.sheet import write_contact_sheet
 from usdsmoke.runs.window import list_tasks
+from usdsmoke.usd import late_note
 from usdsmoke.usd.look import author_look
-from usdsmoke.usd.look.records import EMISSION
-from usdsmoke.usd.schema import late_note
 from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame

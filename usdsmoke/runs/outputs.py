@@ -9,7 +9,7 @@ import numpy as np
 from usdsmoke import __version__
 from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.naming import colour_names
+from usdsmoke.base.naming import EMISSION, colour_names
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.volume import DenseField, WrittenFrame
@@ -19,7 +19,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, VolumePlan, result_file_names
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata
-from usdsmoke.usd.look.records import EMISSION, StylizedVolume
+from usdsmoke.usd.look import StylizedVolume
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.vdb.transform import field_extent
 from usdsmoke.vdb.write import write_frame

@@ -9,6 +9,7 @@ import numpy as np
 
 from usdsmoke.base.config import Config
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.smoke.controls import frame_config
@@ -16,7 +17,6 @@ from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_sheet
 from usdsmoke.pictures.png import write_png
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.usd.look.records import EMISSION
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import GridRequest, read_grids
 

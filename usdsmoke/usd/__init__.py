@@ -1,1 +1,26 @@
-"""USD stages in and out: what a stage holds, what it requests, the look layer, the rules."""
+"""USD stages in and out.
+
+- `stage`, `look`, `rules`: rooms of their own
+- `schema`: the names of usdsmoke's schemas, and their registration
+- `diagnostics`: OpenUSD's warnings and errors as messages
+- `relationships`: a Volume's field relationships
+- `field_samples`: the file and grid that a field shows at a time
+- `asset_paths`: asset paths checked, and rewritten for another layer
+- `volume_requests`, `request_values`: style requests on prims
+- `volume_settings`: the settings of each Volume
+- `inspect`, `inspection_requests`: everything that a stage holds, as one report
+"""
+
+from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.usd.field_samples import held_time_code
+from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd.schema import late_note, register_schema
+
+__all__ = [
+    "captured_diagnostics",
+    "field_targets",
+    "held_time_code",
+    "late_note",
+    "register_schema",
+    "short_reason",
+]

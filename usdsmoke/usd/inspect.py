@@ -18,11 +18,11 @@ from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 from usdsmoke.vdb.velocity import find_velocity
 
-__all__ = ["inspect", "inspect_stage"]
+__all__ = ["inspect"]
 
 
 def inspect(
-    stage: str | PathLike[str],
+    stage: str | PathLike[str] | Usd.Stage,
     prims: list[str] | None = None,
     frames: str = "",
     style: Styles = None,
@@ -34,38 +34,17 @@ def inspect(
     A file or grid that cannot be used is described by its ``problem`` and stops nothing.
 
     Args:
-        stage: a .usda, .usdc or .usd file.
+        stage: a USD file, or an open stage, which is described as it is composed now, with its
+            unsaved edits.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
-        style, config, settings: as in ``stylize``; what counts for each Volume is told.
+        style, config, settings: as in ``stylize``; they decide the settings of each Volume.
 
     Raises:
         StageError: the stage cannot be opened, or its Volumes not be followed to their files.
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
-    return inspect_stage(open_stage(stage), prims, frames, style, config, settings)
-
-
-def inspect_stage(
-    stage: Usd.Stage,
-    prims: list[str] | None = None,
-    frames: str = "",
-    style: Styles = None,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
-) -> dict[str, Any]:
-    """``inspect`` for a stage that is open, as it is composed now, unsaved edits included.
-
-    Args:
-        stage: any; only what is loaded is seen.
-        prims: Volume prim paths; None means all.
-        frames: timeCodes such as ``1-24``; empty means all.
-        style, config, settings: as in ``stylize``; what counts for each Volume is told.
-
-    Raises:
-        StageError: the Volumes cannot be followed to their files.
-        ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
-    """
+    stage = open_stage(stage)
     given = GivenSettings.of(style, config, settings)
     own = given.config.stage
     own = replace(own, prims=prims or own.prims, frames=frames or own.frames)

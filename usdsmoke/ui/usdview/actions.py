@@ -10,7 +10,7 @@ from typing import Protocol
 from pxr import Tf, Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
-from usdsmoke.usd.diagnostics import short_reason
+from usdsmoke.usd import short_reason
 
 __all__ = [
     "UsdviewApi",
@@ -78,8 +78,8 @@ def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
     except ImportError as error:
         window.warn(
             label,
-            f"{error}; usdsmoke needs OpenUSD 26.11 or later, NumPy, PyYAML and rich in usdview's "
-            "Python",
+            f"{error}. usdsmoke needs OpenUSD 26.11 or later, NumPy, PyYAML, pydantic and rich: "
+            "install them into usdview's Python.",
         )
     except MemoryError:
         window.warn(label, "out of memory")
@@ -96,12 +96,12 @@ def inspect(api: UsdviewApi, window: Window) -> None:
     """
     from usdsmoke.ui.cli.text import inspection_text
     from usdsmoke.ui.usdview.volumes import selected_volumes, selects_everything
-    from usdsmoke.usd.inspect import inspect_stage
+    from usdsmoke.usd.inspect import inspect as describe
 
     volumes = selected_volumes(api.stage, api.selectedPrims)
     everything = selects_everything(api.selectedPrims)
     paths = None if everything else [str(volume.GetPath()) for volume in volumes]
-    window.show_text("volumes", inspection_text(inspect_stage(api.stage, paths)))
+    window.show_text("volumes", inspection_text(describe(api.stage, paths)))
 
 
 def show_provenance(api: UsdviewApi, window: Window) -> None:
@@ -136,11 +136,11 @@ def validate(api: UsdviewApi, window: Window) -> None:
     Files that usdsmoke wrote are read whole, so that this takes a while on long sequences.
     """
     from usdsmoke.ui.cli.text import validation_text
-    from usdsmoke.usd.rules import validate_stage
+    from usdsmoke.usd.rules import validate as find_problems
 
     window.say("validating ...")
     name = api.stage.GetRootLayer().GetDisplayName()
-    text = validation_text(name, validate_stage(api.stage))
+    text = validation_text(name, find_problems(api.stage))
     window.say(text.splitlines()[-1])
     window.show_text("validation", text)
 

@@ -8,8 +8,7 @@ from pxr import Sdf, Tf, Usd
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.usd import schema
-from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd import captured_diagnostics, schema
 
 __all__ = ["Look", "find_looks", "looks_of", "show_next", "shown_run"]
 

@@ -6,7 +6,7 @@ from itertools import chain
 from pxr import Usd, UsdVol
 
 from usdsmoke.base.errors import VolumeNotFound
-from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd import field_targets
 
 __all__ = ["selected_volumes", "selects_everything"]
 

@@ -3,10 +3,15 @@
 A variant is weaker than what stands locally, so it can only replace opinions that come from
 further away. The source's root prims are therefore referenced, one by one and under their own
 paths, and the variants of the set ``look`` reference the look layers. ``original`` is empty.
+
+A reference brings one root prim and what is below it. It drops targets and connections that lead to
+other root prims (external targets), and parts of path expressions: the asset authors these again.
+Opinions of a class that a prim inherits from come along with the prim. A reference to the class
+itself would make them stronger than those of the inheriting prim.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pxr import Sdf, Tf, Usd
@@ -15,10 +20,22 @@ from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import LayerError
 from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
 from usdsmoke.usd.diagnostics import captured_diagnostics
-from usdsmoke.usd.look.external_targets import Reach, find_reach, leads_out, root_of
 from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 
 __all__ = ["author_asset", "check_asset"]
+
+_EXPRESSION = Sdf.ValueTypeNames.PathExpression
+_ADVICE = "set layer.mode to sublayer (--mode sublayer), or"
+
+
+@dataclass(frozen=True)
+class _ExternalTargets:
+    """What referencing root prims one by one takes."""
+
+    roots: list[Usd.Prim] = field(default_factory=list)  # to be referenced, in the stage's order
+    relationships: dict[Sdf.Path, list[Sdf.Path]] = field(default_factory=dict)  # leading out
+    connections: dict[Sdf.Path, list[Sdf.Path]] = field(default_factory=dict)  # likewise
+    expressions: dict[Sdf.Path, Sdf.PathExpression] = field(default_factory=dict)  # all
 
 
 @dataclass(frozen=True)
@@ -34,20 +51,21 @@ def check_asset(stage: Usd.Stage) -> None:
     """Refuse a source that an asset cannot hold, before anything is computed.
 
     Raises:
-        LayerError: see ``find_reach``; or a root prim has a variant set called look already.
+        LayerError: a reference cannot carry the source (see ``_find_external_targets``), or a root
+            prim already has a variant set called look.
     """
-    _checked_reach(stage)
+    _checked_targets(stage)
 
 
-def _checked_reach(stage: Usd.Stage) -> Reach:
-    reach = find_reach(stage)
-    for prim in reach.roots:
+def _checked_targets(stage: Usd.Stage) -> _ExternalTargets:
+    external = _find_external_targets(stage)
+    for prim in external.roots:
         if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
             raise LayerError(
                 f"<{prim.GetPath()}> has a variant set {VARIANT_SET!r} of its own, which an "
                 "asset's looks would be mixed with; set layer.mode to sublayer (--mode sublayer)"
             )
-    return reach
+    return external
 
 
 def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) -> Sdf.Layer:
@@ -62,7 +80,7 @@ def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) ->
     Raises:
         LayerError: see ``check_asset``.
     """
-    source, reach = stage.GetRootLayer(), _checked_reach(stage)
+    source, external = stage.GetRootLayer(), _checked_targets(stage)
     looks = {**_find_looks(folder, Path(source.realPath)), look: _read_look(look_layer)}
     layer = Sdf.Layer.CreateAnonymous(".usda")
     copy_stage_metadata(stage, layer, folder)
@@ -72,7 +90,7 @@ def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) ->
         "which writes it anew when a look is added."
     )
     layer.customLayerData = {**copied_layer_data(source, folder), ASSET_SOURCE: path_to_source}
-    for prim in reach.roots:
+    for prim in external.roots:
         spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
         reference = Sdf.Reference(path_to_source, prim.GetPath())
         spec.referenceList.prependedItems = [reference]
@@ -80,7 +98,7 @@ def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) ->
             spec.instanceable = False  # without a reference it had no effect
     for path in sorted({path for item in looks.values() for path in item.roots}):
         _author_variants(Sdf.CreatePrimInLayer(layer, path), looks, look, folder)
-    _author_targets(layer, stage, reach, looks)
+    _author_targets(layer, stage, external, looks)
     return layer
 
 
@@ -129,28 +147,28 @@ def _author_variants(
 
 
 def _author_targets(
-    layer: Sdf.Layer, stage: Usd.Stage, reach: Reach, looks: Mapping[str, _Look]
+    layer: Sdf.Layer, stage: Usd.Stage, external: _ExternalTargets, looks: Mapping[str, _Look]
 ) -> None:
     """Say again what references have dropped: of the source, and of each look in its variant."""
     by_looks = {path for look in looks.values() for path in look.relationships}
-    for path, targets in reach.relationships.items():
+    for path, targets in external.relationships.items():
         if path not in by_looks:
             _relationship(layer, path.GetPrimPath(), path, targets)
     for path in sorted(by_looks):
-        source = reach.relationships.get(path)
+        source = external.relationships.get(path)
         said = {name: look.relationships.get(path, source) for name, look in looks.items()}
         for name, targets_there in {ORIGINAL: source, **said}.items():
-            if targets_there and leads_out(path, targets_there):
+            if targets_there and _leads_out(path, targets_there):
                 _relationship(layer, _in_variant(path.GetPrimPath(), name), path, targets_there)
-    for path, targets in reach.connections.items():
+    for path, targets in external.connections.items():
         _attribute(layer, stage.GetAttributeAtPath(path)).connectionPathList.explicitItems = targets
-    for path, expression in reach.expressions.items():
+    for path, expression in external.expressions.items():
         _attribute(layer, stage.GetAttributeAtPath(path)).default = expression
 
 
 def _in_variant(prim_path: Sdf.Path, name: str) -> Sdf.Path:
     """The place of a prim's opinions in a variant of its root prim."""
-    root = root_of(prim_path)
+    root = _root_of(prim_path)
     return prim_path.ReplacePrefix(root, root.AppendVariantSelection(VARIANT_SET, name))
 
 
@@ -171,3 +189,69 @@ def _attribute(layer: Sdf.Layer, composed: Usd.Attribute) -> Sdf.AttributeSpec:
         composed.GetVariability(),
         composed.IsCustom(),
     )
+
+
+def _find_external_targets(stage: Usd.Stage) -> _ExternalTargets:
+    """The root prims of a stage, and what about them has to be said again.
+
+    Args:
+        stage: composed; only read.
+
+    Raises:
+        LayerError: something cannot be carried: a target that leads out of an instance and its root
+            prim, or a root prim that is itself shown and that another one inherits from.
+    """
+    found = _ExternalTargets()
+    bases: dict[Sdf.Path, Sdf.Path] = {}  # root prims: who inherits from them
+    predicate = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
+    for prim in Usd.PrimRange.Stage(stage, predicate):
+        if prim.HasAuthoredInherits():
+            for path in prim.GetInherits().GetAllDirectInherits():
+                if _root_of(path) != _root_of(prim.GetPath()):
+                    bases.setdefault(_root_of(path), prim.GetPath())
+        for item in prim.GetAuthoredProperties():
+            _look_at(item, found)
+    for prim in stage.GetPseudoRoot().GetAllChildren():
+        if prim.GetPath() not in bases:
+            found.roots.append(prim)
+        elif prim.IsDefined() and not prim.IsAbstract():
+            raise LayerError(
+                f"an asset cannot hold <{prim.GetPath()}>, which is no class and which "
+                f"<{bases[prim.GetPath()]}> inherits from: referenced, it would be stronger than "
+                f"that prim; {_ADVICE} make it a class"
+            )
+    return found
+
+
+def _root_of(path: Sdf.Path) -> Sdf.Path:
+    """The root prim that a path lies in.
+
+    >>> _root_of(Sdf.Path("/World/smoke.field:density"))
+    Sdf.Path('/World')
+    """
+    return path.GetPrefixes()[0]
+
+
+def _leads_out(prim_path: Sdf.Path, targets: list[Sdf.Path]) -> bool:
+    """Whether a target lies in another root prim than ``prim_path``."""
+    return any(_root_of(target) != _root_of(prim_path) for target in targets)
+
+
+def _look_at(item: Usd.Property, found: _ExternalTargets) -> None:
+    if isinstance(item, Usd.Relationship):
+        targets, noted = item.GetTargets(), found.relationships
+    else:
+        targets = item.GetConnections() if item.HasAuthoredConnections() else []
+        noted = found.connections
+        is_expression = item.GetTypeName() == _EXPRESSION
+        if is_expression and not item.GetPrim().IsInstanceProxy():
+            found.expressions[item.GetPath()] = item.Get() or Sdf.PathExpression()
+    if not targets or not _leads_out(item.GetPath(), targets):
+        return
+    if item.GetPrim().IsInstanceProxy():
+        raise LayerError(
+            f"an asset cannot hold <{item.GetPath()}>, which leads from inside an instance to "
+            f"{', '.join(f'<{path}>' for path in targets)} in another root prim; {_ADVICE} bring "
+            "both below one root prim"
+        )
+    noted[item.GetPath()] = list(targets)

@@ -15,13 +15,13 @@ from usdsmoke.base.record_format import SOFTWARE_PACKAGE, authorship_inputs, sho
 from usdsmoke.usd import schema
 from usdsmoke.usd.look.records import StylizedVolume
 
-__all__ = ["custom_layer_data", "mark_volume", "result_hashes"]
+__all__ = ["author_attributes", "custom_layer_data", "result_hashes"]
 
 _TYPES = Sdf.ValueTypeNames
 _DIGITAL_SOURCE = "http://cv.iptc.org/newscodes/digitalsourcetype/"
 
 
-def mark_volume(
+def author_attributes(
     volume_spec: Sdf.PrimSpec,
     volume: StylizedVolume,
     digital_source_type: str,

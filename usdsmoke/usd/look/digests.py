@@ -9,7 +9,14 @@ from typing import Any
 
 from pxr import Sdf
 
-__all__ = ["LAYER_HASH", "RECORD_HASH", "RECORD_KEY", "layer_digest", "record_digest", "seal_layer"]
+__all__ = [
+    "LAYER_HASH",
+    "RECORD_HASH",
+    "RECORD_KEY",
+    "add_digests",
+    "layer_digest",
+    "record_digest",
+]
 
 RECORD_KEY = "usdsmoke"  # in customLayerData
 LAYER_HASH = "layerHash"
@@ -40,7 +47,7 @@ def record_digest(layer: Sdf.Layer) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def seal_layer(layer: Sdf.Layer) -> None:
+def add_digests(layer: Sdf.Layer) -> None:
     """Add both digests to the record of a layer; the last thing that is authored in it.
 
     Args:

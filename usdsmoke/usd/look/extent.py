@@ -1,13 +1,11 @@
 """The Volume's extent over time: without one nothing frames or culls the smoke rightly."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdsmoke.base.volume import WrittenFrame
-from usdsmoke.usd.look.fields import HeldFiles
 from usdsmoke.usd.look.records import StylizedVolume
 
 __all__ = ["Box", "author_extent", "volume_boxes"]
@@ -20,7 +18,6 @@ def author_extent(
     volume_prim: Usd.Prim,
     density: Usd.Prim,
     volume: StylizedVolume,
-    held: HeldFiles,
 ) -> None:
     """Author ``extent`` on the Volume: one default where it never changes, else time samples too.
 
@@ -33,9 +30,8 @@ def author_extent(
         volume_prim: the Volume on the source.
         density: its density's field prim.
         volume: the result.
-        held: its files over time.
     """
-    boxes = volume_boxes(volume_prim, density, volume, held)
+    boxes = volume_boxes(volume_prim, density, volume)
     all_boxes = _union(list(boxes.values()))
     if all_boxes is None:
         return
@@ -54,7 +50,7 @@ def author_extent(
 
 
 def volume_boxes(
-    volume_prim: Usd.Prim, density: Usd.Prim, volume: StylizedVolume, held: HeldFiles
+    volume_prim: Usd.Prim, density: Usd.Prim, volume: StylizedVolume
 ) -> dict[float, Box | None]:
     """What the Volume shows at each timeCode, as boxes in its local space; None where it is empty.
 
@@ -62,17 +58,19 @@ def volume_boxes(
     fields that are left alone. Another timeCode has the source's extent, or, where it has none,
     the union of all stylized boxes: the best that is known without opening the source's files.
     """
-    frames = {frame.time_code: frame for frame in volume.frames}
     extent = volume_prim.GetAttribute("extent")
-    codes = {*held.time_codes, *_relative_codes(density, volume_prim), *extent.GetTimeSamples()}
+    codes = {
+        *volume.source.time_codes,
+        *_relative_codes(density, volume_prim),
+        *extent.GetTimeSamples(),
+    }
     boxes: dict[float, Box | None] = {}
     unknown = []
     for code in sorted(codes):
         theirs = _source_box(extent, code)
-        if held.file_at(code) is not None:
-            n = max(bisect_right(held.time_codes, code) - 1, 0)
-            matrix = _density_to_volume(density, volume_prim, code)
-            ours = _frame_box(frames[held.time_codes[n]], matrix)
+        frame = volume.frame_at(code)
+        if frame is not None:
+            ours = _frame_box(frame, _density_to_volume(density, volume_prim, code))
             boxes[code] = _union([ours, theirs if volume.source.other_fields else None])
         elif theirs is not None:
             boxes[code] = theirs

@@ -6,9 +6,7 @@ at those that were not stylized. Values are held in between, as USD holds them; 
 a weaker attribute has shows what the density's timeCode before it shows.
 """
 
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,49 +19,21 @@ from usdsmoke.usd.look.field_prims import FieldTarget
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.relationships import FIELD_PREFIX
 
-__all__ = ["HeldFiles", "author_field", "close_fields", "held_files", "retarget"]
+__all__ = ["author_field", "close_fields", "retarget"]
 
 _TYPES = Sdf.ValueTypeNames
 _INVERT, _RESET = "!invert!", "!resetXformStack!"
 
 
-@dataclass(frozen=True)
-class HeldFiles:
-    """The result's files over time, each held until the density's next timeCode."""
-
-    time_codes: tuple[float, ...]  # the density's, ascending
-    files: Mapping[float, str]  # by timeCode, absolute
-    animated: bool
-    empty_file: str = ""  # shown by a colour that the source does not have; "" blocks it
-
-    def file_at(self, time_code: float) -> str | None:
-        """Our file that is shown at ``time_code``; None where the source is."""
-        n = max(bisect_right(self.time_codes, time_code) - 1, 0)
-        return self.files.get(self.time_codes[n])
-
-    @property
-    def first_file(self) -> str:
-        """The file of the earliest stylized timeCode, for those who ask without a time."""
-        return self.files[min(self.files)]
-
-
-def held_files(volume: StylizedVolume) -> HeldFiles:
-    """The files of a result by timeCode."""
-    return HeldFiles(
-        time_codes=volume.source.time_codes,
-        files={frame.time_code: frame.file_path for frame in volume.frames},
-        animated=volume.source.animated,
-        empty_file=volume.empty_file,
-    )
-
-
-def author_field(layer: Sdf.Layer, target: FieldTarget, held: HeldFiles, folder: Path) -> None:
+def author_field(
+    layer: Sdf.Layer, target: FieldTarget, result: StylizedVolume, folder: Path
+) -> None:
     """All opinions of one field prim of the result.
 
     Args:
         layer: the look.
         target: the prim and what it has on the source.
-        held: the result's files.
+        result: the Volume's result.
         folder: where the look layer will be; paths are relative to it.
     """
     spec = Sdf.CreatePrimInLayer(layer, target.prim_path)
@@ -71,16 +41,16 @@ def author_field(layer: Sdf.Layer, target: FieldTarget, held: HeldFiles, folder:
         spec.specifier = Sdf.SpecifierDef
         spec.typeName = "OpenVDBAsset"
         _copy_xform(spec, target.beside)
-    _author_files(spec, target.source, held, folder)
-    _author_held(spec, target.source, held, "fieldName", _TYPES.Token, target.grid_name)
+    _author_files(spec, target.source, result, folder)
+    _author_held(spec, target.source, result, "fieldName", _TYPES.Token, target.grid_name)
     if target.source is not None and target.source.GetAttribute("fieldIndex").HasAuthoredValue():
-        _author_held(spec, target.source, held, "fieldIndex", _TYPES.Int, 0)
+        _author_held(spec, target.source, result, "fieldIndex", _TYPES.Int, 0)
     data_type, field_class, role = _tokens(target)
     if data_type:
-        _author_held(spec, target.source, held, "fieldDataType", _TYPES.Token, data_type)
-        _author_held(spec, target.source, held, "fieldClass", _TYPES.Token, field_class)
+        _author_held(spec, target.source, result, "fieldDataType", _TYPES.Token, data_type)
+        _author_held(spec, target.source, result, "fieldClass", _TYPES.Token, field_class)
     if role:
-        _author_held(spec, target.source, held, "vectorDataRoleHint", _TYPES.Token, role)
+        _author_held(spec, target.source, result, "vectorDataRoleHint", _TYPES.Token, role)
 
 
 def retarget(volume_spec: Sdf.PrimSpec, target: FieldTarget) -> None:
@@ -110,16 +80,17 @@ def _tokens(target: FieldTarget) -> tuple[str, str, str]:
 
 
 def _author_files(
-    spec: Sdf.PrimSpec, source: Usd.Prim | None, held: HeldFiles, folder: Path
+    spec: Sdf.PrimSpec, source: Usd.Prim | None, result: StylizedVolume, folder: Path
 ) -> None:
     attribute = Sdf.AttributeSpec(spec, "filePath", _TYPES.Asset)
-    attribute.default = Sdf.AssetPath(relative_asset_path(held.first_file, folder))
-    if not held.animated:
+    attribute.default = Sdf.AssetPath(relative_asset_path(result.first_frame.file_path, folder))
+    if not result.source.animated:
         return
     composed = source.GetAttribute("filePath") if source is not None else None
-    codes = set(held.time_codes) | set(composed.GetTimeSamples() if composed else [])
+    codes = set(result.source.time_codes) | set(composed.GetTimeSamples() if composed else [])
     for code in sorted(codes):
-        ours = held.file_at(code) or ("" if composed else held.empty_file)
+        frame = result.frame_at(code)
+        ours = frame.file_path if frame else "" if composed else result.empty_file
         if ours:
             value = Sdf.AssetPath(relative_asset_path(ours, folder))
         else:
@@ -130,7 +101,7 @@ def _author_files(
 def _author_held(
     spec: Sdf.PrimSpec,
     source: Usd.Prim | None,
-    held: HeldFiles,
+    result: StylizedVolume,
     name: str,
     type_name: Sdf.ValueTypeName,
     ours: Any,
@@ -142,14 +113,14 @@ def _author_held(
     """
     attribute = Sdf.AttributeSpec(spec, name, type_name)
     attribute.default = ours
-    if source is None or not held.animated:
+    if source is None or not result.source.animated:
         return
     composed = source.GetAttribute(name)
-    codes = sorted(set(held.time_codes) | set(composed.GetTimeSamples()))
+    codes = sorted(set(result.source.time_codes) | set(composed.GetTimeSamples()))
     nothing = Sdf.ValueBlock() if name in ("fieldName", "fieldIndex") else ours
     values = []
     for code in codes:
-        theirs = composed.Get(code) if held.file_at(code) is None else ours
+        theirs = composed.Get(code) if result.frame_at(code) is None else ours
         values.append(nothing if theirs is None else theirs)
     if all(value == ours for value in values):
         return

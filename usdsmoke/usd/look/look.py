@@ -15,11 +15,11 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
 from usdsmoke.usd.look.asset import author_asset
-from usdsmoke.usd.look.attributes import custom_layer_data, mark_volume, result_hashes
-from usdsmoke.usd.look.digests import seal_layer
+from usdsmoke.usd.look.attributes import author_attributes, custom_layer_data, result_hashes
+from usdsmoke.usd.look.digests import add_digests
 from usdsmoke.usd.look.extent import author_extent
 from usdsmoke.usd.look.field_prims import choose_field_prims, count_field_uses
-from usdsmoke.usd.look.fields import author_field, close_fields, held_files, retarget
+from usdsmoke.usd.look.fields import author_field, close_fields, retarget
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.usd.look.root import author_root, copy_stage_metadata
 
@@ -92,19 +92,18 @@ def _author_look_layer(
     for volume in volumes:
         prim = stage.GetPrimAtPath(volume.source.prim_path)
         spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
-        held = held_files(volume)
         targets = choose_field_prims(stage, volume, uses, taken)
-        mark_volume(spec, volume, config.digital_source_type, provenance)
-        author_extent(spec, prim, targets[0].beside, volume, held)
+        author_attributes(spec, volume, config.digital_source_type, provenance)
+        author_extent(spec, prim, targets[0].beside, volume)
         for target in targets:
-            author_field(layer, target, held, folder)
+            author_field(layer, target, volume, folder)
             if target.is_new:
                 retarget(spec, target)
         replaced = earlier.fields.get(volume.source.prim_path, ())
         close_fields(spec, [name for name in replaced if name not in volume.grids])
     for path in earlier.variants:
         Sdf.CreatePrimInLayer(layer, path).variantSelections[VARIANT_SET] = ORIGINAL
-    seal_layer(layer)
+    add_digests(layer)
     return layer
 
 

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path, PurePath
 
 from usdsmoke.base.naming import EMISSION, look_suffix
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import StageSource, VolumeSource, WrittenFrame
+from usdsmoke.usd.field_samples import held_time_code
 
-__all__ = ["EMISSION", "LookFiles", "StylizedVolume", "look_files"]
+__all__ = ["LookFiles", "StylizedVolume", "look_files"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,20 @@ class StylizedVolume:
     seed: int | None = None  # None: the run's
     # By timeCode, where the extinction changes in time; empty where it does not.
     extinction_samples: Mapping[float, float] = field(default_factory=dict)
+
+    def frame_at(self, time_code: float) -> WrittenFrame | None:
+        """The result's frame at any time, held as USD holds it; None where the source is shown."""
+        held = held_time_code(self.source.time_codes, time_code)
+        return self._by_time_code.get(held)
+
+    @cached_property
+    def _by_time_code(self) -> dict[float, WrittenFrame]:
+        return {frame.time_code: frame for frame in self.frames}
+
+    @property
+    def first_frame(self) -> WrittenFrame:
+        """The earliest frame of the result: what is shown without a time."""
+        return min(self.frames, key=lambda frame: frame.time_code)
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,14 @@
-"""Checks of volumes that USD's own validators do not make, as validators in USD's own registry.
+"""Checks of volumes that USD's own validators do not make.
 
-`registry` tells UsdValidation about them, `run` runs them with all others on a file. The rules
-stand in `field_rules` (one field), `volume_rules` (a Volume's fields together), `request_rules`
-(what a Volume asks for) and `result_rules` (files that usdsmoke wrote); `facts` collects what they
-look at.
+- `validation`: registers the rules with UsdValidation; runs all validators over a stage
+- `findings`: what a rule or a validator finds
+- `facts`: a Volume's fields over time, and the headers of their files
+- `field_rules`: rules on one field
+- `volume_rules`: rules on a Volume's fields together, and on its style request
+- `result_rules`: rules on files that usdsmoke wrote
 """
 
 from usdsmoke.usd.rules.findings import Finding, Severity
-from usdsmoke.usd.rules.registry import PREFIX, register_validators
-from usdsmoke.usd.rules.run import validate, validate_stage
+from usdsmoke.usd.rules.validation import PREFIX, register_validators, validate
 
-__all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate", "validate_stage"]
+__all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate"]

@@ -5,17 +5,18 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
-from pxr import Usd, UsdValidation, UsdVol
+from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError
 from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.usd.field_samples import usd_time
 from usdsmoke.usd.relationships import field_prim, field_targets
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     collect_fields,
     file_trouble,
     header_of,
-    shown_grid,
+    sample_grid,
 )
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.vdb.header import GridHeader
@@ -49,9 +50,7 @@ _TOKENS = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
 _GAP = 1.5  # times the usual step: more than that and something is missing
 
 
-def check_targets(
-    volume: Usd.Prim, _time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     """Every field relationship leads to one field prim."""
     problems = []
     for name, targets in field_targets(volume).items():
@@ -63,42 +62,42 @@ def check_targets(
     return problems
 
 
-def check_files(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_files(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Every file that a field names is there and is a VDB file."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         troubles = {}
-        for shown in field.shown:
-            trouble = file_trouble(shown)
-            if not trouble and not shown.blocked:
-                trouble = _header_trouble(shown.file_path)
+        for sample in field.samples:
+            trouble = file_trouble(sample)
+            if not trouble and not sample.blocked:
+                trouble = _header_trouble(sample.file_path)
             if trouble:
-                troubles[shown.time_code] = trouble
+                troubles[sample.time_code] = trouble
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
     return problems
 
 
-def check_grids(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_grids(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Every file has the grid that its field names."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         troubles = {}
-        for shown in field.shown:
-            if shown.blocked or file_trouble(shown) or _header_trouble(shown.file_path):
+        for sample in field.samples:
+            if sample.blocked or file_trouble(sample) or _header_trouble(sample.file_path):
                 continue
             try:
-                request = GridRequest(shown.grid_name, shown.grid_index)
-                find_grid(header_of(shown.file_path), request)
+                request = GridRequest(sample.grid_name, sample.grid_index)
+                find_grid(header_of(sample.file_path), request)
             except GridError as error:
-                troubles[shown.time_code] = str(error)
+                troubles[sample.time_code] = str(error)
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
     return problems
 
 
-def check_types(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_types(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """``fieldDataType`` says what the grid holds; USD's own documentation wants it authored."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         wrong, missing = {}, {}
         for code, grid in _grids(field):
             token = _token(field.prim, "fieldDataType", code)
@@ -118,10 +117,10 @@ def check_types(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange)
     return problems
 
 
-def check_classes(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_classes(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """``fieldClass`` and the grid's own class agree where both say something."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         troubles = {}
         for code, grid in _grids(field):
             wanted = _CLASSES.get(_token(field.prim, "fieldClass", code))
@@ -134,10 +133,10 @@ def check_classes(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRang
     return problems
 
 
-def check_tokens(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_tokens(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Tokens are among those that the schema allows."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         for name in _TOKENS:
             attribute = field.prim.GetAttribute(name)
             allowed = attribute.GetMetadata("allowedTokens") or ()
@@ -150,14 +149,14 @@ def check_tokens(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
     return problems
 
 
-def check_gaps(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_gaps(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """The files of a field follow one another at one step, without holes and blocked samples."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         codes = [
-            shown.time_code
-            for shown in field.shown
-            if shown.time_code is not None and not shown.blocked
+            sample.time_code
+            for sample in field.samples
+            if sample.time_code is not None and not sample.blocked
         ]
         troubles: dict[float | None, str] = {
             before: f"the files go from timeCode {format_time_code(before)} straight to "
@@ -168,16 +167,14 @@ def check_gaps(volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange) 
     return problems
 
 
-def check_absolute_paths(
-    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_absolute_paths(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """File paths are relative, so that a folder can be moved or sent."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         paths = {
-            shown.time_code: shown.authored_path
-            for shown in field.shown
-            if os.path.isabs(shown.authored_path) or shown.authored_path[1:3] in (":/", ":\\")
+            sample.time_code: sample.authored_path
+            for sample in field.samples
+            if os.path.isabs(sample.authored_path) or sample.authored_path[1:3] in (":/", ":\\")
         }
         if not paths:
             continue
@@ -201,7 +198,7 @@ def _header_trouble(file_path: str) -> str:
 
 def _grids(field: FieldFacts) -> list[tuple[float | None, GridHeader]]:
     """The grids that a field shows, by timeCode, where they can be had."""
-    found = [(shown.time_code, shown_grid(shown)) for shown in field.shown]
+    found = [(sample.time_code, sample_grid(sample)) for sample in field.samples]
     return [(code, grid) for code, grid in found if grid is not None]
 
 
@@ -210,8 +207,7 @@ def _token(prim: Usd.Prim, name: str, time_code: float | None) -> str:
     attribute = prim.GetAttribute(name)
     if not attribute.HasAuthoredValue():
         return ""
-    code = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
-    return str(attribute.Get(code) or "")
+    return str(attribute.Get(usd_time(time_code)) or "")
 
 
 def _holes(codes: Sequence[float]) -> list[tuple[float, float]]:

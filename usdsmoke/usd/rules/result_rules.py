@@ -4,7 +4,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
-from pxr import Sdf, Usd, UsdValidation
+from pxr import Gf, Sdf, Usd
 
 from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import BindingMissing, GridError, StageError
@@ -12,10 +12,10 @@ from usdsmoke.usd.rules.facts import collect_fields, header_of
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 
-__all__ = ["check_layer_results", "check_shown_results", "recorded_results"]
+__all__ = ["check_field_results", "check_layer_results", "recorded_results"]
 
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
-_SHOWN = 12  # digits of a hash that people compare
+_DIGITS = 12  # digits of a hash that people compare
 
 
 def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
@@ -42,9 +42,7 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
     ]
 
 
-def check_shown_results(
-    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_field_results(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Files with a hash of ours hold what they were written with, also without their look layer."""
     recorded = {
         file_path
@@ -53,16 +51,16 @@ def check_shown_results(
     }
     problems = []
     seen: set[str] = set(recorded)
-    for field in collect_fields(volume, time_range):
-        for shown in field.shown:
-            if not os.path.isfile(shown.file_path) or shown.file_path in seen:
+    for field in collect_fields(volume, interval):
+        for sample in field.samples:
+            if not os.path.isfile(sample.file_path) or sample.file_path in seen:
                 continue
-            seen.add(shown.file_path)
-            promised = _promised(shown.file_path)
-            severity, trouble = _compare(shown.file_path, promised) if promised else (None, "")
+            seen.add(sample.file_path)
+            promised = _promised(sample.file_path)
+            severity, trouble = _compare(sample.file_path, promised) if promised else (None, "")
             if severity and trouble:
-                message = f"{os.path.basename(shown.file_path)} {trouble}"
-                problems += grouped(severity, field.prim_path, {shown.time_code: message})
+                message = f"{os.path.basename(sample.file_path)} {trouble}"
+                problems += grouped(severity, field.prim_path, {sample.time_code: message})
     return problems
 
 
@@ -80,8 +78,8 @@ def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
     promised = _promised(file_path)
     if promised != recorded:
         return Severity.ERROR, (
-            f"is not the file of this result: its metadata says {promised[:_SHOWN] or 'nothing'}, "
-            f"the layer {recorded[:_SHOWN]}; run usdsmoke again"
+            f"is not the file of this result: its metadata says {promised[:_DIGITS] or 'nothing'}, "
+            f"the layer {recorded[:_DIGITS]}; run usdsmoke again"
         )
     try:
         state = os.stat(file_path)
@@ -93,8 +91,8 @@ def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
     if found == recorded:
         return Severity.INFO, ""
     return Severity.ERROR, (
-        f"was changed after it was written: its grids hash to {found[:_SHOWN]}, wanted "
-        f"{recorded[:_SHOWN]}; run usdsmoke again"
+        f"was changed after it was written: its grids hash to {found[:_DIGITS]}, wanted "
+        f"{recorded[:_DIGITS]}; run usdsmoke again"
     )
 
 

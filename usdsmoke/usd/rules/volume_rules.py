@@ -1,30 +1,39 @@
-"""Rules on a Volume's fields together: bounds, one file, one name, one place in space."""
+"""Rules on a Volume: its bounds, its fields together, and what it requests."""
 
 import os
 import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pxr import Usd, UsdValidation
+from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.volume import VELOCITY_NAMES
+from usdsmoke.usd.field_samples import FieldSample
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
-    Shown,
     collect_fields,
     field_to_stage,
-    held_at,
-    shown_grid,
+    sample_grid,
 )
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
+from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
-__all__ = ["check_extent", "check_one_file", "check_one_name", "check_one_place"]
+__all__ = [
+    "check_extent",
+    "check_one_file",
+    "check_one_name",
+    "check_one_place",
+    "check_request",
+    "check_request_applied",
+    "check_request_placed",
+]
 
 _VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
-def check_extent(volume: Usd.Prim, _time_range: UsdValidation.ValidationTimeRange) -> list[Problem]:
+def check_extent(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     """The Volume has an extent; USD cannot work one out, and without it nothing frames it."""
     if volume.GetAttribute("extent").HasAuthoredValue():
         return []
@@ -32,16 +41,14 @@ def check_extent(volume: Usd.Prim, _time_range: UsdValidation.ValidationTimeRang
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 
 
-def check_one_file(
-    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """At every moment all fields show one file; RenderMan, Arnold and Blender read only one."""
     troubles = {}
-    for code, fields in _moments(collect_fields(volume, time_range)):
+    for code, fields in _moments(collect_fields(volume, interval)):
         files: dict[str, str] = {}
-        for field, shown in fields:
-            if shown.file_path and not _is_empty(shown):
-                files.setdefault(shown.file_path, field.relationship)
+        for field, sample in fields:
+            if sample.file_path and not _is_empty(sample):
+                files.setdefault(sample.file_path, field.relationship)
         if len(files) > 1:
             listed = ", ".join(
                 f"{name} in {os.path.basename(path)}" for path, name in files.items()
@@ -65,18 +72,16 @@ def check_one_file(
     return problems
 
 
-def check_one_name(
-    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_one_name(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Relationship and grid carry one name; renderers look for the one or the other."""
     problems = []
-    for field in collect_fields(volume, time_range):
+    for field in collect_fields(volume, interval):
         troubles = {}
-        for shown in field.shown:
-            grid = shown_grid(shown)
-            name = shown.grid_name or (grid.name if grid else "")
-            if name and not shown.blocked and _plain(name) != _plain(field.relationship):
-                troubles[shown.time_code] = (
+        for sample in field.samples:
+            grid = sample_grid(sample)
+            name = sample.grid_name or (grid.name if grid else "")
+            if name and not sample.blocked and _plain(name) != _plain(field.relationship):
+                troubles[sample.time_code] = (
                     f'the relationship field:{field.relationship} shows the grid "{name}"; several '
                     "programs expect both to have one name"
                 )
@@ -84,16 +89,14 @@ def check_one_name(
     return problems
 
 
-def check_one_place(
-    volume: Usd.Prim, time_range: UsdValidation.ValidationTimeRange
-) -> list[Problem]:
+def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """All fields but the velocity have equal voxels: grid and field xform taken together."""
     troubles = {}
-    for code, fields in _moments(collect_fields(volume, time_range)):
+    for code, fields in _moments(collect_fields(volume, interval)):
         first: tuple[str, np.ndarray] | None = None
-        for field, shown in fields:
-            grid = shown_grid(shown)
-            if grid is None or grid.index_to_world is None or _is_empty(shown):
+        for field, sample in fields:
+            grid = sample_grid(sample)
+            if grid is None or grid.index_to_world is None or _is_empty(sample):
                 continue
             if _VELOCITY.fullmatch(field.relationship):
                 continue  # often coarser than what it moves, and read on its own
@@ -108,19 +111,46 @@ def check_one_place(
     return grouped(Severity.WARN, str(volume.GetPath()), troubles)
 
 
+def check_request(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """Requests are known to the schema, of the right type, in range, and lead somewhere."""
+    problems = request_problems(volume)
+    return [Problem(Severity.ERROR, path, message) for path, message in problems.items()]
+
+
+def check_request_applied(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """Attributes of a request stand on a prim with the API applied; they do not count otherwise."""
+    ignored = ignored_attributes(volume)
+    if not ignored:
+        return []
+    message = f"{STYLE_API} is not applied, so that {', '.join(ignored)} do not count; apply it"
+    return [Problem(Severity.WARN, str(volume.GetPath()), message)]
+
+
+def check_request_placed(prim: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """The API is applied to Volumes; on a prim of another type nobody reads it."""
+    if not has_request(prim) or prim.IsA(UsdVol.Volume):
+        return []
+    kind = prim.GetTypeName() or "none"
+    message = (
+        f"{STYLE_API} is applied to a prim of type {kind}, where it does not count; wanted a "
+        "Volume: apply it there"
+    )
+    return [Problem(Severity.WARN, str(prim.GetPath()), message)]
+
+
 def _moments(
     fields: Sequence[FieldFacts],
-) -> Iterator[tuple[float | None, list[tuple[FieldFacts, Shown]]]]:
+) -> Iterator[tuple[float | None, list[tuple[FieldFacts, FieldSample]]]]:
     """Every timeCode at which any field changes, with what each of them shows then."""
-    codes = {shown.time_code for field in fields for shown in field.shown}
+    codes = {sample.time_code for field in fields for sample in field.samples}
     sampled: list[float | None] = [*sorted(code for code in codes if code is not None)]
     for code in sampled or [None]:
-        yield code, [(field, held_at(field, code)) for field in fields]
+        yield code, [(field, field.at(code)) for field in fields]
 
 
-def _is_empty(shown: Shown) -> bool:
+def _is_empty(sample: FieldSample) -> bool:
     """A grid without voxels is missed by nobody, wherever it is."""
-    grid = shown_grid(shown)
+    grid = sample_grid(sample)
     return grid is not None and grid.active_voxels == 0
 
 

@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import CameraSource, StageSource
-from usdsmoke.usd.stage.named import named_prim
+from usdsmoke.usd.stage.opening import named_prim
 
 __all__ = ["list_cameras", "read_camera", "seen_through"]
 

@@ -1,26 +1,35 @@
-"""What a stage's Volumes show at any timeCode, with their look or without it."""
+"""What a stage's Volumes show at any timeCode, between time samples too, as a renderer sees it."""
 
 import math
-import os
+from dataclasses import dataclass
 from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import FieldSource, ShownVolume, StageSource
+from usdsmoke.base.volume import FieldSource, StageSource
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
-from usdsmoke.usd.stage.assets import check_assets, field_source
-from usdsmoke.usd.stage.opening import open_stage
-from usdsmoke.usd.stage.originals import is_look_layer, leave_looks_out
+from usdsmoke.usd.stage.fields import check_assets, field_source
 
-__all__ = ["open_original", "shown_volumes"]
+__all__ = ["ComposedVolume", "composed_volumes"]
 
 
-def shown_volumes(
+@dataclass(frozen=True)
+class ComposedVolume:
+    """What a Volume shows at one timeCode, whatever is sampled there: values hold as USD holds."""
+
+    prim_path: str
+    density: FieldSource
+    emission: FieldSource | None  # None: it has no such field, or a gap there
+    extinction: float | None  # usdSmoke:extinctionPerDensity; None when nobody has authored it
+    emission_mode: str = ""  # usdSmoke:emissionMode; "" when nobody has authored it
+
+
+def composed_volumes(
     stage: Usd.Stage, source: StageSource, time_code: float, emission: str = "emission"
-) -> list[ShownVolume]:
+) -> list[ComposedVolume]:
     """What the Volumes show at a timeCode; hidden ones and those in a gap are left out.
 
     Unlike ``find_volumes``, which lists timeCodes that are authored, this holds values between
@@ -37,17 +46,17 @@ def shown_volumes(
         StageError: an extinction per density is negative or not finite.
     """
     xforms = UsdGeom.XformCache(time_code)
-    shown = []
+    composed = []
     for volume in source.volumes:
         prim = stage.GetPrimAtPath(volume.prim_path)
         if UsdGeom.Imageable(prim).ComputeVisibility(time_code) == UsdGeom.Tokens.invisible:
             continue
-        density = _shown_field(prim, volume.density, time_code, xforms)
+        density = _composed_field(prim, volume.density, time_code, xforms)
         if density is None:
             continue
-        light = _shown_field(prim, emission, time_code, xforms)
-        shown.append(
-            ShownVolume(
+        light = _composed_field(prim, emission, time_code, xforms)
+        composed.append(
+            ComposedVolume(
                 volume.prim_path,
                 density,
                 light,
@@ -55,34 +64,10 @@ def shown_volumes(
                 str(_authored(prim, EMISSION_MODE, time_code) or ""),
             )
         )
-    return shown
+    return composed
 
 
-def open_original(file_path: str | os.PathLike[str]) -> Usd.Stage:
-    """The stage as it is without usdsmoke's looks.
-
-    Of an asset the variant without a look is selected, in the session layer; look layers that are
-    in use after that are muted.
-
-    Raises:
-        StageError: the stage cannot be opened, no layer of it was made by usdsmoke, or its root
-            layer was, which cannot be muted.
-    """
-    stage = open_stage(file_path)
-    if is_look_layer(stage.GetRootLayer()):
-        raise StageError(
-            f"{os.fspath(file_path)} is a look layer itself, and a stage's root layer cannot be "
-            "muted; wanted the root stage that was written beside it, NAME_look.usda"
-        )
-    if not leave_looks_out(stage).layers:
-        raise StageError(
-            f"no layer of the stage {os.fspath(file_path)} was made by usdsmoke, so there is no "
-            "look to compare with; wanted a root stage such as NAME_look.usda: leave out --compare"
-        )
-    return stage
-
-
-def _shown_field(
+def _composed_field(
     volume: Usd.Prim, name: str, time_code: float, xforms: UsdGeom.XformCache
 ) -> FieldSource | None:
     targets: list[Sdf.Path] = field_targets(volume).get(name, [])

@@ -1,19 +1,26 @@
-"""From a Volume's relationships to the field prims of its density, its velocity and its mask."""
+"""The field prims of a Volume's density, velocity and mask, and the files that they show."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 
-from pxr import Sdf, Usd, UsdVol
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.errors import FieldNotFound, StageError
+from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
 from usdsmoke.base.request_attributes import MASK
-from usdsmoke.base.volume import VELOCITY_NAMES
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.volume import VELOCITY_NAMES, FieldSource
+from usdsmoke.usd.asset_paths import vdb_problem
+from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.relationships import FIELD_PREFIX, field_prim, field_targets
 
 __all__ = [
     "VolumeFields",
+    "check_assets",
     "describe_instance",
+    "field_source",
     "find_fields",
     "velocity_relationships",
 ]
@@ -148,3 +155,67 @@ def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:
     return ", ".join(f"{FIELD_PREFIX}{name}" for name in sorted(names)) or "none"
+
+
+def field_source(
+    relationship: str, prim: Usd.Prim, time_code: float, xforms: UsdGeom.XformCache
+) -> FieldSource | None:
+    """What a field prim shows at ``time_code``, files unchecked; None in a gap.
+
+    Args:
+        relationship: the Volume's name for the field, without ``field:``.
+        prim: an OpenVDBAsset.
+        time_code: any; time samples are held.
+        xforms: a cache at ``time_code``.
+    """
+    sample = FieldSamples(prim).at(time_code)
+    if not sample.has_path:
+        return None
+    return FieldSource(
+        relationship=relationship,
+        prim_path=str(prim.GetPath()),
+        time_code=time_code,
+        file_path=sample.file_path,
+        authored_path=sample.authored_path,
+        grid_name=sample.grid_name,
+        grid_index=sample.grid_index,
+        field_to_stage=np.array(xforms.GetLocalToWorldTransform(prim), dtype=np.float64),
+        data_type=prim.GetAttribute("fieldDataType").Get(time_code) or "",
+        field_class=prim.GetAttribute("fieldClass").Get(time_code) or "",
+    )
+
+
+def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
+    """Refuse a field whose files cannot be read from disk, naming every timeCode concerned.
+
+    Raises:
+        AssetNotResolved: a path is empty, Houdini's own, inside a package, a folder, or resolves to
+            no file.
+    """
+    found = [(source, vdb_problem(source.authored_path, source.file_path)) for source in sources]
+    problems = [(source, problem) for source, problem in found if problem]
+    if not problems:
+        return
+    source, problem = problems[0]
+    asset = f"@{source.authored_path}@, authored in {_authoring_layer(prim, source.time_code)}"
+    raise AssetNotResolved(
+        f"the filePath of <{source.prim_path}> at timeCode {format_time_code(source.time_code)} is "
+        f"{asset}: {problem}{_also(source.time_code for source, _ in problems[1:])}"
+    )
+
+
+def _authoring_layer(prim: Usd.Prim, time_code: float) -> str:
+    """File name of the layer that supplies ``filePath`` at ``time_code``."""
+    for spec in prim.GetAttribute("filePath").GetPropertyStack(Usd.TimeCode(time_code)):
+        if spec.HasInfo("timeSamples") or spec.HasInfo("default"):
+            return _layer_name(spec.layer)
+    return "no layer"
+
+
+def _layer_name(layer: Sdf.Layer) -> str:
+    return layer.identifier if layer.anonymous else str(PurePath(layer.realPath))
+
+
+def _also(time_codes: Iterable[float]) -> str:
+    codes = list(time_codes)
+    return f" (the same trouble at timeCodes {format_time_codes(codes)})" if codes else ""

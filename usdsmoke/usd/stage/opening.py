@@ -1,28 +1,31 @@
-"""Opening a stage, with usdSmoke's own schema known to USD."""
+"""Opens a stage, and finds its file, its layers and a prim by its path."""
 
 import os
 from pathlib import Path
 from typing import TypeAlias
 
-from pxr import Usd
+from pxr import Sdf, Usd
 
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.schema import register_schema
 
-__all__ = ["StageOrFile", "layer_files", "open_stage", "stage_file"]
+__all__ = ["StageOrFile", "layer_files", "named_prim", "open_stage", "stage_file"]
 
 StageOrFile: TypeAlias = str | os.PathLike[str] | Usd.Stage
 
 
-def open_stage(file_path: str | os.PathLike[str]) -> Usd.Stage:
+def open_stage(stage: StageOrFile) -> Usd.Stage:
     """The composed stage of a .usda, .usdc, .usd or .usdz file, all payloads loaded.
+
+    Args:
+        stage: a file; an open stage is returned as it is.
 
     Raises:
         StageError: the file is missing, of no USD format, or cannot be parsed.
     """
-    register_schema()  # the schema registry, built with the first stage, never looks again
-    return open_quietly(os.fspath(file_path))
+    register_schema()  # USD reads its schemas when the first stage is opened, and never again
+    return stage if isinstance(stage, Usd.Stage) else open_quietly(os.fspath(stage))
 
 
 def stage_file(stage: StageOrFile) -> Path:
@@ -58,3 +61,30 @@ def stage_file(stage: StageOrFile) -> Path:
 def layer_files(stage: Usd.Stage) -> list[str]:
     """The files of all layers that a stage uses."""
     return [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath]
+
+
+def named_prim(
+    stage: Usd.Stage, path: str, wanted: str, advice: str, error: type[UsdSmokeError]
+) -> Usd.Prim:
+    """The active prim at a path, of whatever type.
+
+    Args:
+        stage: composed.
+        path: as it was given.
+        wanted: what it is to be the path of, with an example.
+        advice: the end of every message: what there is to choose from.
+        error: what to raise.
+
+    Raises:
+        UsdSmokeError: of the kind ``error``: no path of a prim, no such prim, or an inactive one.
+    """
+    if not (
+        path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
+    ):
+        raise error(f"{path!r} is no path of {wanted}; {advice}")
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise error(f"no prim <{path}> on the stage; {advice}")
+    if not prim.IsActive():
+        raise error(f"the prim <{path}> is inactive; activate it, or {advice}")
+    return prim

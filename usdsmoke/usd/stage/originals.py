@@ -1,6 +1,6 @@
-"""The stage as it was before usdsmoke: looks that it has already are left out while it is read.
+"""The stage without the looks that it has: the source of a result.
 
-Nothing of this reaches a file: layers are muted and variants chosen on the stage in memory alone.
+Layers are muted and variants are selected in memory only; no file changes.
 """
 
 import os
@@ -15,10 +15,10 @@ from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd import schema
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.relationships import field_targets
-from usdsmoke.usd.stage.opening import open_stage
+from usdsmoke.usd.stage.opening import StageOrFile, open_stage
 from usdsmoke.vdb.header import read_header
 
-__all__ = ["check_originals", "is_look_layer", "leave_looks_out", "open_source"]
+__all__ = ["check_originals", "is_look_layer", "open_original", "open_source"]
 
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 
@@ -59,11 +59,51 @@ def open_source(
         if _real_path(stage) in seen:
             raise StageError(f"{before} was made from itself; give the stage before it")
         seen.add(_real_path(stage))
-    found = leave_looks_out(stage)
+    found = _leave_looks_out(stage)
     return stage, replace(found, notes=(*notes, *found.notes))
 
 
-def leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
+def open_original(stage: StageOrFile) -> Usd.Stage:
+    """The stage as it is without usdsmoke's looks.
+
+    Of an asset the variant without a look is selected, in the session layer; look layers that are
+    in use after that are muted.
+
+    Args:
+        stage: a file, or an open stage, which stays as it is.
+
+    Raises:
+        StageError: the stage cannot be opened, no layer of it was made by usdsmoke, or its root
+            layer was, which cannot be muted.
+    """
+    stage = _own_copy(stage)
+    root = stage.GetRootLayer()
+    if is_look_layer(root):
+        raise StageError(
+            f"{root.identifier} is a look layer itself, and USD cannot mute a stage's root layer. "
+            "Use the root stage that was written beside it, NAME_look.usda."
+        )
+    if not _leave_looks_out(stage).layers:
+        raise StageError(
+            f"no layer of the stage {root.identifier} was made by usdsmoke, so there is no look to "
+            "compare with. Use a root stage such as NAME_look.usda, or leave out --compare."
+        )
+    return stage
+
+
+def _own_copy(stage: StageOrFile) -> Usd.Stage:
+    """A stage whose layers can be muted: of an open one, a second over the same layers."""
+    if not isinstance(stage, Usd.Stage):
+        return open_stage(stage)
+    session = Sdf.Layer.CreateAnonymous()
+    if stage.GetSessionLayer() is not None:
+        session.TransferContent(stage.GetSessionLayer())
+    copy = Usd.Stage.Open(stage.GetRootLayer(), session, stage.GetPathResolverContext())
+    copy.MuteAndUnmuteLayers(stage.GetMutedLayers(), [])
+    return copy
+
+
+def _leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
     """Select originals and mute looks of an open stage, in memory; what that has taken away.
 
     Args:

@@ -22,9 +22,16 @@ from usdsmoke.base.volume import (
     StyleRequest,
     VolumeSource,
 )
-from usdsmoke.usd.stage.assets import check_assets, field_source, field_time_codes, is_blocked
-from usdsmoke.usd.stage.fields import VolumeFields, describe_instance, find_fields
-from usdsmoke.usd.stage.named import named_prim
+from usdsmoke.usd.field_samples import FieldSamples
+from usdsmoke.usd.stage.fields import (
+    VolumeFields,
+    check_assets,
+    describe_instance,
+    field_source,
+    find_fields,
+)
+from usdsmoke.usd.stage.opening import named_prim
+from usdsmoke.usd.stage.originals import is_look_layer
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 __all__ = ["find_volumes"]
@@ -131,6 +138,11 @@ def _choose_volumes(
     if inside:
         path, reason = next(iter(inside.items()))
         raise StageError(f"cannot use Volume <{path}>: {reason}")
+    if is_look_layer(stage.GetRootLayer()):
+        raise VolumeNotFound(
+            f"{stage.GetRootLayer().realPath} is a look layer by itself, without the smoke that it "
+            "belongs to. Use the root stage that was written beside it, NAME_look.usda."
+        )
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}; wanted a prim of type Volume "
         f"with a density field{_composition_hint(stage)}"
@@ -166,12 +178,13 @@ def _own_config(prim: Usd.Prim, config: StageConfig, explicit: Collection[str]) 
 def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
     fields = find_fields(prim, config.density, config.velocity, config.mask)
     density = fields.prims[fields.density]
-    codes = field_time_codes(density)
+    samples = FieldSamples(density)
+    codes = samples.changes()
     animated = bool(codes)
     if not animated:
         start = _authored_time(prim.GetStage(), "startTimeCode")
         codes = [_STATIC_TIME_CODE if start is None else start]
-    existing = tuple(code for code in codes if not is_blocked(density, code))
+    existing = tuple(code for code in codes if samples.at(code).has_path)
     if not existing:
         raise AssetNotResolved(
             f"the field <{density.GetPath()}> of Volume <{prim.GetPath()}> has no filePath at any "

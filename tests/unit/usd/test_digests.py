@@ -6,7 +6,7 @@ import pytest
 from pxr import Sdf
 
 from tests.usd_fixtures import make_look, plume_stage
-from usdsmoke.usd.look.digests import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
+from usdsmoke.usd.look import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
 
 
 def sealed(layer: Sdf.Layer) -> tuple[bool, bool]:

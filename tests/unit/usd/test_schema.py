@@ -26,7 +26,7 @@ from usdsmoke.base.request_attributes import (
 )
 from usdsmoke.usd import schema
 
-PROJECT = Path(__file__).resolve().parents[2]
+PROJECT = Path(__file__).resolve().parents[3]
 SOURCE = PROJECT / "schemas" / "usdSmoke" / "schema.usda"
 GENERATOR = PROJECT / "tools" / "generate_schema.py"
 
@@ -131,7 +131,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 import usdsmoke
-from usdsmoke.usd.schema import late_note
+from usdsmoke.usd import late_note
 print(json.dumps(late_note()))
 """
     note = run_python(code, PXR_PLUGINPATH_NAME="")
@@ -146,7 +146,7 @@ import json
 from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
-from usdsmoke.usd.schema import register_schema
+from usdsmoke.usd import register_schema
 print(json.dumps([register_schema(), register_schema()]))
 """
     assert run_python(late, PXR_PLUGINPATH_NAME="") == [False, False]

@@ -1,0 +1,225 @@
+"""Validators of usdsmoke in USD's registry; all validators over one stage, as one sorted list.
+
+OpenUSD takes validators from Python since 26.05. ``UsdValidation`` is loaded inside functions, so
+that everything else also works with an older OpenUSD.
+"""
+
+import os
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pxr import Gf, Sdf, Usd
+
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly
+from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
+from usdsmoke.usd.rules.findings import Finding, Problem, Severity
+from usdsmoke.usd.schema import late_note, register_schema
+
+if TYPE_CHECKING:
+    from pxr import UsdValidation
+
+__all__ = ["PREFIX", "register_validators", "validate"]
+
+PREFIX = "usdsmokeValidators:"
+
+PrimRule = Callable[[Usd.Prim, Gf.Interval], list[Problem]]
+
+_VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
+    "VolumeExtentMissing": (volume_rules.check_extent, "A Volume has an extent."),
+    "FieldTargetInvalid": (field_rules.check_targets, "Field relationships lead to field prims."),
+    "FieldFileMissing": (field_rules.check_files, "Field files exist and are VDB files."),
+    "GridMissing": (field_rules.check_grids, "Files have the grids that their fields name."),
+    "FieldTypeMismatch": (field_rules.check_types, "fieldDataType describes the grid."),
+    "FieldClassMismatch": (field_rules.check_classes, "fieldClass describes the grid."),
+    "FieldTokenUnknown": (field_rules.check_tokens, "Field tokens are those the schema allows."),
+    "FrameGap": (field_rules.check_gaps, "Files follow one another without gaps."),
+    "AbsolutePath": (field_rules.check_absolute_paths, "File paths are relative."),
+    "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
+    "FieldNameMismatch": (volume_rules.check_one_name, "Relationship and grid share one name."),
+    "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
+    "RequestInvalid": (volume_rules.check_request, "A Volume's style request can be read."),
+    "RequestNotApplied": (
+        volume_rules.check_request_applied,
+        "Style attributes are ignored unless UsdSmokeStyleAPI is applied.",
+    ),
+    "GridHashMismatch": (
+        result_rules.check_field_results,
+        "Files that usdsmoke wrote hold what was written.",
+    ),
+}
+_PRIM_RULES: dict[str, tuple[PrimRule, str]] = {
+    "RequestMisplaced": (
+        volume_rules.check_request_placed,
+        "UsdSmokeStyleAPI is applied to Volumes only.",
+    ),
+}
+_LAYER_RULES = {
+    "ResultChanged": (
+        result_rules.check_layer_results,
+        "The files of a look layer hold what the layer recorded of them.",
+    )
+}
+# These errors are about the installed renderers, not about the stage.
+_OF_THE_INSTALLATION = {"usdShadeValidators:ShaderSdrCompliance.MissingShaderIdInRegistry"}
+_TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
+
+
+def register_validators() -> list[str]:
+    """Register the rules with UsdValidation; calling it again does no harm.
+
+    Returns:
+        The validators' names. Each finding's text begins with its timeCode where it has one, since
+        UsdValidation carries no time itself.
+
+    Raises:
+        StageError: OpenUSD is older than 26.05.
+    """
+    module = _validation()
+    registry = module.ValidationRegistry()
+    for name, (rule, doc) in (_VOLUME_RULES | _PRIM_RULES).items():
+        if not registry.HasValidator(PREFIX + name):
+            metadata = module.ValidatorMetadata(
+                name=PREFIX + name,
+                keywords=["usdsmoke", "UsdVol"],
+                doc=doc,
+                schemaTypes=["UsdVolVolume"] if name in _VOLUME_RULES else [],
+                isTimeDependent=True,
+            )
+            registry.RegisterPrimValidator(metadata, _prim_task(name, rule))
+    for name, (layer_rule, doc) in _LAYER_RULES.items():
+        if not registry.HasValidator(PREFIX + name):
+            metadata = module.ValidatorMetadata(
+                name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
+            )
+            registry.RegisterLayerValidator(metadata, _layer_task(name, layer_rule))
+    return [PREFIX + name for name in (*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES)]
+
+
+def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
+    """What all validators find on a stage or in a layer, worst first, each finding once.
+
+    Severities are the validators' own, but a shader that no installed renderer knows is a warning.
+    Files are opened for their headers. Files that usdsmoke wrote are read whole, each in a process
+    of its own, to compare their hashes.
+
+    Args:
+        stage: a USD file, or an open stage, which is checked as it is composed now, with its
+            unsaved edits. Only what is loaded is checked.
+
+    Raises:
+        StageError: the file is missing, of no USD format, or cannot be parsed; or OpenUSD is older
+            than 26.05.
+    """
+    register_schema()
+    register_validators()
+    if not isinstance(stage, Usd.Stage):
+        stage = open_quietly(os.fspath(stage))
+    module = _validation()
+    validators = module.ValidationRegistry().GetOrLoadAllValidators()
+    with captured_diagnostics():  # some validators of USD also warn on stderr
+        errors = module.ValidationContext(validators).Validate(stage)
+        findings = {_to_finding(error) for error in errors}
+    if note := late_note():
+        findings.add(Finding(Severity.INFO, "SchemaNotRegistered", "", None, note))
+    order = list(Severity)
+    return sorted(
+        findings,
+        key=lambda item: (
+            order.index(item.severity),
+            item.prim_path,
+            item.rule,
+            -1e300 if item.time_code is None else item.time_code,
+            item.message,
+        ),
+    )
+
+
+def _validation() -> "UsdValidation":
+    """The module UsdValidation, if it takes validators from Python."""
+    try:
+        from pxr import UsdValidation
+    except ImportError:
+        UsdValidation = None
+    if not hasattr(getattr(UsdValidation, "ValidationRegistry", None), "RegisterPrimValidator"):
+        major, minor = Usd.GetVersion()[1:]
+        raise StageError(
+            f"validation needs OpenUSD 26.05 or later (found {major}.{minor:02}). Install a newer "
+            "usd-core to validate; everything else works with this one."
+        )
+    return UsdValidation
+
+
+def _prim_task(
+    name: str, rule: PrimRule
+) -> Callable[
+    [Usd.Prim, "UsdValidation.ValidationTimeRange"], list["UsdValidation.ValidationError"]
+]:
+    def task(
+        prim: Usd.Prim, time_range: "UsdValidation.ValidationTimeRange"
+    ) -> list["UsdValidation.ValidationError"]:
+        return [
+            _error(name, item, (prim.GetStage(), Sdf.Path(item.prim_path)))
+            for item in rule(prim, time_range.GetInterval())
+        ]
+
+    return task
+
+
+def _layer_task(
+    name: str, rule: Callable[[Sdf.Layer], list[Problem]]
+) -> Callable[[Sdf.Layer], list["UsdValidation.ValidationError"]]:
+    def task(layer: Sdf.Layer) -> list["UsdValidation.ValidationError"]:
+        return [_error(name, item, (layer, Sdf.Path.absoluteRootPath)) for item in rule(layer)]
+
+    return task
+
+
+def _error(
+    name: str, problem: Problem, site: tuple[Usd.Stage | Sdf.Layer, Sdf.Path]
+) -> "UsdValidation.ValidationError":
+    from pxr import UsdValidation
+
+    kind = {severity: kind for kind, severity in _severities().items()}[problem.severity]
+    text = problem.message
+    if problem.time_code is not None:
+        text = f"timeCode {format_time_code(problem.time_code)}: {text}"
+    sites = [UsdValidation.ValidationErrorSite(*site)]
+    return UsdValidation.ValidationError(name, kind, sites, text)
+
+
+def _severities() -> dict["UsdValidation.ValidationErrorType", Severity]:
+    from pxr import UsdValidation
+
+    kinds = UsdValidation.ValidationErrorType
+    return {kinds.Error: Severity.ERROR, kinds.Warn: Severity.WARN, kinds.Info: Severity.INFO}
+
+
+def _to_finding(error: "UsdValidation.ValidationError") -> Finding:
+    message = " ".join(error.GetMessage().split())
+    match = _TIME.match(message)
+    identifier = str(error.GetIdentifier())
+    is_ours = identifier.startswith(PREFIX)
+    severity = _severities().get(error.GetType(), Severity.INFO)
+    return Finding(
+        severity=Severity.WARN if identifier in _OF_THE_INSTALLATION else severity,
+        rule=str(error.GetName()) if is_ours else identifier,
+        prim_path=_place(error),
+        time_code=float(match[1]) if is_ours and match else None,
+        message=message[match.end() :] if is_ours and match else message,
+    )
+
+
+def _place(error: "UsdValidation.ValidationError") -> str:
+    """The path of the first prim or property concerned; empty for layers and stages."""
+    for site in error.GetSites():
+        if not site.IsValid():
+            continue
+        if site.IsProperty():
+            return str(site.GetProperty().GetPath())
+        if site.IsPrim():
+            path = str(site.GetPrim().GetPath())
+            return "" if path == "/" else path
+    return ""
