@@ -10,7 +10,8 @@ from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write
 from usdsmoke.base.config import resolve_config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.plan import Plan, make_plan
+from usdsmoke.planning.make_plan import make_plan
+from usdsmoke.planning.plan import Plan
 from usdsmoke.usd.stage import find_volumes, open_stage
 
 PLACED = (

@@ -15,7 +15,7 @@ from usdsmoke import assemble, run_coarse
 from usdsmoke.base.errors import OutputExists, PlanError
 from usdsmoke.pipeline import Request
 from usdsmoke.planning import frame_reader as pipeline_frames
-from usdsmoke.planning import plan as plan_module
+from usdsmoke.planning import make_plan as plan_module
 from usdsmoke.runs import description as pipeline_description
 from usdsmoke.runs import folder as folder_module
 from usdsmoke.ui.cli.main import main

@@ -22,7 +22,7 @@ from usdsmoke.core.steps.move import ROOM
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.views.scene import measure_scene
-from usdsmoke.planning.loss_needs import unneeded_layers
+from usdsmoke.planning.needs import unneeded_layers
 
 CORE = "usdsmoke.core"
 FEATURES = (f"{CORE}.targets:build_network", f"{CORE}.losses:StyleTarget.loss")

@@ -85,7 +85,7 @@ def test_options_are_stronger_than_a_request_and_the_plan_says_so(
     files = [str(stage), "--style", str(style), "-o", str(tmp_path / "out")]
     assert main(["stylize", *files, option, "--dry-run"]) == 0
     out = capsys.readouterr().out
-    assert "what </World/smoke> asks for: optimize.iterations\n" in out
+    assert "</World/smoke>: optimize.iterations\n" in out
 
 
 @pytest.fixture

@@ -112,11 +112,11 @@ def test_the_plan_tells_what_the_camera_leaves_out(shot: Shot) -> None:
     said = reasons(plan)
     assert said["the effect at timeCodes 2,3 of </World/smoke>"] == "outside the camera's frustum"
     part = [what for what in said if what.startswith("about ") and "of the smoke" in what]
-    assert part and "the source stays as it is there" in said[part[0]]
-    assert f"the camera <{PATH}> at 3 timeCodes: views lie around its direction" in plan.needed
+    assert part and "views.camera" in said[part[0]]
+    assert any(f"<{PATH}> at 3 timeCodes" in sentence for sentence in plan.needed)
     assert not any(what.startswith("detail finer") for what in said)
     plain = job_of(shot, "views.camera=").plan
-    assert reasons(plain)["the shot's camera"].startswith("none is named (views.camera)")
+    assert "views.camera" in reasons(plain)["the shot's camera"]
     assert plan.estimate.seconds < plain.estimate.seconds
 
 

@@ -27,9 +27,9 @@ from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.pictures.png import StyleImage, read_style_image
 from usdsmoke.planning.features import check_features
-from usdsmoke.planning.needs import Omission
+from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.output_folder import check_output_folder, settle_output
-from usdsmoke.planning.plan import Plan, VolumePlan, check_plan, make_plan
+from usdsmoke.planning.plan import Omission, Plan, VolumePlan
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
 from usdsmoke.usd.stage import (
     StageOrFile,

@@ -1,86 +1,116 @@
 """What a run needs and what it leaves out, in sentences, each omission with its reason."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.config import Config
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
-from usdsmoke.base.volume import StageSource
+from usdsmoke.base.volume import FrameControls, StageSource
+from usdsmoke.core.smoke.controls import SETTINGS, in_effect
 from usdsmoke.core.smoke.schedule import octave_iterations
-from usdsmoke.planning.camera_needs import camera_needed, camera_omitted
-from usdsmoke.planning.control_needs import controls_needed, controls_omitted, takes_effect
+from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 from usdsmoke.planning.estimate import n_different_views
-from usdsmoke.planning.loss_needs import losses_omitted
+from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
+from usdsmoke.planning.visibility import pixel_sizes
 
-if TYPE_CHECKING:
-    from usdsmoke.planning.plan import FramePlan, VolumePlan
+__all__ = ["list_needed", "list_omitted", "takes_effect", "unneeded_layers"]
 
-__all__ = ["Omission", "list_needed", "list_omitted"]
+Volumes = Sequence[VolumePlan]
 
 _FEW_CUTS = 8
+_OTHER_LOSSES = ("total_variation", "histogram", "content", "laplacian", "photorealism")
 
 
-@dataclass(frozen=True)
-class Omission:
-    """Something that is not read, computed or written."""
-
-    what: str
-    reason: str
-
-
-def list_needed(config: Config, volumes: Sequence["VolumePlan"]) -> tuple[str, ...]:
+def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
     """What will be read, computed and written, one sentence each.
 
     Args:
         config: the run's settings.
-        volumes: with settings of their own; sentences tell for which Volumes where these differ.
+        volumes: with their own settings. Sentences name the Volumes where settings differ.
     """
+    # Read.
     needed = [
-        f"density of <{volume.source.prim_path}> at timeCodes "
-        f"{format_time_codes(frame.source.time_code for frame in volume.frames)}"
+        f"density of <{volume.source.prim_path}> at timeCodes {_time_codes(volume.frames)}"
         for volume in volumes
     ]
-    needed += _describe_requests(volumes)
-    with_velocity = [frame for frame in _frames(volumes) if frame.velocity]
-    if with_velocity:
-        needed.append(f"velocity of {len(with_velocity)} frames")
+    needed += [_request_text(volume) for volume in volumes if _requested(volume)]
+    if n_velocity := sum(frame.velocity is not None for frame in _frames(volumes)):
+        needed.append(f"velocity of {_count(n_velocity, 'frame')}")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
-        needed.append(f"velocity copied into {n_copied} files, so that a frame is one file")
+        needed.append(
+            f"velocity copied into {_count(n_copied, 'file')}, so that a frame is one file"
+        )
+    # Computed.
     groups = _by_config(volumes)
     for own, members in groups:
         where = _where(members, " for ") if len(groups) > 1 else ""
         needed += [f"{sentence}{where}" for sentence in _needed_by(own, members)]
-    needed += _describe_windows(volumes)
+    if n_coarse := sum(len(volume.coarse_frames) for volume in volumes):
+        needed.append(f"one coarse step over {n_coarse} frames, which all windows start from")
+    if n_twice := sum(len(volume.twice_frames) for volume in volumes):
+        needed.append(f"{_count(n_twice, 'frame')} in two windows each, blended (windows.overlap)")
+    # Written.
     kind = "half" if config.grids.half else "float"
     coloured = next((own for own, _ in groups if "colour" in own.optimize.steps), config)
     needed.append(
-        f"one VDB file a frame with {_describe_grids(coloured)} ({kind}), and the "
+        f"one VDB file per frame with {_grids_text(coloured)} ({kind}), and the "
         f"{config.layer.format} layer"
     )
     return tuple(needed)
 
 
-def list_omitted(
-    source: StageSource, config: Config, volumes: Sequence["VolumePlan"]
-) -> tuple[Omission, ...]:
-    """What is left out, and why; of which Volumes, where their settings differ."""
+def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple[Omission, ...]:
+    """What is left out, and why. The Volumes are named where settings differ.
+
+    Args:
+        source: names the Volumes that were not selected.
+        config: the run's settings.
+        volumes: with their own settings.
+    """
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
     groups = _by_config(volumes) or [(config, [])]
     for own, members in groups:
         where = _where(members, " of ") if len(groups) > 1 else ""
-        omitted += [
-            Omission(f"{omission.what}{where}", omission.reason)
-            for omission in _omitted_by(own, members)
+        found = [
+            *_omitted_steps(own),
+            *_omitted_losses(own),
+            *_omitted_strength(own, members),
+            *_omitted_views(own, members),
+            *_omitted_inputs(own, members),
         ]
+        omitted += [Omission(f"{item.what}{where}", item.reason) for item in found]
     for volume in volumes:
         omitted += _omitted_of_volume(volume)
     return tuple(omitted)
 
 
-def _by_config(volumes: Sequence["VolumePlan"]) -> list[tuple[Config, list["VolumePlan"]]]:
-    """Volumes of equal settings together, in order."""
+def takes_effect(config: Config, volumes: Volumes) -> bool:
+    """Whether there is anything to optimise. If not, the result is the source.
+
+    Args:
+        config: of these Volumes.
+        volumes: their frames may have their own strength.
+    """
+    controls = _controls(volumes) or [FrameControls()]
+    return any(in_effect(config, own) for own in controls)
+
+
+def unneeded_layers(config: Config) -> tuple[str, ...]:
+    """The embedded network's layers that are deeper than every layer in use.
+
+    Style layers of weight 0 are not in use, nor are content layers without a content loss. Layers
+    above one in use are evaluated on the way to it.
+    """
+    names = config.features.layers or list(default_layers())
+    weights = config.features.weights or [1.0] * len(names)
+    used = {name for name, weight in zip(names, weights, strict=False) if weight > 0}
+    if config.losses.content:
+        used |= set(config.features.content_layers)
+    return (*_deeper(oriented_layers(), used), *_deeper(learned_layers(), used))
+
+
+def _by_config(volumes: Volumes) -> list[tuple[Config, list[VolumePlan]]]:
+    """Volumes with equal settings together, in order."""
     groups: list[tuple[Config, list[VolumePlan]]] = []
     for volume in volumes:
         members = next((members for own, members in groups if own == volume.config), None)
@@ -91,79 +121,87 @@ def _by_config(volumes: Sequence["VolumePlan"]) -> list[tuple[Config, list["Volu
     return groups
 
 
-def _where(volumes: Sequence["VolumePlan"], link: str) -> str:
-    return link + ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
-
-
-def _describe_requests(volumes: Sequence["VolumePlan"]) -> list[str]:
-    """What prims ask for themselves and get."""
-    sentences = []
-    for volume in volumes:
-        request = volume.source.request
-        names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
-        names = [*(["style images"] if request.styles else []), *names]
-        if names:
-            sentences.append(f"what <{volume.source.prim_path}> asks for: {', '.join(names)}")
-    return sentences
-
-
-def _needed_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
-    """What Volumes of one configuration need."""
-    needed = []
-    if n_masked := sum(frame.mask is not None for frame in _frames(volumes)):
-        needed.append(
-            f"mask {config.stage.mask} of {n_masked} frame{'' if n_masked == 1 else 's'}, which "
-            "scales the effect"
-        )
-    needed += controls_needed(volumes)
-    optimizes = takes_effect(config, volumes)
-    if config.stage.motion == "estimate" and optimizes:
-        needed.append("the smoke's motion, estimated from neighbouring frames (stage.motion)")
-    if optimizes:
-        layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
-        needed.append(f"features of the {config.features.network} network{layers}")
-        n_views = n_different_views(config.views)
-        count = min(config.views.count, n_views)
-        needed.append(f"{count} view{'' if count == 1 else 's'} an iteration, drawn from {n_views}")
-        needed += camera_needed(config, volumes)
-        needed += [_describe_step(step, config) for step in config.optimize.steps]
-    controlled = all(frame.source.controls.gamma is not None for frame in _frames(volumes))
-    for step, is_set in (
-        ("colour", controlled or config.optics.gamma is not None),
-        ("shape", config.optics.gamma_shape is not None),
-    ):
-        if not is_set and step in config.optimize.steps:
-            needed.append(
-                f"extinction of the {step} step, measured on up to three frames of the shot"
-            )
-    return needed
-
-
-def _omitted_by(config: Config, volumes: Sequence["VolumePlan"]) -> list[Omission]:
-    """What Volumes of one configuration do without."""
-    omitted = _omitted_steps(config)
-    omitted += [Omission(*pair) for pair in controls_omitted(config, volumes)]
-    omitted += _omitted_views(config)
-    if takes_effect(config, volumes):
-        omitted += [Omission(*pair) for pair in camera_omitted(config, volumes)]
-    frames = _frames(volumes)
-    if all(frame.velocity is None for frame in frames):
-        omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
-    if all(frame.mask is None for frame in frames):
-        omitted.append(Omission("mask field", _why_no_mask(config, volumes)))
-    return omitted
-
-
-def _frames(volumes: Sequence["VolumePlan"]) -> list["FramePlan"]:
+def _frames(volumes: Volumes) -> list[FramePlan]:
     return [frame for volume in volumes for frame in volume.frames]
 
 
-def _describe_step(step: str, config: Config) -> str:
+def _controls(volumes: Volumes) -> list[FrameControls]:
+    return [frame.source.controls for frame in _frames(volumes)]
+
+
+def _time_codes(frames: Iterable[FramePlan]) -> str:
+    return format_time_codes(frame.source.time_code for frame in frames)
+
+
+def _where(volumes: Volumes, link: str) -> str:
+    return link + ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def _requested(volume: VolumePlan) -> list[str]:
+    """Names of what the prim requests itself."""
+    request = volume.source.request
+    names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
+    return [*(["style images"] if request.styles else []), *names]
+
+
+def _request_text(volume: VolumePlan) -> str:
+    return f"the request of <{volume.source.prim_path}>: {', '.join(_requested(volume))}"
+
+
+def _needed_by(config: Config, volumes: Volumes) -> list[str]:
+    """What Volumes with the same settings need."""
+    needed, frames = [], _frames(volumes)
+    if n_masked := sum(frame.mask is not None for frame in frames):
+        needed.append(
+            f"mask {config.stage.mask} of {_count(n_masked, 'frame')}, which scales the effect"
+        )
+    needed += _animated_settings(volumes)
+    if takes_effect(config, volumes):
+        if config.stage.motion == "estimate":
+            needed.append("the motion of the smoke, estimated from neighbours (stage.motion)")
+        layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
+        needed.append(f"features of the {config.features.network} network{layers}")
+        n_views = n_different_views(config.views)
+        count = _count(min(config.views.count, n_views), "view")
+        needed.append(f"{count} per iteration, drawn from {n_views}")
+        if config.views.camera:
+            count = _count(len(frames), "timeCode")
+            needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
+        needed += [_step_text(step, config) for step in config.optimize.steps]
+    has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
+    for step, is_set in (
+        ("colour", has_gamma or config.optics.gamma is not None),
+        ("shape", config.optics.gamma_shape is not None),
+    ):
+        if not is_set and step in config.optimize.steps:
+            needed.append(f"extinction of the {step} step, measured on up to three frames")
+    return needed
+
+
+def _animated_settings(volumes: Volumes) -> list[str]:
+    """The settings that frames have their own values for, a sentence each."""
+    sentences = []
+    for name, (section, key) in SETTINGS.items():
+        values = [getattr(own, name) for own in _controls(volumes)]
+        found = [value for value in values if value is not None]
+        if found:
+            span = "" if name == "style_weights" else f", {min(found):g} to {max(found):g}"
+            sentences.append(
+                f"{section}.{key} per frame for {_count(len(found), 'frame')}{span}, from the stage"
+            )
+    return sentences
+
+
+def _step_text(step: str, config: Config) -> str:
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine"
 
 
-def _describe_grids(config: Config) -> str:
+def _grids_text(config: Config) -> str:
     """The grids of a result's file, as the end of a sentence."""
     if "colour" not in config.optimize.steps:
         return "density"
@@ -174,31 +212,15 @@ def _describe_grids(config: Config) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _describe_windows(volumes: Sequence["VolumePlan"]) -> list[str]:
-    """What windows have in common: nothing where none follows on another."""
-    sentences = []
-    if n_coarse := sum(len(volume.coarse_frames) for volume in volumes):
-        sentences.append(f"a coarse step over {n_coarse} frames, once, that all windows start from")
-    if n_twice := sum(len(volume.twice_frames) for volume in volumes):
-        sentences.append(
-            f"{n_twice} frame{'' if n_twice == 1 else 's'} in two windows each, to be blended "
-            "(windows.overlap)"
-        )
-    return sentences
-
-
 def _omitted_steps(config: Config) -> list[Omission]:
-    steps = config.optimize.steps
-    omitted = []
+    steps, omitted = config.optimize.steps, []
     if "colour" not in steps:
         what = "RGB emission"
         if config.layer.scatter_colour or config.layer.split_rgb:
-            what += " and all that is made from it (layer.scatter_colour, layer.split_rgb)"
-        omitted.append(Omission(what, "no colour step is asked for (optimize.steps)"))
+            what += " and what is made from it (layer.scatter_colour, layer.split_rgb)"
+        omitted.append(Omission(what, "optimize.steps has no colour step"))
     if "shape" not in steps:
-        omitted.append(
-            Omission("displacement of the density", "no shape step is asked for (optimize.steps)")
-        )
+        omitted.append(Omission("displacement of the density", "optimize.steps has no shape step"))
     else:
         omitted.append(
             Omission(
@@ -206,91 +228,170 @@ def _omitted_steps(config: Config) -> list[Omission]:
                 "a grey picture is the opacity, which needs column sums only",
             )
         )
-    return omitted + [Omission(*pair) for pair in losses_omitted(config)]
+    return omitted
 
 
-def _omitted_views(config: Config) -> list[Omission]:
-    if n_different_views(config.views) > 1:
-        return []
-    return [
-        Omission("further views", "one view is asked for (views.azimuth and views.elevation are 0)")
+def _omitted_losses(config: Config) -> list[Omission]:
+    omitted, losses = [], config.losses
+    if losses.style == 0:
+        omitted.append(Omission("style loss and features", "losses.style is 0"))
+    omitted += [
+        Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0")
+        for name in _OTHER_LOSSES
+        if getattr(losses, name) == 0
     ]
-
-
-def _why_no_velocity(volumes: Sequence["VolumePlan"], config: Config) -> str:
-    frames = _frames(volumes)
-    if len(frames) == 1:
-        return "there is one frame only"
-    if config.stage.motion == "estimate":
-        return "the motion is estimated instead (stage.motion)"
-    if config.windows.size == 1:
-        return "windows.size is 1: no frame starts from another"
-    if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
-        return "no two frames share a window"
-    return (
-        "neither the Volumes nor their files have any under the usual names (stage.velocity): "
-        "results keep their places from frame to frame and do not follow the smoke; "
-        "stage.motion=estimate would estimate its motion"
-    )
-
-
-def _why_no_mask(config: Config, volumes: Sequence["VolumePlan"]) -> str:
-    if not config.stage.mask:
-        return "none is named (stage.mask)"
-    if takes_effect(config, volumes):
-        return "every frame is empty"
-    return "there is no effect to be scaled"
-
-
-def _omitted_of_volume(volume: "VolumePlan") -> list[Omission]:
-    omitted = []
-    where = f"of <{volume.source.prim_path}>"
-    if volume.source.request.ignored:
-        omitted.append(
-            Omission(
-                f"{', '.join(volume.source.request.ignored)} {where}",
-                "UsdSmokeStyleAPI is not applied to the prim; apply it, and they count",
+    if config.features.network != "embedded":
+        omitted.append(Omission("network layers below the last style layer", "no loss uses them"))
+    else:
+        omitted.append(Omission("VGG-19 parameters", "the embedded features need no file"))
+        names = unneeded_layers(config)
+        if names and losses.style:
+            omitted.append(
+                Omission(f"network layers {', '.join(names)}", "no layer in use is as deep")
             )
-        )
-    if volume.source.other_fields:
+    if config.optimize.tolerance > 0:
         omitted.append(
             Omission(
-                f"fields {', '.join(volume.source.other_fields)} {where}",
-                "only density, velocity and mask are used; they stay as they are on the stage",
-            )
-        )
-    if volume.cuts and volume.config.windows.size > 1:
-        omitted.append(_omitted_over_cuts(volume.cuts, where))
-    empty = [frame.source.time_code for frame in volume.frames if frame.is_empty]
-    if empty:
-        omitted.append(
-            Omission(
-                f"pictures and features at timeCodes {format_time_codes(empty)} {where}",
-                "the frames are empty",
-            )
-        )
-    filled = [frame for frame in volume.frames if not frame.is_empty]
-    if filled and all(1 in frame.size.box for frame in filled):
-        omitted.append(
-            Omission(f"everything three-dimensional {where}", "the volume is one voxel thick")
-        )
-    n_box = sum(frame.size.box[0] * frame.size.box[1] * frame.size.box[2] for frame in filled)
-    n_active = sum(frame.size.active_voxels for frame in filled)
-    if n_box > n_active:
-        omitted.append(
-            Omission(
-                f"{1 - n_active / n_box:.0%} of the boxes {where}",
-                "these voxels are empty; only active ones are projected and optimised",
+                "iterations after convergence",
+                "an octave ends when its loss hardly falls "
+                f"(optimize.tolerance={config.optimize.tolerance:g})",
             )
         )
     return omitted
 
 
-def _omitted_over_cuts(cuts: Sequence[tuple[float, float]], where: str) -> Omission:
+def _deeper(names: tuple[str, ...], used: Iterable[str]) -> tuple[str, ...]:
+    deepest = max((names.index(name) for name in used if name in names), default=-1)
+    return names[deepest + 1 :]
+
+
+def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
+    """Frames that are not optimised because their strength, and that of neighbours, is 0."""
+    if config.losses.style == 0 and config.optimize.strength > 0:
+        return []  # the style loss says it
+    if not takes_effect(config, volumes):
+        reason = "optimize.strength is 0, so the result is the source"
+        return [Omission("the optimisation", reason)]
+    omitted = []
+    for volume in volumes:
+        still = [frame for frame in volume.frames if not frame.size.computed]
+        if still:
+            what = f"the optimisation at timeCodes {_time_codes(still)}"
+            reason = "optimize.strength is 0 there and next to it, so the result is the source"
+            omitted.append(Omission(f"{what} of <{volume.source.prim_path}>", reason))
+    return omitted
+
+
+def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
+    omitted = []
+    if n_different_views(config.views) == 1:
+        omitted.append(Omission("other views", "views.azimuth and views.elevation are 0"))
+    if not takes_effect(config, volumes):
+        return omitted
+    if not config.views.camera:
+        reason = "views.camera names none; views are around the up axis"
+        return [*omitted, Omission("the shot's camera", reason)]
+    for volume in volumes:
+        omitted += _invisible(config, volume)
+    return omitted
+
+
+def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
+    """What the camera does not see or resolve."""
+    omitted, where = [], f"of <{volume.source.prim_path}>"
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    outside = [frame for frame in filled if frame.size.seen == 0]
+    if outside:
+        omitted.append(
+            Omission(
+                f"the effect at timeCodes {_time_codes(outside)} {where}",
+                "outside the camera's frustum",
+            )
+        )
+    n_active = sum(frame.size.active_voxels for frame in filled)
+    n_visible = sum(frame.size.active_voxels * frame.size.seen for frame in filled)
+    if n_visible < n_active:
+        omitted.append(
+            Omission(
+                f"about {1 - n_visible / n_active:.0%} of the smoke {where}",
+                "outside the camera's frustum (views.camera); it stays as in the source",
+            )
+        )
+    finest, pixel = pixel_sizes(config, volume, filled)
+    if finest > pixel:
+        omitted.append(
+            Omission(
+                f"detail finer than {finest:.3g} stage units {where}",
+                "the camera does not resolve it at the smoke's distance (views.camera_width)",
+            )
+        )
+    return omitted
+
+
+def _omitted_inputs(config: Config, volumes: Volumes) -> list[Omission]:
+    omitted, frames = [], _frames(volumes)
+    if all(frame.velocity is None for frame in frames):
+        omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
+    if all(frame.mask is None for frame in frames):
+        omitted.append(Omission("mask field", _why_no_mask(config, volumes)))
+    return omitted
+
+
+def _why_no_velocity(volumes: Volumes, config: Config) -> str:
+    if len(_frames(volumes)) == 1:
+        return "there is only one frame"
+    if config.stage.motion == "estimate":
+        return "the motion is estimated instead (stage.motion)"
+    if config.windows.size == 1:
+        return "windows.size is 1, so no frame starts from another"
+    if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
+        return "no two frames share a window"
+    return (
+        "no Volume or file has a velocity under the usual names (stage.velocity), so the pattern "
+        "stays in place and does not follow the smoke; stage.motion=estimate estimates the motion"
+    )
+
+
+def _why_no_mask(config: Config, volumes: Volumes) -> str:
+    if not config.stage.mask:
+        return "stage.mask names none"
+    if takes_effect(config, volumes):
+        return "every frame is empty"
+    return "there is no effect to scale"
+
+
+def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
+    """What one Volume's stage values and headers leave out."""
+    found: list[tuple[str, str]] = []
+    request = volume.source.request
+    if request.ignored:
+        reason = "UsdSmokeStyleAPI is not applied to the prim; apply it to use them"
+        found.append((", ".join(request.ignored), reason))
+    if volume.source.other_fields:
+        reason = "only density, velocity and mask are used; the others stay as they are"
+        found.append((f"fields {', '.join(volume.source.other_fields)}", reason))
+    if volume.cuts and volume.config.windows.size > 1:
+        found.append(("coherence over cuts", _cuts_text(volume.cuts)))
+    empty = [frame for frame in volume.frames if frame.is_empty]
+    if empty:
+        what = f"pictures and features at timeCodes {_time_codes(empty)}"
+        found.append((what, "the frames are empty"))
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    if filled and all(1 in frame.size.box for frame in filled):
+        found.append(("everything three-dimensional", "the volume is one voxel thick"))
+    n_box = sum(frame.size.box[0] * frame.size.box[1] * frame.size.box[2] for frame in filled)
+    n_active = sum(frame.size.active_voxels for frame in filled)
+    if n_box > n_active:
+        reason = "these voxels are empty; only active ones are projected and optimised"
+        found.append((f"{1 - n_active / n_box:.0%} of the boxes", reason))
+    where = f"of <{volume.source.prim_path}>"
+    return [Omission(f"{what} {where}", reason) for what, reason in found]
+
+
+def _cuts_text(cuts: Sequence[tuple[float, float]]) -> str:
     places = [" and ".join(map(format_time_code, cut)) for cut in cuts[:_FEW_CUTS]]
     more = [f"{len(cuts) - _FEW_CUTS} more places"] if len(cuts) > _FEW_CUTS else []
-    return Omission(
-        f"coherence over cuts {where}",
+    return (
         f"the sequence is cut between timeCodes {', '.join([*places, *more])}: these steps are "
-        "longer than two frames and than twice the usual step",
+        "longer than two frames and than twice the usual step"
     )

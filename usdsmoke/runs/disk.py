@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 from usdsmoke.planning.estimate import written_bytes
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import check_disk
+from usdsmoke.planning.make_plan import check_disk
 from usdsmoke.runs.coarse import missing_starts
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.manifests import is_useless

@@ -16,7 +16,8 @@ from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.plan import FramePlan, VolumePlan, result_file_names
+from usdsmoke.planning.make_plan import result_file_names
+from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata
 from usdsmoke.usd.look import StylizedVolume

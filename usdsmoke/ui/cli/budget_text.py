@@ -7,7 +7,7 @@ from usdsmoke.ui.cli.progress_bar import format_seconds
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
-    from usdsmoke.planning.needs import Omission
+    from usdsmoke.planning.plan import Omission
     from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
 
 __all__ = ["budget_text"]

@@ -17,8 +17,9 @@ from tests.usd_fixtures import (
 )
 from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import PlanError, UnsupportedGrid
-from usdsmoke.planning import plan as plan_module
-from usdsmoke.planning.plan import Plan, check_plan, make_plan
+from usdsmoke.planning import make_plan as plan_module
+from usdsmoke.planning.make_plan import check_plan, make_plan
+from usdsmoke.planning.plan import Plan
 from usdsmoke.usd.stage import find_volumes, open_stage
 from usdsmoke.vdb.binding import find_binding
 
@@ -64,13 +65,13 @@ def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -
         (["optimize.steps=[shape]"], "RGB emission", "no colour step"),
         (["optimize.steps=[colour]"], "displacement of the density", "no shape step"),
         ([], "transmittance along the rays of the shape step", "grey picture is the opacity"),
-        (["stage.frames=2"], "velocity grids", "one frame only"),
+        (["stage.frames=2"], "velocity grids", "only one frame"),
         (["windows.size=1"], "velocity grids", "windows.size is 1"),
-        ([], "velocity grids", "neither the Volumes nor their files have any"),
+        ([], "velocity grids", "stage.velocity"),
         ([], "VGG-19 parameters", "embedded features need no file"),
-        (["features.network=vgg19"], "network layers below the last", "nothing looks at them"),
-        (["views.azimuth=0", "views.elevation=0"], "further views", "one view is asked for"),
-        (["optimize.strength=0"], "the optimisation", "the source is given back"),
+        (["features.network=vgg19"], "network layers below the last", "no loss uses them"),
+        (["views.azimuth=0", "views.elevation=0"], "other views", "views.azimuth"),
+        (["optimize.strength=0"], "the optimisation", "optimize.strength is 0"),
         (["losses.style=0"], "style loss and features", "losses.style is 0"),
         ([], "total variation loss", "losses.total_variation is 0"),
         ([], "photorealism loss", "losses.photorealism is 0"),
@@ -90,7 +91,7 @@ def test_what_a_scene_does_not_need_is_left_out_with_its_reason(
         (["losses.total_variation=1"], "total variation loss"),
         (["losses.content=1"], "content loss"),
         (["features.network=vgg19"], "VGG-19 parameters"),
-        ([], "further views"),
+        ([], "other views"),
         (["optimize.steps=[colour]"], "transmittance"),
     ],
 )
@@ -122,7 +123,7 @@ def test_fields_and_empty_space_and_thin_volumes_are_named(tmp_path: Path) -> No
     body = density_prim("asset filePath = @./thin.vdb@")
     stage = write_text(tmp_path / "s.usda", world(volume_prim(body, relations=relations)))
     plan = plan_of(stage)
-    assert "they stay as they are" in reason_for(plan, "fields heat of </World/smoke>")
+    assert "stay as they are" in reason_for(plan, "fields heat of </World/smoke>")
     assert reason_for(plan, "everything three-dimensional") == "the volume is one voxel thick"
     assert "these voxels are empty" in reason_for(plan, "98% of the boxes")
 

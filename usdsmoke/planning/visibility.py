@@ -1,26 +1,24 @@
-"""What a shot's camera leaves out, from headers alone: where smoke may be, not where it is."""
+"""What a shot's camera can see of a box, from VDB headers: where smoke may be, not where it is."""
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdsmoke.base.config import Config
-from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
+from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.vdb.header import GridHeader
 
-if TYPE_CHECKING:
-    from usdsmoke.planning.plan import FramePlan, VolumePlan
-
-__all__ = ["camera_needed", "camera_omitted", "seen_share"]
+__all__ = ["pixel_sizes", "visible_share"]
 
 _SAMPLES = 16  # points along each side of a box
 
 
-def seen_share(frame: FrameSource, density: FieldSource, grid: GridHeader, config: Config) -> float:
+def visible_share(
+    frame: FrameSource, density: FieldSource, grid: GridHeader, config: Config
+) -> float:
     """The share of a density's box that the frame's camera sees, in [0, 1]; 1 without a camera.
 
     0 means that surely nothing is seen.
@@ -41,64 +39,15 @@ def seen_share(frame: FrameSource, density: FieldSource, grid: GridHeader, confi
     return max(float((frustum.shares(inside) > 0).mean()), 1 / len(inside))
 
 
-def camera_needed(config: Config, volumes: Sequence["VolumePlan"]) -> list[str]:
-    """What is read of the camera, in a sentence; nothing without one."""
-    if not config.views.camera:
-        return []
-    n_frames = sum(len(volume.frames) for volume in volumes)
-    return [
-        f"the camera <{config.views.camera}> at {n_frames} timeCode{'' if n_frames == 1 else 's'}: "
-        "views lie around its direction"
-    ]
-
-
-def camera_omitted(config: Config, volumes: Sequence["VolumePlan"]) -> list[tuple[str, str]]:
-    """What is left out, and why, because of the camera, or because none is named."""
-    if not config.views.camera:
-        reason = "none is named (views.camera): views lie around the up axis"
-        return [("the shot's camera", reason)]
-    omitted = []
-    for volume in volumes:
-        omitted += _omitted_of_volume(config, volume)
-    return omitted
-
-
-def _omitted_of_volume(config: Config, volume: "VolumePlan") -> list[tuple[str, str]]:
-    omitted, where = [], f"of <{volume.source.prim_path}>"
-    filled = [frame for frame in volume.frames if not frame.is_empty]
-    outside = [frame.source.time_code for frame in filled if frame.size.seen == 0]
-    if outside:
-        omitted.append(
-            (
-                f"the effect at timeCodes {format_time_codes(outside)} {where}",
-                "outside the camera's frustum",
-            )
-        )
-    n_active = sum(frame.size.active_voxels for frame in filled)
-    n_seen = sum(frame.size.active_voxels * frame.size.seen for frame in filled)
-    if n_seen < n_active:
-        omitted.append(
-            (
-                f"about {1 - n_seen / n_active:.0%} of the smoke {where}",
-                "outside the camera's frustum (views.camera): the source stays as it is there",
-            )
-        )
-    finest, pixel = _pixels(config, volume, filled)
-    if finest > pixel:
-        omitted.append(
-            (
-                f"detail finer than {finest:.3g} stage units {where}",
-                "the camera does not resolve it at the smoke's distance (views.camera_width)",
-            )
-        )
-    return omitted
-
-
-def _pixels(
-    config: Config, volume: "VolumePlan", frames: Sequence["FramePlan"]
+def pixel_sizes(
+    config: Config, volume: VolumePlan, frames: Sequence[FramePlan]
 ) -> tuple[float, float]:
-    """What a pixel covers, stage units: the camera's finest one, and one of the pictures without
-    it.
+    """What a pixel covers, stage units: the camera's finest one, and one without a camera.
+
+    Args:
+        config: the Volume's.
+        volume: names the density.
+        frames: those with smoke.
     """
     finest, longest, voxels = np.inf, 0.0, []
     for frame in frames:

@@ -1,0 +1,204 @@
+"""Makes the plan of a run from USD values and VDB headers, before anything heavy is loaded.
+
+No voxel is read and torch is not loaded.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from usdsmoke.base.config import Config
+from usdsmoke.base.errors import PlanError
+from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
+from usdsmoke.base.naming import frame_file_names, volume_stems
+from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.core.smoke.controls import check_controls, in_effect, is_computed
+from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.planning.estimate import Estimate, FrameSize, add_estimates, estimate_run, grid_size
+from usdsmoke.planning.frames import (
+    find_density,
+    find_frame_mask,
+    find_frame_velocity,
+    is_copied,
+)
+from usdsmoke.planning.needs import list_needed, list_omitted
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.visibility import visible_share
+from usdsmoke.planning.windows import Window, coarse_runs, find_cuts, split_windows
+from usdsmoke.usd.volume_settings import VolumeSettings
+from usdsmoke.vdb.header import FileHeader, read_header
+
+__all__ = ["check_disk", "check_plan", "make_plan", "result_file_names"]
+
+_DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
+_DISK_RESERVE_LATER = 4 * 2**20  # beside what is left of a run that has begun
+
+
+def make_plan(
+    source: StageSource, config: Config, settings: Sequence[VolumeSettings] | None = None
+) -> Plan:
+    """The plan of a stylization, from USD values and VDB headers.
+
+    Args:
+        source: the selected Volumes and timeCodes.
+        config: the run's settings.
+        settings: those of each Volume; None takes the run's, and one style image.
+
+    Raises:
+        GridError: a header shows that a density cannot be used, or a velocity or mask that was
+            named.
+        ConfigError: a frame's controls are out of range, or not one weight for each style.
+        LayerError: two timeCodes are too close for file names of their own.
+    """
+    stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
+    if settings is None:
+        settings = [VolumeSettings(config, (0,))] * len(stems)
+    headers: dict[str, FileHeader] = {}
+    volumes: list[VolumePlan] = []
+    for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
+        first_index = sum(len(earlier.windows) for earlier in volumes)
+        volumes.append(_plan_volume(volume, stem, own, headers, first_index, source.frame_length))
+    return Plan(
+        source=source,
+        config=config,
+        volumes=tuple(volumes),
+        needed=list_needed(config, volumes),
+        omitted=list_omitted(source, config, volumes),
+        estimate=add_estimates([_estimate(planned) for planned in volumes]),
+    )
+
+
+def _estimate(volume: VolumePlan) -> Estimate:
+    sizes, twice, coarse = (
+        [frame.size for frame in frames]
+        for frames in (volume.frames, volume.twice_frames, volume.coarse_frames)
+    )
+    return estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
+
+
+def check_plan(plan: Plan, output: Path | None = None) -> None:
+    """Refuse a plan that does not fit the memory or the disk.
+
+    Args:
+        plan: with its estimate.
+        output: the folder that will hold the result; None does not look at the disk.
+
+    Raises:
+        PlanError: with what is needed and what there is.
+    """
+    needed = plan.estimate.memory_gib
+    limit, reason = plan.config.optimize.memory_limit_gib, "optimize.memory_limit_gib"
+    if limit is None:
+        limit, reason = available_memory_gib(), "what the machine has left"
+    if needed > limit:
+        frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
+        volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
+        raise PlanError(
+            f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
+            f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; there "
+            f"are {limit:.1f} GiB ({reason}): lower views.pool, views.image_size or grids.refine, "
+            "or raise the limit"
+        )
+    if output is None:
+        return
+    check_disk(output, plan.estimate.bytes_written)
+
+
+def check_disk(output: Path, wanted: int, is_begun: bool = False) -> None:
+    """Refuse to write what does not fit the disk.
+
+    Args:
+        output: the folder that holds the result, or will hold it.
+        wanted: bytes of the files that are still to be written.
+        is_begun: whether a part of the run is there: less is then wanted beside it.
+
+    Raises:
+        PlanError: with what is needed and what there is.
+    """
+    reserve, free = _DISK_RESERVE_LATER if is_begun else _DISK_RESERVE, free_disk_bytes(output)
+    if wanted and wanted + reserve > free:
+        raise PlanError(
+            f"what is to be written takes about {wanted / 1e6:,.1f} MB, and {reserve / 1e6:,.0f} "
+            f"MB are wanted beside it; the disk of {output} has {free / 1e6:,.1f} MB free: free "
+            "some space, choose another output folder, select fewer frames or set grids.half"
+        )
+
+
+def result_file_names(volume: VolumeSource, stem: str) -> dict[float, str]:
+    """File name by timeCode, for all timeCodes of a Volume, selected or not.
+
+    Raises:
+        LayerError: two timeCodes are too close for names of their own.
+    """
+    codes = sorted({*volume.time_codes, *(frame.time_code for frame in volume.frames)})
+    return dict(zip(codes, frame_file_names(stem, codes), strict=True))
+
+
+def _plan_volume(
+    volume: VolumeSource,
+    stem: str,
+    own: VolumeSettings,
+    headers: dict[str, FileHeader],
+    first_index: int,
+    frame_length: float,
+) -> VolumePlan:
+    config = own.config
+    check_controls(volume, config, len(own.styles))
+    time_codes = [frame.time_code for frame in volume.frames]
+    windows = split_windows(time_codes, config.windows, first_index, frame_length)
+    computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
+    if not any(computed):  # the source is given back: there is nothing to carry or to blend
+        windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
+    names = result_file_names(volume, stem)
+    window_of = {code: window for window in windows for code in window.time_codes}
+    frames = []
+    for frame, to_do in zip(volume.frames, computed, strict=True):
+        _read_headers(frame, headers)
+        window, name = window_of[frame.time_code], names[frame.time_code]
+        frames.append(_plan_frame(volume, frame, window, name, config, headers, to_do))
+    runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
+    cuts = find_cuts(time_codes, frame_length)
+    return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts)
+
+
+def _plan_frame(
+    volume: VolumeSource,
+    frame: FrameSource,
+    window: Window,
+    file_name: str,
+    config: Config,
+    headers: Mapping[str, FileHeader],
+    computed: bool,
+) -> FramePlan:
+    density = frame.fields[volume.density]
+    grid = find_density(volume, frame, headers[density.file_path])
+    velocity = find_frame_velocity(volume, frame, headers, config)
+    copied = velocity if is_copied(velocity, density, config) else None
+    followed = window.joined or len(window.time_codes) > 1
+    mask = find_frame_mask(volume, frame, headers, config)
+    size = FrameSize(
+        *grid_size(density.file_path, grid),
+        window_start=frame.time_code == window.time_codes[0],
+        n_copied=0 if copied is None else 3,
+        seen=visible_share(frame, density, grid, config),
+        computed=computed,
+    )
+    if size.active_voxels == 0 or not computed:
+        mask = None
+    if mask is not None:
+        size = replace(size, mask_box=grid_size(mask.field.file_path, mask.grid)[1])
+    return FramePlan(
+        source=frame,
+        size=size,
+        grid=grid,
+        velocity=velocity if followed and config.stage.motion == "velocity" else None,
+        copied=copied,
+        mask=mask,
+        file_name=file_name,
+    )
+
+
+def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
+    for field in frame.fields.values():
+        if field.file_path not in headers:
+            headers[field.file_path] = read_header(field.file_path)
