@@ -30,7 +30,7 @@ from torch import Tensor
 
 from usdsmoke.base.config import Config
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.fields.displacement import cap_displacement, from_potential
+from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.optimize import minimize
@@ -191,7 +191,7 @@ class _Pliable:
     def moved(self, potential: Tensor) -> Tensor:
         """The density moved by the gradient of a potential [1 D H W], voxel^2."""
         slopes = from_potential(potential[0] * self.effect, (1.0, 1.0, 1.0))
-        u = cap_displacement(slopes, self.cap).flip(-1)
+        u = clamp_displacement(slopes, self.cap).flip(-1)
         return advect_box(self.density, u.permute(3, 0, 1, 2))
 
     def moved_by(self, potential: Tensor, factor: float) -> Tensor:

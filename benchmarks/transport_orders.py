@@ -14,6 +14,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
+from benchmarks.transport_baselines import Scheme, advect, cell_bounds, warp
 from tests.numerics.transport_problems import (
     Outcome,
     periodic_gaussian,
@@ -25,14 +26,14 @@ from tests.numerics.transport_problems import (
     zalesak_disk,
 )
 from usdsmoke.core.fields.displacement import (
-    cap_displacement,
+    clamp_displacement,
     from_potential,
     from_stream,
     smooth_mask,
 )
 from usdsmoke.core.fields.resample import smooth
-from usdsmoke.core.fields.sample import sample_bounds, sample_cubic, sample_linear, voxel_positions
-from usdsmoke.core.fields.transport import Scheme, advect, correct_mass, warp
+from usdsmoke.core.fields.sample import sample_cubic, sample_linear, voxel_positions
+from usdsmoke.core.fields.transport import correct_mass
 from usdsmoke.core.smoke.noise import white_noise
 
 __all__ = ["main"]
@@ -158,12 +159,12 @@ def print_mass() -> None:
     }
     rows = []
     for name, raw in displacements.items():
-        capped = cap_displacement(raw, cap)
+        capped = clamp_displacement(raw, cap)
         if "before" not in name:
             capped = capped * mask[..., None]
         row = [name, f"{capped.norm(dim=-1)[density > 0].mean():.1f}"]
         for _, scheme in SCHEMES:
-            _, error = correct_mass(warp(density, capped, scheme=scheme), density)
+            _, error = correct_mass(warp(density, capped, scheme), density)
             row.append(f"{error:+.1%}")
         rows.append(row)
     header = ["displacement", "mean length", *[name for name, _ in SCHEMES]]
@@ -202,14 +203,14 @@ def print_speed() -> None:
     rows = [
         row("sample_linear", sample_linear, positions),
         row("sample_cubic", sample_cubic, positions),
-        ["sample_bounds", f"{best_time(lambda: sample_bounds(values, positions)):.0f}", "", ""],
+        ["cell_bounds", f"{best_time(lambda: cell_bounds(values, positions)):.0f}", "", ""],
     ]
     for name, scheme in SCHEMES:
-        rows.append(row(f"warp, {name}", lambda v, u, s=scheme: warp(v, u, scheme=s), velocity))
+        rows.append(row(f"warp, {name}", lambda v, u, s=scheme: warp(v, u, s), velocity))
         rows.append(
             row(
-                f"advect, {name}, RK2, 1 sub-step",
-                lambda v, u, s=scheme: advect(v, u, 1.0, scheme=s, n_substeps=1),
+                f"advect, {name}, RK2",
+                lambda v, u, s=scheme: advect(v, u, 1.0, s),
                 velocity,
             )
         )

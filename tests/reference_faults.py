@@ -24,10 +24,8 @@ PROJECTION = "tests/numerics/test_projection.py::"
 FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("W1: MacCormack's limiter takes its bounds from the middle of the domain, which undoes the "
      "correction nearly everywhere",
-     "finite: the bounds come from the departure cell",
-     (TRANSPORT + "test_correction_of_maccormack_acts_wherever_the_smoke_is",
-      TRANSPORT + "test_limiter_makes_no_new_extremes_in_any_departure_cell",
-      SAMPLE + "test_bounds_are_those_of_the_cell_that_holds_the_position")),
+     "finite: no such correction; a cubic warp stays within the range of the field",
+     (TRANSPORT + "test_result_is_finite_and_in_range_at_every_cfl_number[cubic-4.0]",)),
     ("W2: density above 1 makes the unknown grow in every iteration",
      "finite: the mask stays within [0, 1], and denser smoke moves no farther",
      (FAULT + "test_density_above_one_is_moved_no_farther",

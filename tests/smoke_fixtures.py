@@ -1,17 +1,20 @@
 """Smoke for the core's tests: closed forms on small grids, in any place and at any resolution."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.displacement import clamp_displacement, slope_matrix
 from usdsmoke.core.fields.lattice import Lattice
-from usdsmoke.core.fields.potential import free_displacement, hold
+from usdsmoke.core.fields.potential import unclamped_displacement
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 
 __all__ = [
     "affine",
+    "divergence",
     "frame_of",
     "gaussian_column",
     "gaussian_smoke",
@@ -33,6 +36,13 @@ def affine(seed: int, mirrored: bool = False) -> np.ndarray:
     matrix[:3, :3] = np.diag([0.8, 1.0, 1.3]) @ shear @ turn
     matrix[3, :3] = generator.uniform(-5, 5, 3)
     return matrix
+
+
+def divergence(field: torch.Tensor, spacing: Sequence[float]) -> torch.Tensor:
+    """Divergence [I J K] of a vector field [I J K 3], by the differences of ``displacement``."""
+    slopes = [slope_matrix(n, h).to(field) for n, h in zip(field.shape, spacing, strict=False)]
+    parts = [torch.tensordot(m, field[..., a], ([1], [a])) for a, m in enumerate(slopes)]
+    return sum(part.movedim(0, a) for a, part in enumerate(parts))  # type: ignore[return-value]
 
 
 def puff(n: int = 12, seed: int = 0, cut: float = 0.05) -> np.ndarray:
@@ -115,5 +125,7 @@ def held_in_voxels(
     share: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """A potential's displacement on a box, held below the cap, [I J K 3] index units."""
-    held = hold(free_displacement(potential, mask, kind, lattice, base), cap, share)
+    held = clamp_displacement(
+        unclamped_displacement(potential, mask, kind, lattice, base), cap, share
+    )
     return held / held.new_tensor(lattice.spacing)

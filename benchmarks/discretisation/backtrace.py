@@ -39,7 +39,8 @@ def _applies(case: Case) -> str:
 
 
 def _plan(case: Case) -> Plan:
-    from usdsmoke.core.fields.trace import backtrace, choose_substeps
+    from benchmarks.transport_baselines import trace as backtrace
+    from usdsmoke.core.fields.transport import choose_substeps
 
     rates, places = _flow(case)
     seconds = time_step(case)

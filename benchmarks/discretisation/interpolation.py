@@ -14,7 +14,7 @@ from usdsmoke.work_precision.case import Case
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.fields.transport import Scheme
+    from benchmarks.transport_baselines import Scheme
 
 __all__ = ["SWEEP", "Turn"]
 
@@ -68,7 +68,7 @@ class Turn:
 
     def turned(self, scheme: "Scheme", limiter: bool, n_steps: int) -> "Tensor":
         """The box after so many steps."""
-        from usdsmoke.core.fields.transport import warp
+        from benchmarks.transport_baselines import warp
 
         moved = self.box
         for _ in range(n_steps):
@@ -123,7 +123,7 @@ def _plan(case: Case) -> Plan:
 
 def _values(case: Case, factor: float) -> np.ndarray:
     """The small frame's density on voxels ``1 / factor`` times as large."""
-    from usdsmoke.core.fields.refine import refine_field
+    from usdsmoke.core.fields.resample import refine_field
 
     if factor >= 1:
         return np.clip(refine_field(case.small.density, int(factor)).values, 0, None)

@@ -119,7 +119,7 @@ def _view(case: Case) -> "View":
 
 
 def _refined(case: Case, factor: int) -> DenseField:
-    from usdsmoke.core.fields.refine import refine_field
+    from usdsmoke.core.fields.resample import refine_field
 
     return refine_field(case.small.density, factor)
 

@@ -12,10 +12,10 @@ from tests.smoke_fixtures import affine, held_in_voxels, puff, random_style, smo
 from usdsmoke.base.config import LossesConfig
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import border_mask
-from usdsmoke.core.fields.resample import Pyramid, pyramid_shapes
+from usdsmoke.core.fields.pyramid import expand_levels, pyramid_shapes
 from usdsmoke.core.fields.transport import warp
-from usdsmoke.core.smoke.accumulate import sum_terms
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.colour import ColourView
 from usdsmoke.core.style.features import EmbeddedFeatures
@@ -143,7 +143,7 @@ def test_colours_to_the_sum_of_several_views_taken_one_by_one(smoke):
 
     terms = [partial(term, ColourView(image, alpha)) for image, alpha in maps]
     start = 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=2)
-    assert_slopes_agree(lambda colours: sum_terms(decode_srgb(colours), terms), start)
+    assert_slopes_agree(lambda colours: accumulate(decode_srgb(colours), terms), start)
 
 
 def shape_chain(
@@ -175,14 +175,12 @@ def test_pyramid_of_a_stream_function_to_the_style_loss(smoke, target):
         smoke, "stream", lambda grey: target.loss(grey.expand(-1, -1, 3), None)
     )
     zeros = [smoke.density.new_zeros(*shape, 3) for shape in pyramid_shapes(lattice.shape, 3)]
-    pyramid = Pyramid(tuple(zeros))
-    finest = 2 * random(*pyramid.levels[-1].shape, seed=5)
+    finest = 2 * random(*zeros[-1].shape, seed=5)
 
     def from_coarse(level: Tensor) -> Tensor:
-        levels = (level, *pyramid.levels[1:-1], finest)
-        return chain(Pyramid(levels, pyramid.method).expand())
+        return chain(expand_levels([level, *zeros[1:-1], finest]))
 
-    assert_slopes_agree(from_coarse, random(*pyramid.levels[0].shape, seed=6), error=1e-4)
+    assert_slopes_agree(from_coarse, random(*zeros[0].shape, seed=6), error=1e-4)
 
 
 def test_single_precision_slopes_agree_with_double_ones(smoke):

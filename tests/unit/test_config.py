@@ -176,7 +176,7 @@ def test_assignments_are_read_as_yaml(assignment: str, section: str, key: str, v
         ("style.weights=[1, -1]", r"style\.weights\[1\] is -1\.0; wanted >= 0"),
         ("style.weights=[1, half]", r"style\.weights\[1\] is 'half', of type str; wanted float"),
         ("features.content_layers=[a, a]", r"content_layers.* wanted every element once"),
-        ("optimize.carry_moments=1", r"optimize\.carry_moments is 1, of type int; wanted bool"),
+        ("optimize.error_budget=1", r"optimize\.error_budget is 1, of type int; wanted bool"),
         ("features.weights=[1, 2]", r"features\.weights has 2 elements but features\.layers has 0"),
     ],
 )

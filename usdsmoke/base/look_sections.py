@@ -151,7 +151,7 @@ class ShapeConfig:
         0.04, "largest displacement, as a share of the smoke's longest side", above=0.0, high=0.5
     )
     interpolation: str = setting(
-        "cubic", "scheme of the final transport", choices=("linear", "maccormack", "cubic")
+        "cubic", "scheme of the final transport", choices=("linear", "cubic")
     )
     mass_correction: bool = setting(True, "scale the moved density back to the source's mass")
     learning_rate: float = setting(0.06, "Adam's step for the displacement potential", above=0.0)
@@ -224,9 +224,6 @@ class OptimizeConfig:
         "unless they are set; unset chooses nothing",
         above=0.0,
         high=1.0,
-    )
-    carry_moments: bool = setting(
-        False, "start an octave with Adam's moments of the one before instead of anew"
     )
     strength: float = setting(
         1.0, "share of the effect that is kept: 0 gives the source back", low=0.0, high=1.0

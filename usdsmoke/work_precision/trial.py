@@ -214,7 +214,8 @@ class Trial:
         self._smoke_of(setting)
 
     def _moved(self, setting: Setting, config: Config) -> Any:
-        from usdsmoke.core.fields.potential import Displacement, hold
+        from usdsmoke.core.fields.displacement import clamp_displacement
+        from usdsmoke.core.fields.potential import Displacement
         from usdsmoke.core.steps.move import move_density
         from usdsmoke.core.steps.shape import longest_move, run_shape_step
 
@@ -222,7 +223,7 @@ class Trial:
         scene = self._scene_of(setting)
         free, ends = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
         lattice, cap = free.lattice, longest_move(smoke, config)
-        held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, None))
+        held = lattice.to_stage(clamp_displacement(lattice.from_stage(free.values), cap, None))
         displacement = Displacement(held, lattice)
         return move_density(self._field_of(setting), smoke, displacement, config)[0], ends
 
@@ -255,7 +256,7 @@ class Trial:
         return self._smokes[setting.refine]
 
     def _field_of(self, setting: Setting) -> Any:
-        from usdsmoke.core.fields.refine import refine_field
+        from usdsmoke.core.fields.resample import refine_field
 
         return refine_field(self._case.small.density, setting.refine)
 

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from tests.smoke_fixtures import divergence
 from usdsmoke.base.errors import NonFiniteError, ShapeError
 from usdsmoke.core.fields.displacement import (
-    cap_displacement,
+    clamp_displacement,
     curl,
-    divergence,
     from_mixed,
     from_potential,
     from_stream,
@@ -125,7 +125,7 @@ def test_adjoint_is_exact(shape):
 def test_cap_is_not_exceeded_and_small_displacements_stay(dtype):
     lengths = torch.tensor([0.0, 1e-30, 1e-3, 0.3, 1.0, 3.0, 1e3, 1e18], dtype=dtype) * 2.5
     direction = torch.tensor([2.0, -1.0, 2.0], dtype=dtype) / 3
-    capped = cap_displacement(lengths[:, None] * direction, 2.5)
+    capped = clamp_displacement(lengths[:, None] * direction, 2.5)
     found = capped.norm(dim=1)
     eps = torch.finfo(dtype).eps
     assert (found <= 2.5 * (1 + 4 * eps)).all()
@@ -138,14 +138,14 @@ def test_cap_is_not_exceeded_and_small_displacements_stay(dtype):
 
 def test_cap_has_finite_gradients_at_zero_and_far_out():
     u = torch.tensor([[0.0, 0.0, 0.0], [1e18, 0.0, -1e18]], requires_grad=True)
-    cap_displacement(u, 1.0).sum().backward()
+    clamp_displacement(u, 1.0).sum().backward()
     assert u.grad is not None
     assert torch.equal(u.grad[0], torch.ones(3))
     assert torch.isfinite(u.grad).all()
 
 
 def test_gradient_of_the_cap_agrees_with_finite_differences():
-    assert gradcheck(lambda u: cap_displacement(u, 0.8), (random(6, 3).requires_grad_(),))
+    assert gradcheck(lambda u: clamp_displacement(u, 0.8), (random(6, 3).requires_grad_(),))
 
 
 def plume(scale: float = 1.0) -> Tensor:
@@ -194,7 +194,7 @@ def test_mask_of_emptiness_is_empty_and_negative_density_counts_as_none():
             lambda: from_mixed(random(4, 4, 4, 3), random(4, 4, 5), SPACING, 0.5),
             "on the same voxels",
         ),
-        (lambda: cap_displacement(random(4, 3), 0.0), "cap is 0.0; wanted a length above 0"),
+        (lambda: clamp_displacement(random(4, 3), 0.0), "cap is 0.0; wanted a length above 0"),
         (lambda: smooth_mask(random(4, 4, 4, 3), 1.0), r"wanted \[I J K\]"),
         (lambda: smooth_mask(random(4, 4, 4), -1.0), "one or three numbers from 0"),
         (lambda: smooth_mask(random(4, 4, 4), 1.0, share=0.0), "share is 0.0"),

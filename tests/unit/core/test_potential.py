@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, held_in_voxels, puff, smoke_of
-from usdsmoke.core.fields.displacement import divergence
+from tests.smoke_fixtures import affine, divergence, held_in_voxels, puff, smoke_of
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import (
     Displacement,
     Potential,
     border_mask,
-    carry_levels,
 )
-from usdsmoke.core.fields.resample import pyramid_shapes
-from usdsmoke.core.smoke.active import make_octaves
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 
@@ -104,47 +100,3 @@ def test_a_displacement_is_found_between_voxels_and_ends_with_its_box():
     halfway = torch.tensor([[0.5, 0.0, 0.0]]).double() + lattice.positions()[:1]
     assert torch.allclose(displacement.at(halfway)[0], (values[0, 0, 0] + values[1, 0, 0]) / 2)
     assert not displacement.at(halfway + 1e6).any()
-
-
-def pyramids(n_levels: int, room: int = 2) -> tuple[list[Lattice], list[list[torch.Tensor]]]:
-    """Lattices of two octaves, coarse first, and pyramids on them."""
-    octaves = make_octaves(smoke_of(puff(24), affine(1)), 2)
-    lattices = [surround(smoke, room) for smoke in octaves]
-    levels = [
-        [
-            torch.zeros(*shape, 2, dtype=torch.float64)
-            for shape in pyramid_shapes(box.shape, n_levels)
-        ]
-        for box in lattices
-    ]
-    return lattices, levels
-
-
-def linear_field(lattice: Lattice, level: torch.Tensor) -> torch.Tensor:
-    """Two fields linear in stage space on a level of a lattice's pyramid, [i j k 2]."""
-    slopes = torch.tensor([[0.3, -0.2, 0.5], [-1.0, 0.1, 0.2]], dtype=torch.float64).T
-    places = lattice.coarsened(level.shape).positions()
-    return (places @ slopes + torch.tensor([1.0, -2.0])).view(level.shape)
-
-
-@pytest.mark.parametrize("n_levels", [2, 4])
-def test_a_pyramid_goes_to_the_levels_of_equal_resolution_of_the_next_octave(n_levels):
-    """Constants everywhere, what is linear in space wherever the old voxels' centres surround it;
-    the finest level had none before and gets zero."""
-    (coarse, fine), (old, new) = pyramids(n_levels)
-    shapes = [level.shape for level in new]
-    ones = carry_levels(shapes, fine, coarse, [torch.full_like(level, 3.0) for level in old])
-    assert [level.shape for level in ones] == [level.shape for level in new]
-    assert all(level.eq(3.0).all() for level in ones[:-1]) and not ones[-1].any()
-    carried = carry_levels(shapes, fine, coarse, [linear_field(coarse, level) for level in old])
-    compared = 0
-    for above, below in zip(old[::-1], carried[-2::-1], strict=False):
-        wanted = linear_field(fine, below)
-        before = coarse.coarsened(above.shape)
-        inverse = torch.from_numpy(np.linalg.inv(before.index_to_stage))
-        places = fine.coarsened(below.shape).positions() @ inverse[:3, :3] + inverse[3, :3]
-        inside = (places >= 0).all(1) & (places <= torch.tensor(above.shape[:3]) - 1).all(1)
-        inside = inside.view(below.shape[:3])
-        assert torch.allclose(below[inside], wanted[inside], atol=1e-9)
-        compared += int(inside.sum())
-    assert compared > 1000

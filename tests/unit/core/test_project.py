@@ -256,7 +256,7 @@ def test_working_in_pieces_changes_no_bit(kind, monkeypatch):
 
     whole = made()
     assert len(density) > 5 * 37
-    monkeypatch.setattr(project, "PIECE", 37)
+    monkeypatch.setattr(project, "CHUNK_ROWS", 37)
     monkeypatch.setattr(project, "CHUNK_CELLS", 100)
     assert all(torch.equal(one, other) for one, other in zip(whole, made(), strict=True))
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.smoke_fixtures import affine, puff
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.fields.resample import refine_field
 
 
 def integral(field: DenseField) -> float:

@@ -7,7 +7,8 @@ from scipy import ndimage
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.core.fields.resample import Pyramid, pyramid_shapes, smooth, upsample
+from usdsmoke.core.fields.pyramid import expand_levels, pyramid_shapes
+from usdsmoke.core.fields.resample import smooth, upsample
 
 METHODS = ("linear", "cubic")
 
@@ -101,22 +102,20 @@ def test_pyramid_shapes(shape, n_levels, expected):
 
 @pytest.mark.parametrize("shape", [(12, 9, 7), (12, 9, 1)])
 def test_pyramid_is_the_sum_of_its_upsampled_levels(shape):
-    levels = tuple(random(*level, 3) for level in pyramid_shapes(shape, 2))
+    levels = [random(*level, 3) for level in pyramid_shapes(shape, 2)]
     expected = upsample(levels[0], shape) + levels[1]
-    assert torch.equal(Pyramid(levels).expand(), expected)
+    assert torch.equal(expand_levels(levels), expected)
 
 
 def test_new_pyramid_is_zero_and_reaches_every_level_with_its_gradient():
     shapes = pyramid_shapes((16, 12, 10), 3)
-    pyramid = Pyramid(tuple(torch.zeros(*shape, 3, dtype=torch.float64) for shape in shapes))
-    for level in pyramid.levels:
-        level.requires_grad_()
-    field = pyramid.expand()
+    levels = [torch.zeros(*shape, 3, dtype=torch.float64).requires_grad_() for shape in shapes]
+    field = expand_levels(levels)
     assert field.shape == (16, 12, 10, 3) and field.dtype == torch.float64
     assert not field.any()
     field.sum().backward()
     # A constant is kept by upsampling, so each level's gradient has the sum of all fine voxels.
-    for level in pyramid.levels:
+    for level in levels:
         assert level.grad is not None
         assert level.grad.sum().item() == pytest.approx(16 * 12 * 10 * 3, rel=1e-12)
 

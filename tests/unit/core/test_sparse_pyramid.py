@@ -11,13 +11,12 @@ from torch import Tensor
 
 from tests.smoke_fixtures import affine, held_in_voxels, masked, puff, smoke_of
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.core.fields.displacement import slope_matrix
+from usdsmoke.core.fields.displacement import SparseDisplacement, slope_matrix
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
-from usdsmoke.core.fields.potential import border_mask, free_displacement
-from usdsmoke.core.fields.resample import Pyramid, interpolation_matrix, pyramid_shapes
-from usdsmoke.core.fields.sparse_displacement import SparseDisplacement
-from usdsmoke.core.fields.sparse_map import Nodes, Taps, map_along, nodes_read
-from usdsmoke.core.fields.sparse_pyramid import SparsePyramid
+from usdsmoke.core.fields.potential import border_mask, unclamped_displacement
+from usdsmoke.core.fields.pyramid import SparsePyramid, expand_levels, pyramid_shapes
+from usdsmoke.core.fields.resample import interpolation_matrix
+from usdsmoke.core.fields.sparse_map import AxisMatrix, Nodes, map_along, nodes_read
 from usdsmoke.core.fields.transport import warp
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
@@ -53,8 +52,8 @@ def compare(effect: Tensor, active: Tensor, kind: str, n_channels: int, lattice:
     shape = lattice.shape
     base = random(*shape, n_channels, seed=1)
     dense = [random(*s, n_channels, seed=2).requires_grad_() for s in pyramid_shapes(shape, LEVELS)]
-    potential = base + Pyramid(tuple(dense)).expand()
-    wanted = free_displacement(potential, effect, kind, lattice)[active]
+    potential = base + expand_levels(dense)
+    wanted = unclamped_displacement(potential, effect, kind, lattice)[active]
     weights = random(*wanted.shape, seed=3)
 
     nodes = Nodes.where(effect > 0)
@@ -63,7 +62,7 @@ def compare(effect: Tensor, active: Tensor, kind: str, n_channels: int, lattice:
         Nodes.where(active), nodes, effect, kind, lattice.spacing, n_channels
     )
     levels = [level.detach().requires_grad_() for level in pyramid.nodes.take(dense)]
-    found = moves.free(pyramid.chosen(base) + pyramid.expand(levels))
+    found = moves.apply(pyramid.chosen(base) + pyramid.expand(levels))
     torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-12)
 
     def slopes(displacement: Tensor, unknowns: list[Tensor]) -> list[Tensor]:
@@ -110,7 +109,7 @@ def test_only_nodes_whose_coefficient_reaches_the_smoke_take_part() -> None:
     effect = torch.zeros(33, 34, 35, dtype=torch.float64)
     effect[20:24, 5:8, 16:19] = 1
     dense = [random(*s, 1).requires_grad_() for s in pyramid_shapes(effect.shape, LEVELS)]
-    reached = Pyramid(tuple(dense)).expand()[effect > 0].square().sum()
+    reached = expand_levels(dense)[effect > 0].square().sum()
     pyramid = SparsePyramid(Nodes.where(effect > 0), LEVELS, effect)
     ones = pyramid.nodes.fill([torch.ones_like(level) for level in pyramid.nodes.zeros(1, effect)])
     for box, slope in zip(ones, torch.autograd.grad(reached, dense), strict=True):
@@ -144,7 +143,7 @@ def test_a_map_along_an_axis_is_the_matrix_and_its_transpose(axis: int) -> None:
     wanted = whole[rows.flat][:, columns.flat]
     assert torch.allclose(linear.forth(torch.eye(len(columns), dtype=torch.float64)), wanted)
     assert torch.allclose(linear.back(torch.eye(len(rows), dtype=torch.float64)), wanted.T)
-    read = nodes_read(rows, axis, Taps.of(matrix, matrix))
+    read = nodes_read(rows, axis, AxisMatrix.of(matrix, matrix))
     assert torch.equal(read.flat, torch.nonzero(whole[rows.flat].any(0)).squeeze(1))
 
 
@@ -153,7 +152,7 @@ def test_sums_that_are_put_together_in_parts_are_the_same(monkeypatch: pytest.Mo
     matrix = interpolation_matrix(10, 5, "cubic")
     assert matrix is not None
     whole = map_along(rows, columns, 2, matrix, matrix)
-    monkeypatch.setattr("usdsmoke.core.fields.sparse_map.PIECE", 7)
+    monkeypatch.setattr("usdsmoke.core.fields.sparse_map.CHUNK_ROWS", 7)
     parts = map_along(rows, columns, 2, matrix, matrix)
     for one, other in ((whole.forth, parts.forth), (whole.back, parts.back)):
         assert torch.equal(one.index, other.index) and torch.equal(one.weight, other.weight)
@@ -178,7 +177,7 @@ def test_results_repeat_bit_by_bit_on_any_number_of_threads(threads: None) -> No
         moves = SparseDisplacement(nodes, nodes, effect, "stream", (1.0, 1.0, 1.0), 3)
         zeros = pyramid.nodes.zeros(3, effect)
         levels = [random(*zero.shape).float().requires_grad_() for zero in zeros]
-        moved = moves.free(pyramid.expand(levels))
+        moved = moves.apply(pyramid.expand(levels))
         found.append([moved, *torch.autograd.grad(moved.square().sum(), levels)])
     assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
 

@@ -27,12 +27,12 @@ def test_the_shape_step_holds_the_views_of_one_octave(
     def note(what: str) -> None:
         alive.append((what, sum(octave() is not None for octave in made)))
 
-    def free(*arguments: Any, free: Any = shape.free_displacement) -> Any:
+    def unclamped(*arguments: Any, made: Any = shape.unclamped_displacement) -> Any:
         note("ends")
-        return free(*arguments)
+        return made(*arguments)
 
     monkeypatch.setattr(shape, "_Octave", Watched)
-    monkeypatch.setattr(shape, "free_displacement", free)
+    monkeypatch.setattr(shape, "unclamped_displacement", unclamped)
     config = quick_config(shape={"iterations": iterations}, optimize={"steps": ["shape"]})
     run_core([frame_of(puff(12))], config)
     n_octaves = sum(n > 0 for n in iterations)

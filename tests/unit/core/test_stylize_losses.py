@@ -1,14 +1,11 @@
 """One frame through both steps with every loss and control of the optimiser."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core.sequence.stylize import StylizedFrame
-from usdsmoke.core.steps.optimize import minimize
 from usdsmoke.core.style import losses, picture_loss
 
 DENSITY = puff(12)
@@ -81,32 +78,3 @@ def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma):
     assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.01
     light = found.emission.values / np.float32(gamma)
     assert np.isfinite(light).all() and 0 < light.max() <= 1.01 * found.density.values.max()
-
-
-def counted(monkeypatch: pytest.MonkeyPatch, carry: bool) -> list[int]:
-    """Adam's steps at the end of each octave of both steps."""
-    ends: list[int] = []
-    for module in ("shape", "colour"):
-        name = f"usdsmoke.core.{module}.minimize"
-
-        def noted(*args: Any, **options: Any) -> Any:
-            yield from minimize(*args, **options)
-            adam = options.get("adam") or args[-1]
-            ends.append(adam.n_steps)
-
-        monkeypatch.setattr(name, noted)
-    config = quick_config(
-        shape={"iterations": [2, 3]}, colour={"iterations": [4, 5]},
-        optimize={"threads": 1, "carry_moments": carry},
-    )  # fmt: skip
-    result = run_core([frame_of(puff(20))], config)[0]  # smaller smoke moves in no coarser octave
-    assert np.isfinite(result.emission.values).all()
-    return ends
-
-
-def test_moments_go_from_octave_to_octave_only_when_asked_to_and_never_between_steps(monkeypatch):
-    assert counted(monkeypatch, carry=False) == [2, 3, 4, 5]
-
-
-def test_moments_that_go_along_keep_their_age(monkeypatch):
-    assert counted(monkeypatch, carry=True) == [2, 5, 4, 9]

@@ -1,4 +1,4 @@
-r"""Displacement fields: made from potentials, and capped.
+r"""Displacement fields: made from potentials, and clamped.
 
 A displacement u is [I J K 3], in world units along the grid's axes, on the voxels of its box;
 divide by ``spacing`` for index units. Stream function psi and potential phi live on the same
@@ -9,30 +9,46 @@ voxels, in world units squared:
 
 Derivatives are second order: central, and one-sided in the first and the last voxel. Each acts
 along one axis only, and operators along different axes commute, so div(curl psi) = 0 and
-curl(grad phi) = 0 hold to round-off in every voxel with ``divergence`` and ``curl`` below, whatever
-the spacing. Across an axis of length 1 everything is constant and nothing moves along it: in 2-D
-only the out-of-plane component of psi counts.
+curl(grad phi) = 0 hold to round-off in every voxel with these differences, whatever the spacing.
+Across an axis of length 1 everything is constant and nothing moves along it: in 2-D only the
+out-of-plane component of psi has an effect.
+
+``from_stream``, ``from_potential`` and ``from_mixed`` work on a whole box; ``SparseDisplacement``
+computes the same at chosen voxels, at a cost that follows their number (decision 010).
 """
 
 import math
 from collections.abc import Sequence
+from functools import partial
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError, ShapeError
 from usdsmoke.core.fields.resample import smooth
+from usdsmoke.core.fields.sparse_map import (
+    AxisMatrix,
+    Nodes,
+    SparseMap,
+    SparseSums,
+    Table,
+    read_along,
+)
 
 __all__ = [
-    "cap_displacement",
+    "MIXED_SHARE",
+    "SparseDisplacement",
+    "clamp_displacement",
     "curl",
-    "divergence",
     "from_mixed",
     "from_potential",
     "from_stream",
     "slope_matrix",
     "smooth_mask",
 ]
+
+MIXED_SHARE = 0.5  # of the compressible part in a mixed displacement
 
 
 def from_stream(psi: Tensor, spacing: Sequence[float]) -> Tensor:
@@ -119,24 +135,16 @@ def curl(field: Tensor, spacing: Sequence[float]) -> Tensor:
     )
 
 
-def divergence(field: Tensor, spacing: Sequence[float]) -> Tensor:
-    """Divergence [I J K] of a vector field [I J K 3], in the field's unit per world unit."""
-    _check_vector(field)
-    _check_spacing(spacing)
-    x, y, z = (_slope(field[..., axis], axis, spacing) for axis in range(3))
-    return x + y + z
-
-
-def cap_displacement(displacement: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
-    r"""The displacement, smoothly held below a length: u / (1 + (|u| / cap)^4)^(1/4).
+def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
+    r"""The displacement, smoothly clamped to a length: u / (1 + (|u| / cap)^4)^(1/4).
 
     Small displacements are kept (0.2 % are lost at 0.3 cap), large ones keep their direction
     and tend to ``cap``; the map is smooth everywhere and one to one.
 
     Args:
         displacement: [... 3], world units, finite.
-        cap: the length that is not reached, world units, > 0.
-        share: [...] in [0, 1], of the cap that holds at each place; 0 lets nothing pass.
+        cap: the length that is never reached, world units, > 0.
+        share: [...] in [0, 1], the share of the cap that applies at each place; at 0 nothing moves.
 
     Raises:
         ShapeError: cap is not a positive number.
@@ -149,10 +157,10 @@ def cap_displacement(displacement: Tensor, cap: float, share: Tensor | None = No
     # hypot, because the fourth power of a large displacement overflows
     if share is None:
         return displacement / torch.hypot(torch.ones_like(squared), squared).sqrt()
-    room = share[..., None]
-    # with no room and no displacement there is nothing to divide
-    length = torch.hypot(room.clamp_min(1e-6).square(), squared).sqrt()
-    return displacement * (room / length)
+    allowed = share[..., None]
+    # where both the share and the displacement are 0, the quotient must not be 0 / 0
+    length = torch.hypot(allowed.clamp_min(1e-6).square(), squared).sqrt()
+    return displacement * (allowed / length)
 
 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
@@ -185,6 +193,113 @@ def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 
     relative = positive / largest
     level = share * relative.square().sum() / relative.sum()
     return smooth((relative / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)
+
+
+class SparseDisplacement:
+    """``potential.unclamped_displacement`` at the active voxels, from those with an effect.
+
+    Args:
+        active: voxels at which the displacement is wanted.
+        nodes: voxels of the same box that hold the potential; one that no active voxel reads moves
+            nothing, and gets no gradient.
+        effect: [I J K] in [0, 1], the potential's share; 0 outside of ``nodes``.
+        kind, spacing: see ``unclamped_displacement``.
+        n_channels: of the potential: 3 for a stream function (in a slab 1), 1 for a potential, 4
+            for both.
+    """
+
+    def __init__(
+        self,
+        active: Nodes,
+        nodes: Nodes,
+        effect: Tensor,
+        kind: str,
+        spacing: Sequence[float],
+        n_channels: int,
+    ) -> None:
+        mask = effect.reshape(-1)[nodes.flat]
+        axes = [axis for axis in range(3) if active.shape[axis] > 1]
+        slopes = {axis: slope_matrix(active.shape[axis], spacing[axis]) for axis in axes}
+        forth = {axis: AxisMatrix.of(matrix, mask) for axis, matrix in slopes.items()}
+        back = {axis: AxisMatrix.of(matrix.T, mask) for axis, matrix in slopes.items()}
+        padded = torch.cat([mask, mask.new_zeros(1)])  # the last for what reads nothing
+
+        def slope(axis: int, part: slice) -> Table:
+            place, weight = read_along(active, nodes, axis, forth[axis], part)
+            return place, weight * padded[place]
+
+        def transposed(part: slice) -> Table:
+            n = part.stop - part.start
+            tables = [(active.numbers.new_empty(n, 0), mask.new_empty(n, 0))]
+            for number, axis in enumerate(axes):
+                place, weight = read_along(nodes, active, axis, back[axis], part)
+                place = torch.where(place < 0, -1, place + number * len(active))
+                tables.append((place, weight * mask[part, None]))
+            places, weights = zip(*tables, strict=True)
+            return torch.cat(places, 1), torch.cat(weights, 1)
+
+        self._slopes = SparseMap(
+            SparseSums.of(
+                max((rows.width for rows in forth.values()), default=0),
+                *((len(active), partial(slope, axis)) for axis in axes), like=mask,
+            ),
+            SparseSums.of(
+                sum(rows.width for rows in back.values()),
+                (len(nodes), transposed), like=mask,
+            ),
+        )  # fmt: skip
+        self._n_active, self._mixing = len(active), _mixing(kind, active.shape, n_channels)
+
+    def apply(self, potential: Tensor) -> Tensor:
+        """The displacement before it is clamped, [N 3] along the axes, stage units.
+
+        Args:
+            potential: [n C] at ``nodes``, stage unit^2.
+
+        Gradients: through ``potential``, exact adjoint.
+        """
+        slopes = self._slopes.apply(potential)
+        by_axis = slopes.view(len(self._mixing), self._n_active, potential.shape[1])
+        return cast(Tensor, _Mix.apply(by_axis, self._mixing)).T
+
+
+class _Mix(torch.autograd.Function):
+    """Slopes [A N C] along the axes to components [3 N], each a sum of few of them."""
+
+    @staticmethod
+    def forward(ctx: Any, slopes: Tensor, mixing: Tensor) -> Tensor:
+        ctx.mixing = mixing
+        components = slopes.new_zeros(3, slopes.shape[1])
+        for a, c, b in torch.nonzero(mixing).tolist():
+            components[b].add_(slopes[a, :, c], alpha=float(mixing[a, c, b]))
+        return components
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        mixing = ctx.mixing
+        slopes = upstream.new_zeros(len(mixing), upstream.shape[1], mixing.shape[1])
+        for a, c, b in torch.nonzero(mixing).tolist():
+            slopes[a, :, c].add_(upstream[b], alpha=float(mixing[a, c, b]))
+        return slopes, None
+
+
+def _mixing(kind: str, shape: tuple[int, int, int], n_channels: int) -> Tensor:
+    """What channel c's slope along an axis a longer than 1 adds to component b, [a c b]."""
+    mixing = torch.zeros(3, n_channels, 3, dtype=torch.float64)
+    if kind != "potential":
+        share = 1.0 if kind == "stream" else 1.0 - MIXED_SHARE
+        for b in range(3):
+            a, c = (b + 1) % 3, (b + 2) % 3  # u_b = d_a psi_c - d_c psi_a
+            for axis, of, sign in ((a, c, share), (c, a, -share)):
+                if n_channels > 1:
+                    mixing[axis, of, b] += sign
+                elif shape[of] == 1:  # the one channel is the component across the slab
+                    mixing[axis, 0, b] += sign
+    if kind != "stream":
+        for axis in range(3):
+            mixing[axis, -1, axis] += 1.0 if kind == "potential" else MIXED_SHARE
+    mixing[:, :, [axis for axis in range(3) if shape[axis] == 1]] = 0.0  # nothing moves across
+    return mixing[[axis for axis in range(3) if shape[axis] > 1]]
 
 
 def slope_matrix(n: int, spacing: float) -> Tensor:

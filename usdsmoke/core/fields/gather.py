@@ -1,81 +1,55 @@
-"""Weighted sums over the voxels around index positions: the kernel under ``core.sample``.
+"""Weighted sums over the voxels around index positions: the kernel under ``fields.sample``.
 
-Along each axis a position has two taps (hat function) or four (cubic B-spline). The base voxel is
-computed once per position; each tap is then a gather from a shifted view of the same flat array, so
-a 3-D sum costs 8 or 64 gathers and no index arithmetic. Axes of length 1 are left out altogether.
-Positions are worked off in chunks that stay in the processor's second-level cache.
+Along each axis a position reads two voxels (hat function) or four (cubic B-spline). The first voxel
+is computed once per position; each weight is then a gather from a shifted view of the same flat
+array, so a 3-D sum costs 8 or 64 gathers and no index arithmetic. Axes of length 1 are left out.
+Positions are processed in chunks that stay in the processor's second-level cache.
 """
 
-import itertools
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.smoke.chunks import cut
+from usdsmoke.core.smoke.memory import chunks
 
-__all__ = ["iterate_cells", "planar", "sum_taps"]
+__all__ = ["gather_sum", "planar"]
 
-_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
+GATHER_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
 
 
-class _Taps(NamedTuple):
-    """The taps of some positions along one axis."""
+class _AxisWeights(NamedTuple):
+    """The weights of the voxels that some positions read along one axis."""
 
-    first: Tensor  # [N] int64, index of the first tap along the axis
+    first: Tensor  # [N] int64, index of the first voxel along the axis
     weights: tuple[Tensor, ...]  # each [N]
     slopes: tuple[Tensor, ...]  # derivatives of the weights by the position; () when not asked for
 
 
-def sum_taps(values: Tensor, positions_ijk: Tensor, cubic: bool) -> Tensor:
+def gather_sum(values: Tensor, positions_ijk: Tensor, cubic: bool) -> Tensor:
     """Weighted sums of the voxels of ``values`` around each position, [N] or [N C].
 
     Args:
-        values: [I J K] or [I J K C]; taps outside the box count as 0.
+        values: [I J K] or [I J K C]; voxels outside the box are 0.
         positions_ijk: [N 3], finite, same dtype and device.
         cubic: B-spline weights over 4 voxels an axis (``values`` are spline coefficients, and
-            positions are held one voxel inside the box) instead of hat functions over 2.
+            positions are clamped to one voxel inside the box) instead of hat functions over 2.
 
     Gradients: through both tensors, once. On a voxel the slope is the one towards larger indices.
     """
-    return _TapSum.apply(values, positions_ijk, cubic)
+    return _GatherSum.apply(values, positions_ijk, cubic)
 
 
 def planar(values: Tensor) -> Tensor:
-    """The same [... C] with every channel contiguous in memory, for whoever samples them often.
+    """The same [... C] with every channel contiguous in memory, for repeated sampling.
 
-    Other layouts are copied into this one by every call of ``sum_taps``.
+    Other layouts are copied into this one by every call of ``gather_sum``.
     """
     return values.movedim(-1, 0).contiguous().movedim(0, -1)
 
 
-def iterate_cells(values: Tensor, positions_ijk: Tensor) -> Iterator[list[tuple[Tensor, Tensor]]]:
-    """The corner voxels of the cell around each position, chunk by chunk in the positions' order.
-
-    Yields:
-        for each of the up to 8 corners: its values [n] or [n C], and whether it is a corner of the
-        position's cell that lies inside the box, in a shape that broadcasts with them.
-    """
-    flat, strides, axes = _flatten(values)
-    for part in cut(len(positions_ijk), _CHUNK, positions_ijk.device):
-        base, taps = _find_taps(positions_ijk[part], values.shape, strides, axes, False, False)
-        offsets = [
-            positions_ijk[part, axis] - tap.first for axis, tap in zip(axes, taps, strict=True)
-        ]
-        corners = []
-        for steps in itertools.product((0, 1), repeat=len(axes)):
-            shift = sum(step * stride for step, stride in zip(steps, strides, strict=True))
-            hit = torch.ones_like(base, dtype=torch.bool)
-            for step, offset in zip(steps, offsets, strict=True):
-                hit &= (offset - step).abs() <= 1
-            corner = flat[shift:].index_select(0, base)
-            corners.append((corner, hit if corner.ndim == 1 else hit[:, None]))
-        yield corners
-
-
-class _TapSum(torch.autograd.Function):
+class _GatherSum(torch.autograd.Function):
     """The sum; its Jacobian by the positions is made in the forward pass, from the same gathers."""
 
     @staticmethod
@@ -85,12 +59,12 @@ class _TapSum(torch.autograd.Function):
         want_slopes = ctx.needs_input_grad[1]
         sums = flat.new_empty((len(planes), len(positions)))
         jacobian = flat.new_zeros((3, *sums.shape)) if want_slopes else None
-        for part in cut(len(positions), _CHUNK, positions.device):
-            base, taps = _find_taps(
+        for part in chunks(len(positions), GATHER_CHUNK, positions.device):
+            base, by_axis = _find_weights(
                 positions[part], values.shape, strides, axes, cubic, want_slopes
             )
             for channel, plane in enumerate(planes):
-                terms = _gather_sum(plane, base, strides, taps)
+                terms = _weighted_sum(plane, base, strides, by_axis)
                 sums[channel, part] = terms[0]
                 if jacobian is not None:
                     for axis, slope in zip(axes, terms[1:], strict=True):
@@ -116,10 +90,12 @@ def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: b
     """What each voxel's weight is in all sums together, weighted with ``grad_planes`` [C N]."""
     planes = grad_planes.new_zeros((len(grad_planes), shape[:3].numel()))
     strides, axes = _layout(shape)
-    for part in cut(len(positions), _CHUNK, positions.device):
-        base, taps = _find_taps(positions[part], shape, strides, axes, cubic, want_slopes=False)
+    for part in chunks(len(positions), GATHER_CHUNK, positions.device):
+        base, by_axis = _find_weights(
+            positions[part], shape, strides, axes, cubic, want_slopes=False
+        )
         for plane, grad_plane in zip(planes, grad_planes, strict=True):
-            _scatter_sum(plane, base, strides, taps, grad_plane[part])
+            _add_weighted(plane, base, strides, by_axis, grad_plane[part])
     return planes.T.reshape(shape)
 
 
@@ -140,40 +116,40 @@ def _planes(flat: Tensor) -> Tensor:
     return flat[None].contiguous() if flat.ndim == 1 else flat.T.contiguous()
 
 
-def _find_taps(
+def _find_weights(
     positions: Tensor,
     shape: torch.Size,
     strides: list[int],
     axes: list[int],
     cubic: bool,
     want_slopes: bool,
-) -> tuple[Tensor, list[_Taps]]:
-    """The flat index of each position's first tap and its taps along every axis in ``axes``."""
-    find = _spline_taps if cubic else _hat_taps
-    taps = [find(positions[:, axis].contiguous(), shape[axis], want_slopes) for axis in axes]
+) -> tuple[Tensor, list[_AxisWeights]]:
+    """The flat index of each position's first voxel, and its weights along the given axes."""
+    find = _spline_weights if cubic else _hat_weights
+    by_axis = [find(positions[:, axis].contiguous(), shape[axis], want_slopes) for axis in axes]
     base = torch.zeros(len(positions), dtype=torch.int64, device=positions.device)
-    for tap, stride in zip(taps, strides, strict=True):
-        base.add_(tap.first, alpha=stride)
-    return base, taps
+    for along, stride in zip(by_axis, strides, strict=True):
+        base.add_(along.first, alpha=stride)
+    return base, by_axis
 
 
-def _hat_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
+def _hat_weights(position: Tensor, length: int, want_slopes: bool) -> _AxisWeights:
     """Hat functions of the two voxels that surround a position, or lie nearest to it."""
     floor = position.floor().clamp_(0, length - 2)
     right = position - floor  # in [0, 1] inside the box, beyond it outside
     if position.device.type == "cpu" and _is_within(right):  # the same bits in half the time
         one = torch.ones_like(right)
-        return _Taps(floor.long(), (1 - right, right), (-one, one) if want_slopes else ())
+        return _AxisWeights(floor.long(), (1 - right, right), (-one, one) if want_slopes else ())
     weights = (
         torch.minimum(1 - right, 1 + right).clamp_(min=0),
         torch.minimum(right, 2 - right).clamp_(min=0),
     )
     if not want_slopes:
-        return _Taps(floor.long(), weights, ())
+        return _AxisWeights(floor.long(), weights, ())
     inside = ((right >= 0) & (right <= 1)).to(position.dtype)
     entering = ((right > -1) & (right < 0)).to(position.dtype)
     leaving = ((right > 1) & (right < 2)).to(position.dtype)
-    return _Taps(floor.long(), weights, (entering - inside, inside - leaving))
+    return _AxisWeights(floor.long(), weights, (entering - inside, inside - leaving))
 
 
 def _is_within(right: Tensor) -> bool:
@@ -181,11 +157,11 @@ def _is_within(right: Tensor) -> bool:
     return bool(low >= 0) and bool(high <= 1)
 
 
-def _spline_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
+def _spline_weights(position: Tensor, length: int, want_slopes: bool) -> _AxisWeights:
     """Cubic B-spline weights of four neighbouring voxels."""
-    held = position.clamp(1, length - 2)
-    floor = held.floor().clamp_(1, length - 3)
-    t = held - floor
+    clamped = position.clamp(1, length - 2)
+    floor = clamped.floor().clamp_(1, length - 3)
+    t = clamped - floor
     s = 1 - t
     weights = (
         s * s * s / 6,
@@ -195,21 +171,23 @@ def _spline_taps(position: Tensor, length: int, want_slopes: bool) -> _Taps:
     )
     base = floor.long() - 1
     if not want_slopes:
-        return _Taps(base, weights, ())
+        return _AxisWeights(base, weights, ())
     slopes = (-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2)
-    return _Taps(base, weights, slopes)
+    return _AxisWeights(base, weights, slopes)
 
 
-def _gather_sum(plane: Tensor, base: Tensor, strides: list[int], taps: list[_Taps]) -> list[Tensor]:
-    """[sum, its slope along each axis...]; the slopes are missing when the taps have none."""
-    if not taps:
+def _weighted_sum(
+    plane: Tensor, base: Tensor, strides: list[int], by_axis: list[_AxisWeights]
+) -> list[Tensor]:
+    """[sum, its slope along each axis...]; no slopes if the weights have none."""
+    if not by_axis:
         return [plane.index_select(0, base)]
     sums: list[Tensor] = []
-    for step, weight in enumerate(taps[0].weights):
-        inner = _gather_sum(plane[step * strides[0] :], base, strides[1:], taps[1:])
+    for step, weight in enumerate(by_axis[0].weights):
+        inner = _weighted_sum(plane[step * strides[0] :], base, strides[1:], by_axis[1:])
         factors, terms = [weight], inner[:1]
-        if taps[0].slopes:
-            factors += [taps[0].slopes[step], *[weight] * (len(inner) - 1)]
+        if by_axis[0].slopes:
+            factors += [by_axis[0].slopes[step], *[weight] * (len(inner) - 1)]
             terms = [inner[0], *inner]
         if not sums:
             sums = [factor * term for factor, term in zip(factors, terms, strict=True)]
@@ -219,12 +197,12 @@ def _gather_sum(plane: Tensor, base: Tensor, strides: list[int], taps: list[_Tap
     return sums
 
 
-def _scatter_sum(
-    plane: Tensor, base: Tensor, strides: list[int], taps: list[_Taps], amounts: Tensor
+def _add_weighted(
+    plane: Tensor, base: Tensor, strides: list[int], by_axis: list[_AxisWeights], amounts: Tensor
 ) -> None:
-    """The adjoint of ``_gather_sum``: adds ``amounts``, weighted, onto the taps in ``plane``."""
-    if not taps:
+    """The adjoint of ``_weighted_sum``: adds weighted ``amounts`` to ``plane``."""
+    if not by_axis:
         plane.index_add_(0, base, amounts)
         return
-    for step, weight in enumerate(taps[0].weights):
-        _scatter_sum(plane[step * strides[0] :], base, strides[1:], taps[1:], weight * amounts)
+    for step, weight in enumerate(by_axis[0].weights):
+        _add_weighted(plane[step * strides[0] :], base, strides[1:], by_axis[1:], weight * amounts)

@@ -14,7 +14,7 @@ from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.sample import Boundary, sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke, densify
-from usdsmoke.core.smoke.chunks import cut
+from usdsmoke.core.smoke.memory import chunks
 
 __all__ = ["Lattice", "field_from_box", "grow", "surround"]
 
@@ -37,7 +37,7 @@ class Lattice:
         return float(sides[0]), float(sides[1]), float(sides[2])
 
     def coarsened(self, shape: Sequence[int]) -> "Lattice":
-        """The same box cut into fewer voxels; ``shape`` may have further entries."""
+        """The same box chunks into fewer voxels; ``shape`` may have further entries."""
         coarse = tuple(int(n) for n in tuple(shape)[:3])
         scale = np.array(self.shape) / np.array(coarse)
         place = np.diag([*scale, 1.0])
@@ -63,7 +63,7 @@ class Lattice:
             like: gives the device of the positions.
         """
         n_voxels, found = math.prod(self.shape), None
-        for part in cut(n_voxels, VOXELS_AT_ONCE, like.device):
+        for part in chunks(n_voxels, VOXELS_AT_ONCE, like.device):
             flat = torch.arange(part.start, part.stop, device=like.device)
             ij, k = flat // self.shape[2], flat % self.shape[2]
             places = torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)
@@ -99,7 +99,7 @@ class Lattice:
         return positions @ matrix[:3, :3] + matrix[3, :3] - low
 
     def sample(self, values: Tensor, positions: Tensor, beyond: Boundary = "nearest") -> Tensor:
-        """Box values [I J K C] at stage positions [N 3]; ``beyond`` the box see ``core.sample``."""
+        """Box values [I J K C] at stage positions [N 3]; ``beyond``: see ``fields.sample``."""
         place = self.index_of(positions)
         return sample_linear(values, place.to(values.dtype), boundary=beyond)
 

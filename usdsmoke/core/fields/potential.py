@@ -1,13 +1,11 @@
 """From a potential on a box to the displacement of its smoke."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from torch import Tensor
 
 from usdsmoke.core.fields.displacement import (
-    cap_displacement,
+    MIXED_SHARE,
     from_mixed,
     from_potential,
     from_stream,
@@ -17,16 +15,12 @@ from usdsmoke.core.fields.gather import planar
 from usdsmoke.core.fields.lattice import Lattice
 
 __all__ = [
-    "MIXED_SHARE",
     "Displacement",
     "Potential",
     "border_mask",
-    "carry_levels",
-    "free_displacement",
-    "hold",
+    "unclamped_displacement",
 ]
 
-MIXED_SHARE = 0.5  # of the compressible part in a mixed displacement
 BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 
@@ -55,38 +49,13 @@ class Displacement:
         return self.lattice.sample(self.values, positions.to(self.values.device), "zero")
 
     def planar(self) -> "Displacement":
-        """The same, laid out for being sampled often; see ``taps.planar``."""
+        """The same, laid out for being sampled often; see ``gather.planar``."""
         return Displacement(planar(self.values), self.lattice)
 
     def on(self, lattice: Lattice) -> Tensor:
         """The displacement on another box, [I J K 3], along its axes."""
         moved = self.planar()
         return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(places)), self.values)
-
-
-def carry_levels(
-    shapes: Sequence[Sequence[int]], lattice: Lattice, before: Lattice, levels: Sequence[Tensor]
-) -> list[Tensor]:
-    """A pyramid's values on the pyramid of the next octave, whose lattice is twice as fine.
-
-    Each level gets what the level of its own resolution had; the finest had none, and gets 0.
-
-    Args:
-        shapes: i, j, k of the new levels, coarse to fine; further entries are ignored.
-        lattice, before: of the new pyramid's finest level, and of the old one's.
-        levels: the old levels, coarse to fine, [i j k C] each.
-    """
-    carried = []
-    for number, shape in enumerate(shapes):
-        wanted = (*tuple(shape)[:3], levels[0].shape[-1])
-        above = number - len(shapes) + 1 + len(levels)  # the same resolution, from the finest
-        if not 0 <= above < len(levels):
-            carried.append(levels[0].new_zeros(wanted))
-            continue
-        old = levels[above]
-        places, values = before.coarsened(old.shape), planar(old)
-        carried.append(lattice.coarsened(wanted).on_voxels(partial(places.sample, values), old))
-    return carried
 
 
 def border_mask(density: Tensor) -> Tensor:
@@ -99,10 +68,10 @@ def border_mask(density: Tensor) -> Tensor:
     return inside * inside * (3 - 2 * inside)
 
 
-def free_displacement(
+def unclamped_displacement(
     potential: Tensor, mask: Tensor, kind: str, lattice: Lattice, base: Tensor | None = None
 ) -> Tensor:
-    """The displacement before it is held below a length, [I J K 3] along the axes, stage units.
+    """The displacement before it is clamped to a length, [I J K 3] along the axes, stage units.
 
     The potential is faded before it is derived, so that a stream function's displacement stays free
     of divergence where the mask falls off; the cap alone disturbs it.
@@ -112,8 +81,8 @@ def free_displacement(
         mask: [I J K] in [0, 1], the share of the effect.
         kind: stream, potential or mixed.
         lattice: the box.
-        base: what the potential's displacement is added to, such as the neighbouring frame's free
-            one, which is faded already.
+        base: what the potential's displacement is added to, such as the neighbouring
+            frame's unclamped one, which is faded already.
     """
     faded = potential * mask[..., None]
     if kind == "stream":
@@ -123,17 +92,3 @@ def free_displacement(
     else:
         moved = from_mixed(faded[..., :3], faded[..., 3], lattice.spacing, MIXED_SHARE)
     return moved if base is None else moved + base
-
-
-def hold(free: Tensor, cap: float, share: Tensor | None = None) -> Tensor:
-    """A free displacement [... 3] held below the cap, voxel by voxel; stage units.
-
-    What is carried along is faded at no other border than where it was made: smoke near the border
-    keeps its displacement while it moves, and none is added.
-
-    Args:
-        free: stage units.
-        cap: > 0.
-        share: [...], of the cap that holds at each voxel: the user's mask.
-    """
-    return cap_displacement(free, cap, share)

@@ -1,4 +1,4 @@
-r"""Fields on coarser lattices of the same box: interpolation, smoothing, coefficient pyramids.
+r"""Fields on coarser and finer lattices of the same box: upsampling, smoothing, smaller voxels.
 
 A lattice of n voxels across a box has its voxel m centred at (m + 1/2) / n of the box's extent.
 Lattices of any sizes therefore cover the same box, and two upsamplings in a row land where one
@@ -8,74 +8,21 @@ processor costs less than gathering, and has its transpose as exact adjoint.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.sample import sample_linear
 
-__all__ = ["Method", "Pyramid", "interpolation_matrix", "pyramid_shapes", "smooth", "upsample"]
+__all__ = ["Method", "interpolation_matrix", "refine_field", "smooth", "upsample"]
 
 Method = Literal["linear", "cubic"]
 _SIGMAS = 4.0  # where the Gaussian is cut off; 6e-5 of it lies beyond
-
-
-@dataclass(frozen=True)
-class Pyramid:
-    """A field as a sum of coefficient fields, coarse to fine.
-
-    Optimising the levels instead of the voxels lets coarse structure form first and keeps speckle
-    out. ``levels`` are the parameters: turn on their gradients, or replace them.
-
-    Args:
-        levels: coarse to fine, each [i j k C]; see ``pyramid_shapes``.
-        method: of the upsampling; "cubic" for potentials, whose derivative is wanted, "linear"
-            where the field must stay within the range of its coefficients.
-    """
-
-    levels: tuple[Tensor, ...]
-    method: Method = "cubic"
-
-    def expand(self) -> Tensor:
-        """The field, [I J K C] on the finest level's lattice.
-
-        Every level is added to the upsampled sum of the coarser ones, so the whole costs little
-        more than one upsampling to the finest lattice.
-
-        Gradients: through ``levels``.
-        """
-        total = self.levels[0]
-        for level in self.levels[1:]:
-            total = upsample(total, level.shape, self.method) + level
-        return total
-
-
-def pyramid_shapes(shape: Sequence[int], n_levels: int) -> list[tuple[int, int, int]]:
-    """Lattice shapes of a pyramid, each half of the next finer one; the last is ``shape``.
-
-    Args:
-        shape: I, J, K of the finest level.
-        n_levels: how many are wanted, >= 1; fewer where the box is too small for them.
-
-    Raises:
-        ShapeError: a number is out of range.
-    """
-    finest: tuple[int, ...] = tuple(int(n) for n in tuple(shape)[:3])
-    if n_levels < 1 or len(finest) != 3 or min(finest) < 1:
-        raise ShapeError(
-            f"cannot make a pyramid of {n_levels} levels on {list(finest)} voxels; wanted at least "
-            "1 level and at least 1 voxel along 3 axes"
-        )
-    shapes: list[tuple[int, ...]] = [finest]
-    while len(shapes) < n_levels:
-        coarser = tuple(max(min(n, 2), math.ceil(n / 2)) for n in shapes[0])
-        if coarser == shapes[0]:
-            break
-        shapes.insert(0, coarser)
-    return [(i, j, k) for i, j, k in shapes]
 
 
 def upsample(coarse: Tensor, shape: Sequence[int], method: Method = "cubic") -> Tensor:
@@ -129,6 +76,48 @@ def smooth(values: Tensor, sigma: float | Sequence[float]) -> Tensor:
     return _along_axes(values, lambda axis, n: _gaussian_matrix(n, sigmas[axis]))
 
 
+def refine_field(field: DenseField, factor: int) -> DenseField:
+    """The field on voxels ``factor`` times smaller along every axis with more than one voxel.
+
+    Trilinear between voxel centres and towards the background beyond the box, so that the integral
+    over space is kept. The box grows by one source voxel on every side that is subdivided.
+
+    Args:
+        field: [i j k] or [i j k 3].
+        factor: 1 gives the field back unchanged.
+    """
+    if factor == 1 or field.is_empty:
+        return field
+    shape = np.array(field.values.shape[:3])
+    scale = np.where(shape > 1, factor, 1)
+    pad = np.where(shape > 1, 1, 0)
+    axes = [
+        (torch.arange(int(n), dtype=torch.float32) + 0.5) / int(f) - 0.5 - int(p)
+        for n, f, p in zip((shape + 2 * pad) * scale, scale, pad, strict=True)
+    ]
+    values = torch.from_numpy(np.ascontiguousarray(field.values, np.float32))
+    outside = np.asarray(field.background, np.float32).reshape(-1)
+    shifted = values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
+    refined = torch.empty(*(len(axis) for axis in axes), *values.shape[3:], dtype=torch.float32)
+    for plane, position in zip(refined, axes[0], strict=True):
+        # slab by slab, so that the positions never fill memory
+        grid = torch.stack(torch.meshgrid(position[None], axes[1], axes[2], indexing="ij"), -1)
+        plane[:] = sample_linear(shifted, grid.reshape(-1, 3)).view(plane.shape)
+    refined += torch.from_numpy(outside) if values.ndim == 4 else float(outside[0])
+    old_from_new = np.diag([*(1.0 / scale), 1.0])
+    old_from_new[3, :3] = 0.5 / scale - 0.5
+    return DenseField(
+        field.name,
+        refined.numpy(),
+        tuple(int(n) for n in (np.asarray(field.ijk_min) - pad) * scale),  # type: ignore[arg-type]
+        old_from_new @ field.index_to_world,
+        field.background,
+        field.grid_class,
+        field.half,
+        field.metadata,
+    )
+
+
 def _along_axes(values: Tensor, matrix_for: Callable[[int, int], Tensor | None]) -> Tensor:
     """Applies ``matrix_for(axis, length)``, if any, along each of the three axes."""
     for axis in range(3):
@@ -169,11 +158,11 @@ def _keys_kernel(distance: Tensor) -> Tensor:
 @lru_cache(maxsize=64)
 def _gaussian_matrix(length: int, sigma: float) -> Tensor | None:
     """[length length] float64, rows of the unit-sum kernel; None where nothing is to be done."""
-    reach = math.ceil(_SIGMAS * sigma)
-    if length == 1 or reach == 0:
+    support = math.ceil(_SIGMAS * sigma)
+    if length == 1 or support == 0:
         return None
     index = torch.arange(length, dtype=torch.float64)
     distance = (index[:, None] - index).abs()
-    kernel = torch.exp(-0.5 * (distance / sigma) ** 2) * (distance <= reach)
-    steps = torch.arange(-reach, reach + 1, dtype=torch.float64)
+    kernel = torch.exp(-0.5 * (distance / sigma) ** 2) * (distance <= support)
+    steps = torch.arange(-support, support + 1, dtype=torch.float64)
     return kernel / torch.exp(-0.5 * (steps / sigma) ** 2).sum()

@@ -1,46 +1,49 @@
 r"""Interpolation of dense fields at fractional index positions, and its exact adjoint.
 
-A field is ``values``, [I J K] or [I J K C]; a position is a row (i, j, k) in which voxel
-``values[0, 0, 0]`` is centred on (0, 0, 0). Only the voxels around the given positions are read. An
-axis of length 1 is taken as constant, so a one-voxel-thick box is a 2-D field and costs what a 2-D
-field costs.
+A field is ``values``, [I J K] or [I J K C]. A position is a row (i, j, k), and voxel (0, 0, 0) is
+centred on position (0, 0, 0). Only the voxels around the given positions are read. A field is
+constant along an axis of length 1, so a box one voxel thick is a 2-D field at the cost of one.
 
-What lies outside the box is said by ``boundary``:
+``sample_linear`` offers two boundaries:
 
-=========== ===================================================================================
-"zero"      the box is embedded in the constant ``outside``: what leaves the box is gone and
-            nothing is smeared in from its border
-"nearest"   the border value continues outwards
-"periodic"  the box repeats
-=========== ===================================================================================
+========= =====================================================================================
+"zero"    the box is embedded in the constant ``outside``: what leaves the box is gone and nothing
+          is smeared in from its border
+"nearest" the border value continues outwards
+========= =====================================================================================
 
-torch's ``grid_sample`` is not used: it wants positions scaled to [-1, 1], which moves whole-voxel
+torch's ``grid_sample`` is not used: it takes positions scaled to [-1, 1], which moves whole-voxel
 positions by round-off, walks a point list on one thread, and has no cubic mode for volumes. Here
 every corner is one gather from a shifted view of the same flat array, and a position on a voxel
-gives that voxel's value back bit for bit ("linear").
+returns that voxel's value bit for bit ("linear").
 """
 
-from functools import reduce
+import math
+from functools import lru_cache
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError, ShapeError
-from usdsmoke.core.fields.gather import iterate_cells, planar, sum_taps
-from usdsmoke.core.fields.spline import SPLINE_REACH, Boundary, spline_coefficients
-from usdsmoke.core.smoke.chunks import cut
+from usdsmoke.core.fields.gather import gather_sum, planar
+from usdsmoke.core.smoke.memory import chunks
 
 __all__ = [
     "BOUNDARIES",
     "Boundary",
-    "sample_bounds",
     "sample_cubic",
     "sample_linear",
+    "spline_coefficients",
     "voxel_positions",
 ]
 
-POINTS_AT_ONCE = 2**16
-BOUNDARIES: tuple[Boundary, ...] = ("zero", "nearest", "periodic")
+Boundary = Literal["zero", "nearest"]
+BOUNDARIES: tuple[Boundary, ...] = ("zero", "nearest")
+CUBIC_CHUNK = 2**16  # positions that are sampled at once
+SPLINE_SUPPORT = 12  # voxels; |z|^12 is 1.4e-7, the round-off of float32
+_POLE = math.sqrt(3.0) - 2.0  # z
+_RESPONSE = 30  # voxels; |z|^30 is 7e-18, below the round-off of float64
 
 
 def sample_linear(
@@ -67,101 +70,97 @@ def sample_linear(
     Gradients: through ``values`` (the exact adjoint) and ``positions_ijk`` (on a voxel: the
     derivative towards larger indices). Not twice differentiable.
     """
-    _check_sampling(values, positions_ijk, boundary)
-    shifted = values - outside if boundary == "zero" and outside else values
-    if boundary == "periodic":
-        shifted = _repeat_first(shifted)
-    sampled = sum_taps(shifted, _wrap(positions_ijk, values, boundary), cubic=False)
-    return sampled + outside if boundary == "zero" and outside else sampled
+    if boundary not in BOUNDARIES:
+        raise ShapeError(f"unknown boundary {boundary!r}. Use one of {', '.join(BOUNDARIES)}.")
+    _check_sampling(values, positions_ijk)
+    if boundary == "nearest":
+        lengths = torch.tensor(values.shape[:3]).to(positions_ijk)
+        positions_ijk = torch.minimum(positions_ijk.clamp(min=0), lengths - 1)
+        return gather_sum(values, positions_ijk, cubic=False)
+    shifted = values - outside if outside else values
+    sampled = gather_sum(shifted, positions_ijk, cubic=False)
+    return sampled + outside if outside else sampled
 
 
-def sample_cubic(
-    values: Tensor, positions_ijk: Tensor, outside: float = 0.0, boundary: Boundary = "zero"
-) -> Tensor:
+def sample_cubic(values: Tensor, positions_ijk: Tensor) -> Tensor:
     r"""Cubic B-spline interpolation (twice continuously differentiable), in the unit of ``values``.
 
-    The spline goes through every voxel's value, fourth order in the voxel size, and overshoots at
-    steps by up to a fifth; ``sample_bounds`` limits it where that matters. The prefilter
-    reads the whole box once; each position then reads 64 coefficients (16 in 2-D).
+    The spline goes through every voxel's value, is fourth order in the voxel size, and overshoots
+    at steps by up to a fifth. The box is embedded in zeros; the spline rings into them and is cut
+    off where that has fallen to 1e-7. The prefilter reads the whole box once; each position then
+    reads 64 coefficients (16 in 2-D).
 
     Args:
         values: [I J K] or [I J K C], floating point.
         positions_ijk: [N 3], index units, finite, same dtype; may lie outside the box.
-        outside: the value around the box; used by boundary "zero" only. The spline of the embedded
-            box rings into the outside and is cut off where that has fallen to 1e-7.
-        boundary: see the module; "nearest" mirrors the box for the prefilter and holds the border
-            value outside.
 
     Returns:
         [N] or [N C].
 
     Raises:
-        ShapeError: the shapes, dtypes or the boundary are not as above.
+        ShapeError: the shapes or dtypes are not as above.
         NonFiniteError: a position is NaN or infinite.
 
     Gradients: through ``values`` (the exact adjoint) and ``positions_ijk``. Not twice
     differentiable.
     """
-    _check_sampling(values, positions_ijk, boundary)
-    shifted = values - outside if boundary == "zero" and outside else values
-    coefficients = spline_coefficients(shifted, boundary)
-    positions = _wrap(positions_ijk, values, boundary)
-    first = SPLINE_REACH if boundary == "zero" else 1
-    lengths = torch.tensor(values.shape[:3], device=positions.device)
+    _check_sampling(values, positions_ijk)
+    coefficients = spline_coefficients(values)
+    lengths = torch.tensor(values.shape[:3], device=positions_ijk.device)
 
     def sampled(positions: Tensor) -> Tensor:
-        found = sum_taps(coefficients, positions + first, cubic=True)
-        if boundary != "zero":
-            return found
-        inside = (positions > 1 - first) & (positions < lengths + first - 2) | (lengths == 1)
-        keep = inside.all(dim=1).to(found.dtype)
-        found = found * (keep if found.ndim == 1 else keep[:, None])
-        return found + outside if outside else found
+        found = gather_sum(coefficients, positions + SPLINE_SUPPORT, cubic=True)
+        inside = (positions > 1 - SPLINE_SUPPORT) & (positions < lengths + SPLINE_SUPPORT - 2)
+        keep = (inside | (lengths == 1)).all(dim=1).to(found.dtype)
+        return found * (keep if found.ndim == 1 else keep[:, None])
 
-    if torch.is_grad_enabled() and (coefficients.requires_grad or positions.requires_grad):
-        return sampled(positions)
+    if torch.is_grad_enabled() and (coefficients.requires_grad or positions_ijk.requires_grad):
+        return sampled(positions_ijk)
     coefficients = coefficients if values.ndim == 3 else planar(coefficients)
-    parts = cut(len(positions), POINTS_AT_ONCE, positions.device)
+    parts = chunks(len(positions_ijk), CUBIC_CHUNK, positions_ijk.device)
     nothing = values.new_empty((0, *values.shape[3:]))
-    return torch.cat([nothing, *(sampled(positions[part]) for part in parts)])
+    return torch.cat([nothing, *(sampled(positions_ijk[part]) for part in parts)])
 
 
-def sample_bounds(
-    values: Tensor, positions_ijk: Tensor, outside: float = 0.0, boundary: Boundary = "zero"
-) -> tuple[Tensor, Tensor]:
-    """Smallest and largest of the voxels around each position, for limiters.
+def spline_coefficients(values: Tensor) -> Tensor:
+    r"""Cubic B-spline coefficients of a box in zeros: the prefilter of ``sample_cubic``.
 
-    They are the corners of the cell that holds the position, those that ``sample_linear`` reads;
-    corners outside the box count as ``outside`` when the boundary is "zero".
+    A field s is interpolated by sum_k c_k * B(x - k) when (c_{k-1} + 4 c_k + c_{k+1}) / 6 = s_k.
+    The solution is a filter with the impulse response sqrt(3) * z^|m|, z = sqrt(3) - 2.
+    [Unser1999]
 
     Args:
-        values: [I J K] or [I J K C], floating point.
-        positions_ijk: [N 3], index units, finite, same dtype.
-        outside: the value around the box; used by boundary "zero" only.
-        boundary: see the module.
+        values: [I J K] or [I J K C].
 
     Returns:
-        (low, high), each [N] or [N C].
+        the coefficients, same layout; each axis longer than 1 is longer by ``SPLINE_SUPPORT``
+        voxels at both ends.
 
-    Raises:
-        ShapeError: the shapes, dtypes or the boundary are not as above.
-        NonFiniteError: a position is NaN or infinite.
-
-    Gradients: through ``values``, to the corner that was taken; none through the positions.
+    Gradients: through ``values``. Costs one small dense matrix product an axis.
     """
-    _check_sampling(values, positions_ijk, boundary)
-    positions = _wrap(positions_ijk.detach(), values, boundary)
-    padded = _repeat_first(values) if boundary == "periodic" else values
-    lows, highs = [], []
-    for corners in iterate_cells(padded, positions):
-        seen = [
-            torch.where(hit, corner, outside) if boundary == "zero" else corner
-            for corner, hit in corners
-        ]
-        lows.append(reduce(torch.minimum, seen))
-        highs.append(reduce(torch.maximum, seen))
-    nothing = values.new_empty((0, *values.shape[3:]))
-    return torch.cat([nothing, *lows]), torch.cat([nothing, *highs])
+    coefficients = values
+    for axis in range(3):
+        length = values.shape[axis]
+        if length > 1:
+            matrix = _filter_matrix(length).to(values)
+            moved = torch.tensordot(matrix, coefficients, dims=([1], [axis]))
+            coefficients = moved.movedim(0, axis)
+    return coefficients
+
+
+@lru_cache(maxsize=32)
+def _filter_matrix(length: int) -> Tensor:
+    """[n_coefficients length] float64: from values along an axis to coefficients."""
+    rows = torch.arange(-SPLINE_SUPPORT, length + SPLINE_SUPPORT)
+    matrix = torch.zeros(len(rows), length, dtype=torch.float64)
+    for shift in range(-_RESPONSE, _RESPONSE + 1):
+        response = math.sqrt(3.0) * _POLE ** abs(shift)
+        source = rows + shift
+        kept = ((source >= 0) & (source < length)).nonzero()[:, 0]
+        matrix.index_put_(
+            (kept, source[kept]), torch.tensor(response, dtype=torch.float64), accumulate=True
+        )
+    return matrix
 
 
 def voxel_positions(shape: tuple[int, ...], like: Tensor) -> Tensor:
@@ -175,48 +174,26 @@ def voxel_positions(shape: tuple[int, ...], like: Tensor) -> Tensor:
     return torch.stack(torch.meshgrid(*ranges, indexing="ij"), dim=-1).reshape(-1, 3)
 
 
-def _wrap(positions: Tensor, values: Tensor, boundary: Boundary) -> Tensor:
-    """Positions brought into the box as the boundary says; flat axes do not matter."""
-    if boundary == "zero":
-        return positions
-    lengths = torch.tensor(values.shape[:3], dtype=positions.dtype, device=positions.device)
-    if boundary == "periodic":
-        return torch.remainder(positions, lengths)
-    return torch.minimum(positions.clamp(min=0), lengths - 1)
-
-
-def _repeat_first(values: Tensor) -> Tensor:
-    """The box with its first layer repeated behind its last along every axis longer than 1."""
-    for axis in range(3):
-        if values.shape[axis] > 1:
-            values = torch.cat((values, values.narrow(axis, 0, 1)), dim=axis)
-    return values
-
-
-def _check_sampling(values: Tensor, positions: Tensor, boundary: str) -> None:
-    if boundary not in BOUNDARIES:
-        raise ShapeError(
-            f"cannot sample with boundary {boundary!r}; wanted one of {', '.join(BOUNDARIES)}"
-        )
+def _check_sampling(values: Tensor, positions: Tensor) -> None:
     if values.ndim not in (3, 4) or 0 in values.shape:
         raise ShapeError(
-            f"cannot sample values of shape {list(values.shape)}; wanted [I J K] or [I J K C] with "
-            "at least one voxel: leave empty volumes out"
+            f"cannot sample values of shape {list(values.shape)}. Pass [I J K] or [I J K C] with "
+            "at least one voxel; leave empty volumes out."
         )
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise ShapeError(
-            f"sample positions have shape {list(positions.shape)}; wanted [N 3], (i, j, k)"
+            f"sample positions have shape {list(positions.shape)}. Pass [N 3], (i, j, k)."
         )
     if positions.dtype != values.dtype or not values.dtype.is_floating_point:
         raise ShapeError(
-            f"values are {values.dtype} and sample positions {positions.dtype}; "
-            "wanted the same floating-point dtype: convert the positions"
+            f"values are {values.dtype} and sample positions {positions.dtype}. "
+            "Convert the positions to the floating-point dtype of the values."
         )
     # A sum is four times cheaper than a test of every element, and NaN and infinity survive it.
     if positions.numel() and not torch.isfinite(positions.detach().sum()):
         n_bad = int((~torch.isfinite(positions)).any(dim=1).sum())
         if n_bad:
             raise NonFiniteError(
-                f"{n_bad} of {len(positions)} sample positions are NaN or infinite; wanted finite "
-                "index positions: look at the velocity or displacement that moved them"
+                f"{n_bad} of {len(positions)} sample positions are NaN or infinite. Check the "
+                "velocity or displacement that moved them."
             )

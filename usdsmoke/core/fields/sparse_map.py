@@ -1,7 +1,7 @@
 """Sparse linear maps between some nodes of lattices, and their exact adjoints.
 
 A separable operator, an interpolation or a derivative, is a small matrix along each axis; on a
-whole box ``core.resample`` multiplies with it. Where few nodes of a box count, the same matrix is
+whole box ``fields.resample`` multiplies with it. Where few nodes of a box count, the same matrix is
 applied to those alone: the entries of a row that read a node are kept, what reads none is 0. Both
 directions are stored as runs of entries, summed run by run: results repeat bit by bit.
 """
@@ -15,14 +15,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.chunks import PIECE, cut
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 
 __all__ = [
+    "AxisMatrix",
     "Nodes",
     "SparseMap",
     "SparseSums",
     "Table",
-    "Taps",
     "map_along",
     "nodes_read",
     "read_along",
@@ -77,7 +77,7 @@ class SparseSums:
         start = like.new_empty(n_sums, dtype=kind)
         done = end = 0
         for n, tables in blocks:
-            for part in cut(n, PIECE, like.device):
+            for part in chunks(n, CHUNK_ROWS, like.device):
                 indices, weights = tables(part)
                 there = indices >= 0
                 counts = there.sum(1)
@@ -126,15 +126,15 @@ class SparseMap:
 
 
 @dataclass(frozen=True)
-class Taps:
-    """What the rows of a matrix along an axis read, padded to the longest of them."""
+class AxisMatrix:
+    """A matrix along an axis, row by row: what each row reads, padded to the longest."""
 
     n_columns: int
     column: Tensor  # [n_rows K] int64
     weight: Tensor  # [n_rows K], 0 where a row reads less than others
 
     @classmethod
-    def of(cls, matrix: Tensor, like: Tensor) -> "Taps":
+    def of(cls, matrix: Tensor, like: Tensor) -> "AxisMatrix":
         """Of a matrix [n_rows n_columns], with the dtype and device of ``like``."""
         row, column = torch.nonzero(matrix).T
         counts = torch.bincount(row, minlength=len(matrix))
@@ -163,23 +163,23 @@ class Taps:
         return columns.add_(first[:, None]), self.weight.index_select(0, along)
 
 
-def nodes_read(rows: Nodes, axis: int, taps: Taps) -> Nodes:
+def nodes_read(rows: Nodes, axis: int, matrix: AxisMatrix) -> Nodes:
     """The nodes that are read for ``rows`` along an axis."""
-    shape = _with_length(rows.shape, axis, taps.n_columns)
+    shape = _with_length(rows.shape, axis, matrix.n_columns)
     needed = torch.zeros(shape, dtype=torch.bool, device=rows.flat.device)
-    for part in cut(len(rows), PIECE, rows.flat.device):
-        numbers, weight = taps.numbers(rows, axis, part)
+    for part in chunks(len(rows), CHUNK_ROWS, rows.flat.device):
+        numbers, weight = matrix.numbers(rows, axis, part)
         needed.view(-1).index_fill_(0, numbers.masked_select(weight != 0), True)
     return Nodes.where(needed)
 
 
-def read_along(rows: Nodes, columns: Nodes, axis: int, taps: Taps, part: slice) -> Table:
+def read_along(rows: Nodes, columns: Nodes, axis: int, matrix: AxisMatrix, part: slice) -> Table:
     """What some of the ``rows`` read from ``columns`` along an axis.
 
     Returns:
         Places in ``columns.flat`` [m K] int32, -1 where there is nothing to read, and the weights.
     """
-    numbers, weight = taps.numbers(rows, axis, part)
+    numbers, weight = matrix.numbers(rows, axis, part)
     places = columns.numbers.index_select(0, numbers.view(-1)).view(numbers.shape)
     return places.masked_fill_(weight == 0, -1), weight
 
@@ -193,9 +193,9 @@ def map_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tens
 
 
 def _sums_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tensor) -> SparseSums:
-    taps = Taps.of(matrix, like)
-    block = (len(rows), partial(read_along, rows, columns, axis, taps))
-    return SparseSums.of(taps.width, block, like=like)
+    sparse = AxisMatrix.of(matrix, like)
+    block = (len(rows), partial(read_along, rows, columns, axis, sparse))
+    return SparseSums.of(sparse.width, block, like=like)
 
 
 def _with_length(shape: tuple[int, int, int], axis: int, length: int) -> tuple[int, int, int]:

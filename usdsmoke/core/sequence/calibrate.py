@@ -18,8 +18,8 @@ from torch import Tensor
 from usdsmoke.base.config import Config, GridsConfig
 from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, warp
-from usdsmoke.core.fields.transport_error import warp_error
 from usdsmoke.core.sequence.error_estimates import painted_frame
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.frame_state import Link

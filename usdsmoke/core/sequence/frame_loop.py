@@ -21,7 +21,8 @@ from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.core.fields.potential import Displacement, hold
+from usdsmoke.core.fields.displacement import clamp_displacement
+from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
@@ -145,7 +146,7 @@ def _move(link: Link, free: Displacement, job: Job) -> None:
     give_back_memory()
     lattice, cap = free.lattice, longest_move(link.source, link.config)
     share = shares_on(lattice, link.mask, link.source.density)
-    held = lattice.to_stage(hold(lattice.from_stage(free.values), cap, share))
+    held = lattice.to_stage(clamp_displacement(lattice.from_stage(free.values), cap, share))
     link.displacement = Displacement(held, lattice)
     if not link.in_effect:
         link.report = replace(link.report, transport=TransportReport(cap))

@@ -28,7 +28,7 @@ from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
-from usdsmoke.core.fields.trace import backtrace, check_finite, choose_substeps
+from usdsmoke.core.fields.transport import backtrace, check_finite, choose_substeps
 from usdsmoke.core.sequence.motion_energy import PAIRS, Prior, central_difference, solve_increment
 
 __all__ = ["MotionOptions", "estimate_velocity"]

@@ -12,7 +12,7 @@ from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress, ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.error_estimates import frame_errors
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.frame_state import Job, Link, Watch

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear
-from usdsmoke.core.fields.trace import backtrace, choose_substeps
+from usdsmoke.core.fields.transport import backtrace, choose_substeps
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
-from usdsmoke.core.smoke.chunks import PIECE, cut
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.smoke.noise import white_noise
 
 __all__ = ["carry_colours", "departure_points", "fill_colours", "trace_back"]
@@ -52,12 +52,12 @@ def trace_back(
     low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=device)
     n_substeps = choose_substeps(rates, seconds)
 
-    def rate_at(place: Tensor, _: float) -> Tensor:
+    def rate_at(place: Tensor) -> Tensor:
         return sample_linear(rates, place, boundary="nearest")
 
     def trace(positions: Tensor) -> Tensor:
         place = positions @ back[:3, :3] + back[3, :3] - low
-        place = backtrace(rate_at, place, seconds, order=2, n_substeps=n_substeps)
+        place = backtrace(rate_at, place, seconds, n_substeps)
         return (place + low) @ forth[:3, :3] + forth[3, :3]
 
     return trace
@@ -68,7 +68,7 @@ def _voxels_per_second(velocity: DenseField, device: torch.device) -> Tensor:
     to_index = torch.as_tensor(np.linalg.inv(velocity.index_to_world[:3, :3]))
     given = torch.from_numpy(velocity.values).view(-1, 3)
     rates = torch.empty((3, len(given)), dtype=torch.float64, device=device)
-    for part in cut(len(given), PIECE, given.device):
+    for part in chunks(len(given), CHUNK_ROWS, given.device):
         rates[:, part] = (given[part].double() @ to_index).T.to(device)
     return rates.view(3, *velocity.values.shape[:3]).movedim(0, -1)
 

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.config import Config
-from usdsmoke.core.smoke.accumulate import sum_terms
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
-from usdsmoke.core.smoke.lazy import OnDemand
+from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
 from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
@@ -87,7 +86,7 @@ def prepare_views(
         )
         return ColourView(image, alpha, THIN / exposure)
 
-    return OnDemand(len(views), make)
+    return LazyList(len(views), make)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
@@ -122,7 +121,7 @@ def optimize_colours(
         n_iterations: at most this many.
         n_views: pictures per iteration.
         seed: of the order of views.
-        adam: moments from an earlier octave; changed in place.
+        adam: its settings; moments are changed in place.
 
     Returns:
         Colours [N 3] and how the optimisation ended.
@@ -137,7 +136,7 @@ def optimize_colours(
     def objective(iteration: int) -> Tensor:
         drawn = draw_views(iteration, n_views, len(views), seed)
         terms = [partial(term, views[number], iteration) for number in drawn]
-        return sum_terms(decode_srgb(unknown), terms) / n_views
+        return accumulate(decode_srgb(unknown), terms) / n_views
 
     def clip() -> None:
         unknown.clamp_(0, 1)
@@ -180,16 +179,13 @@ def run_colour_step(
     painted = _painted(smoke, _shown(smoke, mask))
     fresh = partial(Adam, epsilon=WARM_EPSILON) if warm else Adam
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
-    colours, before, adam = start, painted, fresh()
+    colours, before = start, painted
     ends: list[Minimum] = []
     for number, factor, octave, n_iterations in octaves_to_do(smoke, iterations):
         shown = _shown(octave, mask)
         here = _painted(octave, shown)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        if ends:
-            carry = config.optimize.carry_moments
-            adam = adam.carried(partial(_moments_on, here, before)) if carry else fresh()
         seed = config.optimize.seed + number
         colours, end = optimize_colours(
             _octave_views(octave, shown, targets, scene, config, seed, factor),
@@ -202,7 +198,7 @@ def run_colour_step(
             seed,
             config.optimize.tolerance,
             partial(watch, number) if watch is not None else None,
-            adam,
+            fresh(),
         )
         before = here
         ends += [end] if end is not None else []
@@ -238,7 +234,7 @@ def _octave_views(
         picture = _content_picture(octave, view, ours.guide, targets, scene)
         return replace(ours, content=judge.remember(picture))
 
-    return OnDemand(len(views), with_content)
+    return LazyList(len(views), with_content)
 
 
 def _content_picture(
@@ -253,11 +249,6 @@ def _content_picture(
     behind = luminance(encode_srgb(targets.background))
     filled = guide * light.clamp(0, 1) + (1 - guide) * behind
     return filled[..., None].expand(-1, -1, 3)
-
-
-def _moments_on(here: ActiveSmoke, before: ActiveSmoke, moments: list[Tensor]) -> list[Tensor]:
-    """Adam's moments of the octave before at the voxels of this one."""
-    return [sample_colours(before, moment, here.positions)[0] for moment in moments]
 
 
 def _colours_on(

@@ -13,8 +13,8 @@ from usdsmoke.base.frame_report import Estimate, TransportReport
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice, field_from_box
 from usdsmoke.core.fields.potential import Displacement, border_mask
+from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
-from usdsmoke.core.fields.transport_error import warp_error
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.mask import EffectMask
 

@@ -58,23 +58,6 @@ class Adam:
             v.mul_(b2).addcmul_(g, g, value=1 - b2)
             p.addcdiv_(m, v.sqrt().add_(self.epsilon), value=-rate * unbias)
 
-    def carried(self, transfer: Callable[[list[Tensor]], list[Tensor]]) -> "Adam":
-        """The moments on other parameters, for the octave that follows.
-
-        Gradients are of another size there: the pattern is carried over, and the size set so that
-        it agrees with the first gradients.
-
-        Args:
-            transfer: either moment's tensors -> those of the new parameters.
-        """
-        first, second = transfer(self.first), [t.clamp_min(0) for t in transfer(self.second)]
-        size = _root_mean_square([v.sqrt() for v in second])
-        if size == 0:
-            return Adam(self.betas, self.epsilon)
-        size /= math.sqrt(1 - self.betas[1] ** self.n_steps)
-        first, second = [m / size for m in first], [v / size**2 for v in second]
-        return Adam(self.betas, self.epsilon, self.n_steps, first, second)
-
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
         copied = Adam(self.betas, self.epsilon)
@@ -137,7 +120,7 @@ def minimize(
         n_iterations: at most this many; 0 yields nothing.
         project: called after each step, e.g. to clip colours to their range.
         tolerance: 0 never stops early.
-        adam: moments carried over from an earlier run; changed in place.
+        adam: its settings and moments; changed in place. None starts a new one.
 
     Raises:
         NonFiniteError: still not finite after many halvings, or in every iteration there was.

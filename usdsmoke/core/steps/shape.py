@@ -27,26 +27,22 @@ from torch import Tensor
 
 from usdsmoke.base.config import Config
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.core.fields.displacement import SparseDisplacement, clamp_displacement
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
 from usdsmoke.core.fields.potential import (
     Displacement,
     Potential,
-    carry_levels,
-    free_displacement,
-    hold,
+    unclamped_displacement,
 )
-from usdsmoke.core.fields.resample import Pyramid
+from usdsmoke.core.fields.pyramid import SparsePyramid, expand_levels
 from usdsmoke.core.fields.sample import sample_linear
-from usdsmoke.core.fields.sparse_displacement import SparseDisplacement
 from usdsmoke.core.fields.sparse_map import Nodes
-from usdsmoke.core.fields.sparse_pyramid import LevelNodes, SparsePyramid
 from usdsmoke.core.fields.transport import warp
-from usdsmoke.core.smoke.accumulate import sum_terms
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
-from usdsmoke.core.smoke.lazy import OnDemand
+from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.steps.grey import GreyView, look_at
 from usdsmoke.core.steps.move import ROOM, effect_on, shares_on
-from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
+from usdsmoke.core.steps.optimize import Minimum, minimize
 from usdsmoke.core.style.picture_loss import PictureLoss
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.cameras import draw_views
@@ -57,8 +53,6 @@ from usdsmoke.core.views.scene import Scene, frame_views
 __all__ = ["Start", "longest_move", "run_shape_step"]
 
 Start = Callable[[Lattice], Tensor]
-
-_Moments = tuple[Adam, Lattice, LevelNodes]  # and what they live on
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 N_LEVELS = 5  # of the coefficient pyramid
@@ -113,7 +107,7 @@ class _Octave:
                 return found
             return replace(found, content=judge.remember(found.filled(found.grey, behind)))
 
-        self._views = OnDemand(len(views), look)
+        self._views = LazyList(len(views), look)
         self._n_drawn = min(config.views.count, len(self._views))  # twice the same tells nothing
 
     def _reached(self) -> Tensor:
@@ -124,7 +118,7 @@ class _Octave:
         """
         reached = (self.density > 0) | grow(self.effect > 0)
         if self.base is not None:
-            u = hold(self.base, self._cap, self._share).div_(self._sides)
+            u = clamp_displacement(self.base, self._cap, self._share).div_(self._sides)
             reached |= grow(warp(self.density, u, scheme="linear") > 0)
         return reached
 
@@ -141,12 +135,12 @@ class _Octave:
         Raises:
             NonFiniteError: the displacement is not finite.
         """
-        free = self._moves.free(potential)
+        unclamped = self._moves.apply(potential)
         if self._base_there is not None:
-            free = free + self._base_there
-        held = hold(free, self._cap, self._shown)
+            unclamped = unclamped + self._base_there
+        clamped = clamp_displacement(unclamped, self._cap, self._shown)
         # what never changes, ``warp`` would look through for NaN in every iteration
-        return sample_linear(self.density, self._arrivals - held / self._sides)
+        return sample_linear(self.density, self._arrivals - clamped / self._sides)
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
@@ -160,7 +154,7 @@ class _Octave:
 
         drawn = draw_views(iteration, n_views, len(self._views), self._seed)
         terms = [partial(term, self._views[number]) for number in drawn]
-        return sum_terms(self.moved(potential), terms) / n_views
+        return accumulate(self.moved(potential), terms) / n_views
 
 
 def run_shape_step(
@@ -186,26 +180,22 @@ def run_shape_step(
         slower: share of the learning rate, in (0, 1].
 
     Returns:
-        The displacement, before it is held below the cap and before ``optimize.strength``, and how
+        The displacement, before it is clamped to the cap and before ``optimize.strength``, and how
         each octave ended.
     """
     cap, rate = longest_move(source, config), slower * config.shape.learning_rate
-    potential, ends, carried, done = None, [], None, None
+    potential, ends, done = None, [], None
     n_channels = _n_channels(config.shape.displacement, source)
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         seed, judge = config.optimize.seed + number, targets.at(factor, grey=True)
         octave = _Octave(smoke, mask, cap, judge, scene, config, seed, factor, start, n_channels)
         first = _potential_on(octave.lattice, potential, n_channels, octave.density)
         told = partial(watch, number) if watch is not None else None
-        values, adam, end = _optimize_octave(
-            octave, first, cap, config, n_iterations, rate, carried, told
-        )
+        values, end = _optimize_octave(octave, first, cap, config, n_iterations, rate, told)
         potential = Potential(values, octave.lattice)
-        carried = (adam, octave.lattice, octave.pyramid.nodes)
         ends += [end] if end is not None else []
         done = (octave.lattice, octave.effect, octave.base) if smoke is source else None
         del octave  # with its views, which are most of a step's memory
-    carried = None
     give_back_memory()  # the octaves' pieces, before dense boxes are made
     if done is not None:  # the box at full resolution is there
         lattice, effect, base = done
@@ -215,8 +205,8 @@ def run_shape_step(
         effect = effect_on(density, shares_on(lattice, mask, density))
         base = None if start is None else start(lattice)
     found = _potential_on(lattice, potential, n_channels, source.density)
-    free = free_displacement(found, effect, config.shape.displacement, lattice, base)
-    return Displacement(lattice.to_stage(free), lattice), ends
+    unclamped = unclamped_displacement(found, effect, config.shape.displacement, lattice, base)
+    return Displacement(lattice.to_stage(unclamped), lattice), ends
 
 
 def longest_move(source: ActiveSmoke, config: Config) -> float:
@@ -239,19 +229,6 @@ def _potential_on(
     return like.new_zeros(*lattice.shape, n_channels)
 
 
-def _moments_for(octave: _Octave, before: _Moments | None) -> Adam:
-    """Those of the octave before, on this one's pyramid; fresh ones without."""
-    if before is None:
-        return Adam()
-    adam, lattice, nodes = before
-
-    def carry(moments: list[Tensor]) -> list[Tensor]:
-        here = octave.pyramid.nodes
-        return here.take(carry_levels(here.shapes, octave.lattice, lattice, nodes.fill(moments)))
-
-    return adam.carried(carry)
-
-
 def _optimize_octave(
     octave: _Octave,
     base: Tensor,
@@ -259,13 +236,12 @@ def _optimize_octave(
     config: Config,
     n_iterations: int,
     rate: float,
-    before: _Moments | None,
     watch: Callable[[Minimum], None] | None,
-) -> tuple[Tensor, Adam, Minimum | None]:
-    """One octave, from a potential [I J K C] and the moments of the octave before.
+) -> tuple[Tensor, Minimum | None]:
+    """One octave, from a potential [I J K C].
 
     Returns:
-        The potential, Adam's moments, and how the optimisation ended.
+        The potential, and how the optimisation ended.
     """
     pyramid, spacing = octave.pyramid, max(octave.lattice.spacing)
     # a coefficient of 1 moves smoke by about the cap on the finest level, and by less on coarser
@@ -279,18 +255,17 @@ def _optimize_octave(
     for level in unknowns:
         level.requires_grad_(True)
     base_there = pyramid.chosen(base)
-    adam = _moments_for(octave, before if config.optimize.carry_moments else None)
 
     def scaled() -> list[Tensor]:
         return [u * s for u, s in zip(unknowns, scales, strict=True)]
 
     steps = minimize(
         lambda iteration: octave.loss(base_there + pyramid.expand(scaled()), iteration),
-        unknowns, rate, n_iterations, tolerance=config.optimize.tolerance, adam=adam,
+        unknowns, rate, n_iterations, tolerance=config.optimize.tolerance,
     )  # fmt: skip
     state = None
     for state in steps:
         if watch is not None:
             watch(state)
     with torch.no_grad():
-        return base + Pyramid(tuple(pyramid.nodes.fill(scaled()))).expand(), adam, state
+        return base + expand_levels(pyramid.nodes.fill(scaled())), state

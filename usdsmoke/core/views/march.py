@@ -3,7 +3,7 @@ r"""Pictures of smoke that glows and absorbs, by rays through any number of latt
 Between voxel centres every lattice is interpolated trilinearly, and outside it is empty, as
 renderers take it. A ray is cut at every plane of voxel centres of every lattice, so a segment lies
 in one cell of each; there extinction is a cubic polynomial along the ray, and two Gauss points give
-its optical depth exactly. Each of the two halves obeys the rule of ``core.optics``,
+its optical depth exactly. Each of the two halves obeys the rule of ``views.optics``,
 
     light = e h r(t) T,    T *= exp(-t),    t = sigma h,    r(t) = (1 - exp(-t)) / t    [Max1995]
 
@@ -11,7 +11,7 @@ which is exact where the colour e / sigma does not change, for every optical dep
 segments of much optical depth are cut once more. Lattices that overlap add up, and those behind are
 hidden by those in front, because all share the segments.
 
-The optimiser's own projection (``core.project``) splats voxels on pixels instead; that is a sparse
+The optimiser's own projection (``views.project``) splats voxels on pixels instead; that is a sparse
 linear map and quick to derive, but wants pixels as large as voxels and smoke in front of the eye.
 """
 

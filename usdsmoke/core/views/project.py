@@ -5,7 +5,7 @@ touched, and the adjoint is a plain gather. Two linear maps come out of it:
 
 - ``column_map``: density -> column integral of density per pixel, for the grey picture;
 - ``colour_map``: voxel colour -> composited picture, for fixed density. The density is splatted
-  trilinearly into view-aligned slabs, the slabs are weighted by the rule of ``core.optics``, and
+  trilinearly into view-aligned slabs, the slabs are weighted by the rule of ``views.optics``, and
   each voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
 """
 
@@ -18,7 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.chunks import PIECE, cut
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
@@ -150,7 +150,7 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
     y = (view.height - 1) / 2 + view.shift[1] - up * scale
     pixel = torch.empty(len(x), 4, dtype=torch.int32, device=x.device)
     weight = x.new_empty(len(x), 4)
-    for part in cut(len(x), PIECE, x.device):
+    for part in chunks(len(x), CHUNK_ROWS, x.device):
         _spread(x[part], y[part], visible[part], view, pixel[part], weight[part])
     return _Footprint(pixel, weight, depth, per_area)
 
@@ -227,7 +227,7 @@ def colour_map(
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     _light_up(depths)
     per_depth = depths.view(-1)
-    for part in cut(len(slab), PIECE, slab.device):
+    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
         cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)
         weight[part] *= per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
     del depths, per_depth
@@ -255,7 +255,7 @@ def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> T
     """
     n_cells = (int(slab.max()) + 2) * n_pixels
     near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
-    for part in cut(len(slab), PIECE, slab.device):
+    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
         cell, far = _cells(slab[part], pixel[part], n_pixels, share.dtype)
         near.index_add_(0, cell.view(-1), (share[part] * (1 - far)).view(-1))
         behind.index_add_(0, (cell + n_pixels).view(-1), (share[part] * far).view(-1))
@@ -265,6 +265,6 @@ def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> T
 def _light_up(depths: Tensor) -> None:
     """Replace optical depths [S P] by what a unit of each adds to the picture."""
     n_slabs, n_pixels = depths.shape
-    for part in cut(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
+    for part in chunks(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
         here = depths[:, part].contiguous()
         depths[:, part] = transmittance_before(here) * attenuation_ratio(here)

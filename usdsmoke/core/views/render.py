@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.views.cameras import View, orbit_view

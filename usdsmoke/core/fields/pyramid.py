@@ -1,19 +1,23 @@
-"""A coefficient pyramid where few voxels of a box count: cost by those, and not by the box.
+"""Coefficient pyramids: a field as a sum of coefficient fields, coarse to fine.
 
-What a displacement takes from a potential is its values where the effect is above 0. The nodes of
-each level are those that the interpolation to the next finer one reads, found once, axis by axis;
-all others would have a gradient of 0 for ever. Values and gradients are ``Pyramid.expand``'s there.
+Optimising the levels instead of the voxels lets coarse structure form first and keeps speckle out.
+A displacement reads the potential only where the effect is above 0. The nodes of each level are
+those that the interpolation to the next finer one reads, found once, axis by axis; all others would
+have a gradient of 0 for ever. So the cost follows these nodes, not the box. Values and gradients
+are those of ``expand_levels`` there.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
 
-from usdsmoke.core.fields.resample import interpolation_matrix, pyramid_shapes
-from usdsmoke.core.fields.sparse_map import Nodes, SparseMap, Taps, map_along, nodes_read
+from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.fields.resample import interpolation_matrix, upsample
+from usdsmoke.core.fields.sparse_map import AxisMatrix, Nodes, SparseMap, map_along, nodes_read
 
-__all__ = ["LevelNodes", "SparsePyramid"]
+__all__ = ["LevelNodes", "SparsePyramid", "expand_levels", "pyramid_shapes"]
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class SparsePyramid:
             for axis in (2, 1, 0):  # neighbours along k lie next to each other
                 matrix = interpolation_matrix(nodes.shape[axis], coarse[axis], "cubic")
                 if matrix is not None:
-                    read = nodes_read(nodes, axis, Taps.of(matrix, like))
+                    read = nodes_read(nodes, axis, AxisMatrix.of(matrix, like))
                     step.insert(0, map_along(nodes, read, axis, matrix, like))
                     nodes = read
             self._steps.insert(0, step)
@@ -81,3 +85,46 @@ class SparsePyramid:
     def chosen(self, box: Tensor) -> Tensor:
         """A box's values [I J K C] at the chosen voxels, [n C]."""
         return box.reshape(-1, box.shape[-1])[self.nodes.flats[-1]]
+
+
+def pyramid_shapes(shape: Sequence[int], n_levels: int) -> list[tuple[int, int, int]]:
+    """Lattice shapes of a pyramid, each half of the next finer one; the last is ``shape``.
+
+    Args:
+        shape: I, J, K of the finest level.
+        n_levels: how many are wanted, >= 1; fewer where the box is too small for them.
+
+    Raises:
+        ShapeError: a number is out of range.
+    """
+    finest: tuple[int, ...] = tuple(int(n) for n in tuple(shape)[:3])
+    if n_levels < 1 or len(finest) != 3 or min(finest) < 1:
+        raise ShapeError(
+            f"cannot make a pyramid of {n_levels} levels on {list(finest)} voxels; wanted at least "
+            "1 level and at least 1 voxel along 3 axes"
+        )
+    shapes: list[tuple[int, ...]] = [finest]
+    while len(shapes) < n_levels:
+        coarser = tuple(max(min(n, 2), math.ceil(n / 2)) for n in shapes[0])
+        if coarser == shapes[0]:
+            break
+        shapes.insert(0, coarser)
+    return [(i, j, k) for i, j, k in shapes]
+
+
+def expand_levels(levels: Sequence[Tensor]) -> Tensor:
+    """The field of a pyramid on the whole box, [I J K C] on the finest level's lattice.
+
+    Every level is added to the upsampled sum of the coarser ones, so the whole costs little more
+    than one upsampling to the finest lattice. The upsampling is cubic, because the derivative of a
+    potential is needed.
+
+    Args:
+        levels: coarse to fine, each [i j k C]; see ``pyramid_shapes``.
+
+    Gradients: through ``levels``.
+    """
+    total = levels[0]
+    for level in levels[1:]:
+        total = upsample(total, level.shape) + level
+    return total

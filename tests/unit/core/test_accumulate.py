@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from usdsmoke.core.smoke.accumulate import sum_terms
+from usdsmoke.core.smoke.memory import accumulate
 
 DOUBLE = torch.float64
 TERMS: list[Callable[[Tensor], Tensor]] = [
@@ -32,7 +32,7 @@ def value_and_slope(loss: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor
 @pytest.mark.parametrize("order", [1, -1])
 def test_value_and_gradient_are_those_of_the_plain_sum(order):
     x, terms = start(4, 3), TERMS[::order]
-    found = value_and_slope(lambda x: sum_terms(x, terms), x)
+    found = value_and_slope(lambda x: accumulate(x, terms), x)
     wanted = value_and_slope(lambda x: sum((term(x) for term in terms), x.new_zeros(())), x)
     assert torch.allclose(found[0], wanted[0], rtol=1e-14)
     assert torch.allclose(found[1], wanted[1], rtol=1e-14)
@@ -40,7 +40,7 @@ def test_value_and_gradient_are_those_of_the_plain_sum(order):
 
 def test_gradients_agree_with_finite_differences_in_a_larger_expression():
     def loss(x: Tensor) -> Tensor:
-        return 3.0 * sum_terms(torch.sin(x) ** 2, TERMS) ** 2 + x.sum()
+        return 3.0 * accumulate(torch.sin(x) ** 2, TERMS) ** 2 + x.sum()
 
     assert gradcheck(loss, start(4, 3).requires_grad_())
 
@@ -48,13 +48,13 @@ def test_gradients_agree_with_finite_differences_in_a_larger_expression():
 def test_terms_that_do_not_depend_on_the_tensor_count_and_have_no_slope():
     x, other = start(3), torch.tensor(5.0, dtype=DOUBLE, requires_grad=True)
     terms = [lambda x: x.new_tensor(2.0), lambda _: other**2, lambda x: (x.detach() ** 2).sum()]
-    value, slope = value_and_slope(lambda x: sum_terms(x, terms), x)
+    value, slope = value_and_slope(lambda x: accumulate(x, terms), x)
     assert value.item() == pytest.approx(27 + (x**2).sum().item()) and not slope.any()
     assert other.grad is None
 
 
 def test_no_terms_are_zero_with_a_zero_slope():
-    value, slope = value_and_slope(lambda x: sum_terms(x, []), start(3))
+    value, slope = value_and_slope(lambda x: accumulate(x, []), start(3))
     assert value.item() == 0 and slope.tolist() == [0.0] * 3
 
 
@@ -69,7 +69,7 @@ def test_a_tensor_without_gradient_costs_none(monkeypatch):
         kept.append(x.requires_grad)
         return (x * other).sum()
 
-    found = sum_terms(start(3), [term, term])
+    found = accumulate(start(3), [term, term])
     assert not found.requires_grad and kept == [False, False]
     assert found.item() == pytest.approx(4 * start(3).sum().item())
 
@@ -78,7 +78,7 @@ def test_only_one_term_s_intermediate_tensors_are_alive_at_a_time():
     """Counted by what the graph saves; the plain sum keeps everything to its end."""
     most = {}
     for name, total in (
-        ("term by term", sum_terms),
+        ("term by term", accumulate),
         ("plain", lambda x, terms: sum((term(x) for term in terms), x.new_zeros(()))),
     ):
         alive, highest = [0], [0]

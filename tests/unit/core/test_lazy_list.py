@@ -2,7 +2,7 @@
 
 import pytest
 
-from usdsmoke.core.smoke.lazy import OnDemand
+from usdsmoke.core.smoke.memory import LazyList
 
 
 def test_an_item_is_made_when_it_is_first_looked_at_and_only_once():
@@ -12,7 +12,7 @@ def test_an_item_is_made_when_it_is_first_looked_at_and_only_once():
         made.append(number)
         return f"item {number}"
 
-    row = OnDemand(4, make)
+    row = LazyList(4, make)
     assert len(row) == 4 and made == []
     assert [row[2], row[2], row[-2]] == ["item 2"] * 3 and made == [2]
     assert row[1:3] == ["item 1", "item 2"] and made == [2, 1]
@@ -22,4 +22,4 @@ def test_an_item_is_made_when_it_is_first_looked_at_and_only_once():
 @pytest.mark.parametrize("number", [4, -5])
 def test_what_there_is_not_is_an_index_error(number: int):
     with pytest.raises(IndexError):
-        OnDemand(4, str)[number]
+        LazyList(4, str)[number]
