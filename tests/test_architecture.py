@@ -24,7 +24,7 @@ DEBT = {
     "files in cycles": set(),
     "packages": set(),
     "parameters": {
-        "advect", "_transport", "optimize_colours", "run_colour_step", "run_shape_step",
+        "optimize_colours", "run_colour_step", "run_shape_step",
         "_optimize_octave", "_Octave.__init__", "render_view", "preview",
         "make_request", "write_result",
         "__init__",
