@@ -28,7 +28,7 @@ from usdsmoke.core.steps import colour, shape
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
 from usdsmoke.core.views.project import colour_map
-from usdsmoke.core.views.scene import MARGIN, Scene, frame_views, measure_scene
+from usdsmoke.core.views.scene import PICTURE_MARGIN, Scene, frame_views, measure_scene
 
 __all__ = ["camera_around", "half_out", "main", "near_eye", "picture_loss"]
 
@@ -112,7 +112,7 @@ def perspective_views(
         away = positions - eye
         scale = focal / np.maximum(away @ view.forward, NEAREST * distance)
         x, y = scale * (away @ view.right), -scale * (away @ view.up)
-        width, height = (math.ceil(float(np.ptp(side))) + 2 * MARGIN for side in (x, y))
+        width, height = (math.ceil(float(np.ptp(side))) + 2 * PICTURE_MARGIN for side in (x, y))
         shift = (-float(x.max() + x.min()) / 2, -float(y.max() + y.min()) / 2)
         views.append(
             dataclasses.replace(
@@ -162,7 +162,13 @@ def half_out(
     frame = make_frame(n)
     whole = camera_around(frame, 3.0, azimuth=60.0)
     half = without_half(whole, frame, config.views.camera_margin)
-    scene = measure_scene([dataclasses.replace(frame, camera=whole)], config, "Y")
+    scene = measure_scene(
+        [dataclasses.replace(frame, camera=whole)],
+        config.views,
+        config.optics,
+        "Y",
+        config.grids.refine,
+    )
     found = {}
     for name, camera in (("no camera", None), ("whole", whole), ("half", half)):
         seen = dataclasses.replace(frame, camera=camera)
@@ -185,7 +191,7 @@ def near_eye(
     found: dict[float, dict[str, tuple[float, float]]] = {}
     for distance in distances:
         camera = camera_around(frame, distance)
-        scene = measure_scene([frame], config, "Y")
+        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
         seen = dataclasses.replace(frame, camera=camera)
         found[distance] = {}
         for name, views in (("parallel", frame_views), ("perspective", perspective_views)):

@@ -91,7 +91,13 @@ def make_shot(
     """The frames with an example style; the scene is measured as a whole run measures it."""
     fixed = ["optimize.threads=1", "optimize.device=cpu"]
     config = resolve_config(assignments=[*fixed, *settings])
-    scene = measure_scene([frames[0], frames[len(frames) // 2], frames[-1]], config, "Y")
+    scene = measure_scene(
+        [frames[0], frames[len(frames) // 2], frames[-1]],
+        config.views,
+        config.optics,
+        "Y",
+        config.grids.refine,
+    )
     return Shot(frames, paint_styles([style], style_size)[style], config, scene)
 
 

@@ -133,7 +133,7 @@ class Studio:
     ) -> Look:
         frame = fading_mask(self.frames[kind]) if masked else self.frames[kind]
         config = resolve_config(assignments=[*self._settings[kind], *settings])
-        scene = measure_scene([frame], config, "Y")
+        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
         with _guidance(guided):
             (stylized,) = stylize_window([frame], [self.styles[style]], scene, config)
         return Look(stylized, scene, frame)

@@ -71,7 +71,7 @@ def _run_ours(
     """One whole run from the start: CPU seconds, density, emission."""
     config = _settings(step, frame, iterations)
     begin = time.process_time()
-    scene = measure_scene([frame], config, "Y")
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
     (result,) = stylize_window([frame], [style], scene, config)
     return time.process_time() - begin, result.density, result.emission
 
@@ -82,7 +82,10 @@ def _run_baseline(
     """CPU seconds so far and, when called, density and emission; after every iteration."""
     config = _settings(step, frame)
     spent, begin = 0.0, time.process_time()
-    scene, box = measure_scene([frame], config, "Y"), dense_box(frame.density)
+    scene, box = (
+        measure_scene([frame], config.views, config.optics, "Y", config.grids.refine),
+        dense_box(frame.density),
+    )
     targets = StyleTargets([style], scene, config, torch.device("cpu"))
 
     def shaped(moved: Callable[[], torch.Tensor]) -> tuple[DenseField, None]:
@@ -122,7 +125,13 @@ def compare(
 ) -> Comparison:
     """Both sides on one frame, in turn; ``octaves`` the baseline's iterations, ``ladder`` ours."""
     config = _settings(step, frame)
-    judge = Judge(frame, style, measure_scene([frame], config, "Y"), config, step)
+    judge = Judge(
+        frame,
+        style,
+        measure_scene([frame], config.views, config.optics, "Y", config.grids.refine),
+        config,
+        step,
+    )
     box = dense_box(frame.density)
     found = Comparison(
         name, step, tuple(box.density.shape[::-1]), int((box.density > 0).sum()),

@@ -157,7 +157,15 @@ def _run(case: Case, config: Config, told: list[tuple[float, float, float]]) -> 
         told.append((time.process_time(), time.perf_counter(), _peak_gib()))
 
     tell(None)
-    list(stylize_window(frames, styles, measure_scene(frames, config, "Y"), config, tell))
+    list(
+        stylize_window(
+            frames,
+            styles,
+            measure_scene(frames, config.views, config.optics, "Y", config.grids.refine),
+            config,
+            tell,
+        )
+    )
     tell(None)
 
 

@@ -118,7 +118,9 @@ class FakeCore:
         device = "cpu" if config.device == "auto" else config.device
         return types.SimpleNamespace(threads=threads, device=device, processor=self.processor)
 
-    def measure_scene(self, frames: Sequence[VolumeFrame], config: Any, up_axis: str) -> FakeScene:
+    def measure_scene(
+        self, frames: Sequence[VolumeFrame], views: Any, optics: Any, up_axis: str, refine: int
+    ) -> FakeScene:
         return FakeScene(up_axis=up_axis)
 
     def stylize_window(

@@ -12,7 +12,7 @@ from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.views.scene import Scene, measure_scene
 
-__all__ = ["by_voxel", "quick_config", "run_core"]
+__all__ = ["by_voxel", "quick_config", "run_core", "scene_of"]
 
 
 def quick_config(**sections: Mapping[str, Any]) -> Config:
@@ -27,6 +27,11 @@ def quick_config(**sections: Mapping[str, Any]) -> Config:
     return resolve_config(base, sections)
 
 
+def scene_of(frames: Sequence[VolumeFrame], config: Config, up_axis: str = "Y") -> Scene:
+    """The scene measured with the sections of these settings."""
+    return measure_scene(frames, config.views, config.optics, up_axis, config.grids.refine)
+
+
 def run_core(
     frames: Sequence[VolumeFrame],
     config: Config | None = None,
@@ -36,7 +41,7 @@ def run_core(
 ) -> list[StylizedFrame]:
     """One window through the core; the scene is measured on all its frames unless given."""
     config = config or quick_config()
-    scene = scene or measure_scene(frames, config, "Y")
+    scene = scene or scene_of(frames, config)
     styles = [random_style()] if styles is None else styles
     tell = watch.append if watch is not None else None
     return list(stylize_window(frames, styles, scene, config, tell))

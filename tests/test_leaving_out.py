@@ -15,13 +15,12 @@ import torch
 
 from tests.counters import Elements, count_calls, watch_calls
 from tests.smoke_fixtures import frame_of, puff
-from tests.stylize_fixtures import quick_config, run_core
+from tests.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.config import resolve_config
 from usdsmoke.base.volume import CameraSource, VolumeFrame
-from usdsmoke.core.steps.move import ROOM
+from usdsmoke.core.steps.move import PADDING
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.features import EmbeddedFeatures
-from usdsmoke.core.views.scene import measure_scene
 from usdsmoke.planning.needs import unneeded_layers
 
 CORE = "usdsmoke.core"
@@ -99,7 +98,7 @@ def test_the_plan_knows_the_layers_that_the_network_has() -> None:
 
 def test_an_empty_frame_calls_neither_renderer_nor_network(monkeypatch: pytest.MonkeyPatch) -> None:
     work = [f"{CORE}.project:project_voxels", *FEATURES, f"{CORE}.transport:warp"]
-    scene = measure_scene([frame_of(puff(8))], quick_config(), "Y")
+    scene = scene_of([frame_of(puff(8))], quick_config(), "Y")
     calls = count_calls(monkeypatch, *work)
     with Elements() as elements:
         run_core([frame_of(np.zeros((8, 8, 8)))] * 3, scene=scene)
@@ -131,7 +130,7 @@ def test_empty_space_is_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
             run_core([padded(puff(10), room)])
         made.append(elements.made)
         work.append((list(projected), list(boxes)))
-    assert work[0] == work[1] and max(work[0][0]) <= (10 + 2 * ROOM) ** 3
+    assert work[0] == work[1] and max(work[0][0]) <= (10 + 2 * PADDING) ** 3
     assert made[0] == made[1]
 
 

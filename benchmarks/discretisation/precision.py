@@ -161,7 +161,7 @@ def _problem(case: Case) -> tuple["Tensor", "Tensor", "PictureLoss"]:
 
     scene, smoke, config = case.scene, case.smoke, case.config
     targets = StyleTargets(case.styles, scene, config, case.device)
-    view = frame_views(smoke, config, scene, config.optimize.seed)[0]
+    view = frame_views(smoke, config.views, scene, config.optimize.seed)[0]
     (seen,) = prepare_views(smoke, [view], scene.gamma_w, scene.exposure)
     colours = decode_srgb(initial_colours(smoke, "noise", config.optimize.seed))
     picture = seen.straight_picture(colours, targets.background)

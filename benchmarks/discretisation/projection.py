@@ -112,7 +112,7 @@ def _view(case: Case) -> "View":
     from usdsmoke.core.views.scene import frame_views
 
     scene = replace(case.small_scene, camera=None)
-    pool = frame_views(case.small_smoke, case.config, scene, case.config.optimize.seed)
+    pool = frame_views(case.small_smoke, case.config.views, scene, case.config.optimize.seed)
     view = max(pool, key=_askew)
     # pixels of room, or light of voxels beside the picture would be missing in one of the two
     return replace(view, height=view.height + 6, width=view.width + 6)

@@ -108,7 +108,7 @@ def _middle_view(case: Case) -> "View":
 
     views = replace(case.config.views, pool=1, sampling="fixed")
     config = replace(case.config, views=views)
-    (view,) = frame_views(case.small_smoke, config, case.small_scene, 0)
+    (view,) = frame_views(case.small_smoke, config.views, case.small_scene, 0)
     return view
 
 

@@ -14,14 +14,13 @@ from pxr import Sdf
 
 from tests.pipeline_fixtures import Shot, run
 from tests.smoke_fixtures import frame_of, puff, smoke_of
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.config import ViewsConfig, resolve_config
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.views.cameras import View, orbit_view, sample_angles
 from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(12)
 SHAPE = {"optimize": {"steps": ["shape"], "threads": 1, "tolerance": 0.0}}
@@ -183,7 +182,7 @@ def test_a_frame_depends_on_no_frame_after_it_but_those_it_is_averaged_with():
     alone = {"shape": {"iterations": [2, 2], "smoothing": 0.0}}
     alone |= {"colour": {"iterations": [2, 2], "smoothing": 0.0}}
     for config, n_after in ((quick_config(**alone), 0), (quick_config(), 2)):
-        scene = measure_scene(frames, config, "Y")
+        scene = scene_of(frames, config, "Y")
         whole = run_core(frames, config, scene)
         for n in range(n_after + 1, len(frames)):
             cut = run_core(frames[:n], config, scene)

@@ -14,7 +14,7 @@ import torch
 
 from tests.counters import Elements
 from tests.smoke_fixtures import frame_of, random_style
-from tests.stylize_fixtures import quick_config, run_core
+from tests.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.config import Config, config_to_dict, resolve_config
 from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
@@ -26,7 +26,7 @@ from usdsmoke.core.sequence.picture_errors import Painted, fit_blocks
 from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
 from usdsmoke.core.smoke.active import activate
-from usdsmoke.core.views.scene import frame_views, measure_scene
+from usdsmoke.core.views.scene import frame_views
 from usdsmoke.runs.budget import ROWS, choose_settings, make_budget
 from usdsmoke.runs.budget.choice import Choice
 
@@ -105,7 +105,7 @@ class Ran:
 @lru_cache
 def ran(name: str, target: float) -> Ran:
     frame, config = scene_frame(name), chosen(name, target)
-    scene = measure_scene([frame], config, "Y")
+    scene = scene_of([frame], config, "Y")
     counter = Elements(views=False)
     with counter:
         job = make_job([random_style()], scene, config, None, 24.0, None, 1)
@@ -145,7 +145,7 @@ def picture_error(name: str, found: Ran) -> float:
     Those still have a quarter of the error that whole voxels have.
     """
     link = found.link
-    views = replace(link.config, views=replace(link.config.views, pool=1))
+    views = replace(link.config.views, pool=1)
     view = fit_blocks(frame_views(link.smoke, views, link.scene, 0)[0])
     exact, first = displaced(name, link, 2)
     matrix = np.diag([0.5, 0.5, 0.5, 1.0])
@@ -210,7 +210,7 @@ def test_the_run_keeps_what_the_plan_did_not_doubt(name: str, target: float) -> 
 def test_the_optimiser_leaves_less_than_the_tolerance(name: str, step: str, target: float) -> None:
     """Against the same with four times the iterations."""
     frame, settings = scene_frame(name), config_to_dict(chosen(name, target))
-    scene = measure_scene([frame], resolve_config({}, settings), "Y")
+    scene = scene_of([frame], resolve_config({}, settings), "Y")
     settings["optimize"] |= {"steps": [step], "error_budget": False}
     few, ends = settings[step]["iterations"], []
     for iterations in (few, [4 * n for n in few]):

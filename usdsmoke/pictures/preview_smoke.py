@@ -190,7 +190,13 @@ class Smoke:
             volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)
             filled = [frame for frame in volume.frames if _is_filled(volume, frame)]
             frames = [_read_density(volume, frame, self.config) for frame in spread(filled)]
-            self._scenes[prim_path] = measure_scene(frames, self.config, self.whole.up_axis)
+            self._scenes[prim_path] = measure_scene(
+                frames,
+                self.config.views,
+                self.config.optics,
+                self.whole.up_axis,
+                self.config.grids.refine,
+            )
         return self._scenes[prim_path]
 
     def _corners(self, time_code: float, may_read: bool) -> list[np.ndarray]:

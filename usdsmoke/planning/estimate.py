@@ -31,12 +31,8 @@ from usdsmoke.base.config import Config, ViewsConfig
 from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
 from usdsmoke.base.sections import LayerConfig
-from usdsmoke.core.smoke.schedule import (
-    OCTAVE_SCALE,
-    coarse_factor,
-    octave_iterations,
-    warm_iterations,
-)
+from usdsmoke.core.sequence.controls import coarse_factor
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 from usdsmoke.vdb.header import GridHeader
 
 __all__ = [

@@ -55,7 +55,10 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     scenes = []
     for volume in plan.volumes:
         frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
-        scene = measure_scene(frames, volume.config, plan.source.up_axis)
+        config = volume.config
+        scene = measure_scene(
+            frames, config.views, config.optics, plan.source.up_axis, config.grids.refine
+        )
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
 

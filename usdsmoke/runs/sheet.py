@@ -12,7 +12,7 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.smoke.controls import frame_config
+from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_sheet
 from usdsmoke.pictures.png import write_png
 from usdsmoke.planning.frame_reader import FrameReader
@@ -87,7 +87,7 @@ def _frame_scene(
         return scene
     from usdsmoke.core.views.scene import Scene, frame_scene
 
-    return dataclasses.asdict(frame_scene(Scene(**scene), own))
+    return dataclasses.asdict(frame_scene(Scene(**scene), own.optics.gamma))
 
 
 def _frame_pictures(

@@ -70,7 +70,7 @@ class UnseenLoss:
 
         config = outcome.config or self._config
         seed = config.optimize.seed + outcome.n_octaves - 1  # of the last octave's pool
-        pool = frame_views(outcome.smoke, config, self._scene, seed)
+        pool = frame_views(outcome.smoke, config.views, self._scene, seed)
         used = pool[:: max(1, len(pool) // _N_VIEWS)][:_N_VIEWS]
         ours = [style for style, _ in self._losses(outcome, used)]
         others = [style for style, _ in self._unused(outcome)]
@@ -180,4 +180,4 @@ class UnseenLoss:
         from usdsmoke.core.views.scene import frame_views
 
         views = replace(self._config.views, pool=_N_VIEWS, sampling="poisson")
-        return frame_views(smoke, replace(self._config, views=views), self._scene, _SEED)
+        return frame_views(smoke, views, self._scene, _SEED)

@@ -9,10 +9,10 @@ import torch
 
 from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
-from tests.stylize_fixtures import quick_config
+from tests.stylize_fixtures import quick_config, scene_of
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import orbit_view
-from usdsmoke.core.views.scene import crop_view, frame_views, measure_scene
+from usdsmoke.core.views.scene import crop_view, frame_views
 from usdsmoke.core.views.visibility import visible_part
 
 
@@ -35,8 +35,9 @@ def test_a_cropped_view_holds_every_voxel_and_not_a_pixel_more(matrix):
 
 def views_from(camera: CameraSource, **views: Any) -> list[Any]:
     config = quick_config(views={"pool": 6, **views})
-    scene = dataclasses.replace(measure_scene([FRAME], config, "Y"), camera=camera)
-    return frame_views(visible_part(smoke_of(DENSITY), camera, config), config, scene, seed=3)
+    scene = dataclasses.replace(scene_of([FRAME], config, "Y"), camera=camera)
+    smoke = visible_part(smoke_of(DENSITY), camera, config.views.camera_margin)
+    return frame_views(smoke, config.views, scene, seed=3)
 
 
 def test_views_lie_around_the_cameras_direction_within_the_ranges():
@@ -80,10 +81,10 @@ def test_no_pixel_is_finer_than_the_cameras_at_the_nearest_smoke_it_sees():
     camera = looking(np.add(middle, [0, 0, 500]), middle)
     seen = seen_by(camera, frame_of(density))
     nearest = 500 - (np.argwhere(density > 0)[:, 2].max() - middle[2])
-    assert measure_scene([seen], config, "Y").pixel_size == np.ceil(nearest / 100) == 5.0
-    assert measure_scene([frame_of(density)], config, "Y").pixel_size == 1.0
+    assert scene_of([seen], config, "Y").pixel_size == np.ceil(nearest / 100) == 5.0
+    assert scene_of([frame_of(density)], config, "Y").pixel_size == 1.0
     wide = quick_config(views={"image_size": 512, "camera_width": 8192})
-    assert measure_scene([seen], wide, "Y").pixel_size == 1.0
+    assert scene_of([seen], wide, "Y").pixel_size == 1.0
 
 
 def test_extinction_is_measured_on_what_the_camera_sees():
@@ -91,12 +92,12 @@ def test_extinction_is_measured_on_what_the_camera_sees():
     density = np.concatenate([DENSITY, np.zeros_like(DENSITY), 10 * DENSITY])
     frame = frame_of(density)
     thin, thick = (
-        measure_scene(
+        scene_of(
             [seen_by(looking([x, 11.5, 300.0], [x, 11.5, 0.0], 3.6), frame)], quick_config(), "Y"
         )
         for x in (11.5, 2 * N + 11.5)
     )
     assert thin.gamma_w == pytest.approx(10 * thick.gamma_w, rel=1e-3)
     assert thin.pixel_size == thick.pixel_size
-    nowhere = measure_scene([seen_by(looking([0, 0, -9], [0, 0, -99]), frame)], quick_config(), "Y")
+    nowhere = scene_of([seen_by(looking([0, 0, -9], [0, 0, -99]), frame)], quick_config(), "Y")
     assert torch.isfinite(torch.tensor(nowhere.gamma_w)) and nowhere.gamma_w != 1.0

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.coarse import (
     coarse_frames,
@@ -18,10 +18,9 @@ from usdsmoke.core.sequence.coarse import (
     save_start,
 )
 from usdsmoke.core.sequence.coherence import colour_error
+from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.stylize import make_job, open_frame, stylize_window
-from usdsmoke.core.smoke.schedule import coarse_factor
-from usdsmoke.core.views.scene import measure_scene
 
 BOX = (20, 16, 16)
 STEP = 2  # voxels a frame
@@ -81,7 +80,7 @@ def test_a_chain_follows_the_smoke_more_closely_than_frames_alone():
     }
     chained = np.mean([error["colour"] for error in errors_of(FRAMES, **sections)])
     config = quick_config(**sections)
-    scene = measure_scene(FRAMES, config, "Y")
+    scene = scene_of(FRAMES, config, "Y")
     links = []
     for frame in FRAMES:
         job = make_job([random_style()], scene, config, None, 24.0, None, 1)
@@ -114,7 +113,7 @@ def test_windows_that_share_a_coarse_step_start_alike():
     """The first frame of a window takes the coarse colours and leaves their octave out."""
     config = quick_config(windows={"shared_octaves": 1})
     assert coarse_factor(config) == 2
-    scene = measure_scene(FRAMES, config, "Y")
+    scene = scene_of(FRAMES, config, "Y")
     starts = {s.time_code: s for s in coarse_frames(FRAMES, [random_style()], scene, config)}
     assert sorted(starts) == [0.0, 1.0, 2.0, 3.0]
     (frame,) = stylize_window(
@@ -126,7 +125,7 @@ def test_windows_that_share_a_coarse_step_start_alike():
 
 def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):
     config = quick_config(windows={"shared_octaves": 1})
-    scene = measure_scene(FRAMES, config, "Y")
+    scene = scene_of(FRAMES, config, "Y")
     (start,) = coarse_frames(FRAMES[:1], [random_style()], scene, config)
     save_start(start, tmp_path / "start.npz")
     read = load_start(tmp_path / "start.npz")
@@ -153,7 +152,7 @@ def test_a_coarse_step_that_was_cut_goes_on_with_the_bits_of_one_that_was_not(
         windows={"shared_octaves": 1}, optimize={"steps": steps}, shape={"smoothing": 0.5}
     )
     frames = [*FRAMES[:3], EMPTY, replace(drifting(3), time_code=4.0)]
-    scene = measure_scene(FRAMES, config, "Y")
+    scene = scene_of(FRAMES, config, "Y")
     whole = list(coarse_frames(frames, [random_style()], scene, config))
     assert [start.carried is None for start in whole] == [False, False, False, True, False]
     save_start(whole[first], tmp_path / "cut.npz")
@@ -171,7 +170,7 @@ def test_a_coarse_step_that_was_cut_goes_on_with_the_bits_of_one_that_was_not(
 
 def test_the_start_of_an_empty_frame_is_empty(tmp_path):
     config = quick_config(windows={"shared_octaves": 1})
-    scene = measure_scene(FRAMES, config, "Y")
+    scene = scene_of(FRAMES, config, "Y")
     empty = frame_of(np.zeros(BOX, np.float32), 9.0)
     (start,) = coarse_frames([empty], [random_style()], scene, config)
     save_start(start, tmp_path / "start.npz")

@@ -37,7 +37,7 @@ class LargeTensors(TorchDispatchMode):
 
 def test_a_carried_displacement_takes_no_box_of_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """Velocity and displacement once each, channel by channel, and the result."""
-    monkeypatch.setattr(lattice_module, "VOXELS_AT_ONCE", 500)
+    monkeypatch.setattr(lattice_module, "LATTICE_CHUNK", 500)
     density = puff(28)
     box = surround(smoke_of(density), 2)
     speed = np.full((32, 32, 32, 3), 30.0, np.float32)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.stylize_fixtures import scene_of
 from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, scale_style
@@ -17,7 +18,7 @@ from usdsmoke.core.steps.colour import (
 )
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
+from usdsmoke.core.views.scene import Scene, frame_views
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
 BACKGROUND = torch.tensor([0.4, 0.3, 0.2])
@@ -50,7 +51,7 @@ def smoke() -> ActiveSmoke:
 
 @pytest.fixture(scope="module")
 def views(smoke: ActiveSmoke) -> list[ColourView]:
-    return prepare_views(smoke, frame_views(smoke, config_of(), SCENE, 0), SCENE.gamma_w)
+    return prepare_views(smoke, frame_views(smoke, config_of().views, SCENE, 0), SCENE.gamma_w)
 
 
 def test_noise_belongs_to_the_voxel_and_the_seed(smoke):
@@ -80,9 +81,9 @@ def thin_run(gamma: float, iterations: list[int]) -> tuple[torch.Tensor, torch.T
     with the exposure that is measured for it."""
     config = config_of(optics={"gamma": gamma}, views={"pool": 1})
     smoke = smoke_of(puff(12))
-    scene = measure_scene([frame_of(puff(12))], config, "Y")
+    scene = scene_of([frame_of(puff(12))], config, "Y")
     targets = StyleTargets([random_style(16, 20)], scene, config, torch.device("cpu"))
-    views = frame_views(smoke, config, scene, 0)
+    views = frame_views(smoke, config.views, scene, 0)
     (view,) = prepare_views(smoke, views, scene.gamma_w, scene.exposure)
     start = decode_srgb(initial_colours(smoke, "noise", 0))
     colours, ends = run_colour_step(smoke, None, targets, scene, config, iterations)
@@ -259,7 +260,7 @@ def test_starting_from_plain_density_washes_out_and_noise_does_not():
     """White smoke has no structure to grow from: the picture stays flatter than the style."""
     smoke = smoke_of(puff(16))
     config = config_of(features={"layers": []})
-    views = prepare_views(smoke, frame_views(smoke, config, SCENE, 0), 0.4)
+    views = prepare_views(smoke, frame_views(smoke, config.views, SCENE, 0), 0.4)
     targets = targets_of(config)
     contrast = {}
     for init in ("noise", "density"):

@@ -7,7 +7,7 @@ import pytest
 from tests.stylize_fixtures import quick_config
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, FrameSource, VolumeSource
-from usdsmoke.core.smoke.controls import check_controls, frame_config, in_effect, is_computed
+from usdsmoke.core.sequence.controls import check_controls, frame_config, in_effect, is_computed
 
 CONFIG = quick_config(style={"weights": [3, 1]}, optics={"gamma": 0.5})
 

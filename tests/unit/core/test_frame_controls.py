@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
@@ -18,7 +18,7 @@ from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.stylize import StylizedFrame, make_job, open_frame
 from usdsmoke.core.style import targets as targets_module
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.scene import frame_scene, measure_scene
+from usdsmoke.core.views.scene import frame_scene
 
 STYLES = [random_style(seed=0), 1 - random_style(20, 30, seed=1)]
 STEPS = {name: {"steps": [name], "threads": 1, "tolerance": 0.0} for name in ("shape", "colour")}
@@ -130,7 +130,7 @@ def test_frames_far_from_any_effect_are_left_out_and_what_follows_starts_anew():
 def test_a_pattern_speed_holds_from_its_frame_to_the_next_one():
     frames = controlled(FRAMES[:3], pattern_speed=[2.0, -0.5, 1.0])
     config = quick_config()
-    job = make_job([STYLES[0]], measure_scene(frames, config, "Y"), config, None, 24.0, None, 3)
+    job = make_job([STYLES[0]], scene_of(frames, config, "Y"), config, None, 24.0, None, 3)
     links = list(run_chain(frames, job, open_frame))
     assert job.seconds(links[0], links[1]) == 2.0 / 24
     assert job.seconds(links[1], links[2]) == -0.5 / 24
@@ -159,18 +159,13 @@ def test_the_pattern_follows_the_smoke_or_stays_by_the_earlier_frames_speed():
 @pytest.mark.parametrize("gamma", [1e-6, 0.01, 0.3, 5.0])
 def test_a_frames_scene_is_the_one_that_its_gamma_would_have_given_the_shot(gamma):
     config, wanted = quick_config(), quick_config(optics={"gamma": gamma})
-    assert frame_scene(measure_scene(FRAMES, config, "Y"), wanted) == measure_scene(
-        FRAMES, wanted, "Y"
-    )
+    assert frame_scene(scene_of(FRAMES, config, "Y"), gamma) == scene_of(FRAMES, wanted, "Y")
 
 
 def test_extinction_and_exposure_follow_gamma_as_the_closed_forms_say():
-    scene = measure_scene(FRAMES, quick_config(), "Y")
+    scene = scene_of(FRAMES, quick_config(), "Y")
     assert scene.gamma_w * scene.thick == pytest.approx(4.0)  # optics.depth
-    scenes = {
-        gamma: frame_scene(scene, quick_config(optics={"gamma": gamma}))
-        for gamma in np.geomspace(1e-4, 10, 60)
-    }
+    scenes = {gamma: frame_scene(scene, gamma) for gamma in np.geomspace(1e-4, 10, 60)}
     for gamma, own in scenes.items():
         assert own.gamma_w == gamma / scene.reference_voxel_size
         seen = 1 - np.exp(-own.gamma_w * scene.thick)
@@ -188,7 +183,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
     )
     frames = [replace(FRAMES[0], time_code=float(n), velocity=None) for n in range(3)]
     gammas = [0.1, 0.2, None]
-    scene = measure_scene(frames, config, "Y")
+    scene = scene_of(frames, config, "Y")
     results = run_core(controlled(frames, gamma=gammas), config, scene)
     assert [result.report.extinction for result in results] == [0.1, 0.2, None]
     lights = [result.emission.values for result in results]
@@ -202,7 +197,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
 
 def targets_of(styles: Sequence[np.ndarray], weights: Sequence[float] = ()) -> StyleTargets:
     config = quick_config(style={"weights": list(weights)})
-    scene = measure_scene(FRAMES[:1], config, "Y")
+    scene = scene_of(FRAMES[:1], config, "Y")
     return StyleTargets(styles, scene, config, torch.device("cpu"))
 
 
@@ -284,7 +279,7 @@ def test_controls_that_are_the_same_at_every_frame_give_the_bits_of_the_setting(
 def test_the_coarse_step_sees_the_controls_too():
     config, frames = quick_config(), FRAMES[:3]
     deciding = quick_config(**EVERY)
-    scene, other = (measure_scene(frames, c, "Y") for c in (config, deciding))
+    scene, other = (scene_of(frames, c, "Y") for c in (config, deciding))
     asked = list(coarse_frames(controlled(frames, **AS_CONTROLS), STYLES, scene, config))
     plain = list(coarse_frames(frames, STYLES, other, deciding))
     unasked = list(coarse_frames(frames, STYLES, scene, config))

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.stylize_fixtures import scene_of
 from usdsmoke.base.config import resolve_config
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.steps.colour import ColourView, prepare_views, run_colour_step
@@ -14,7 +15,7 @@ from usdsmoke.core.style.content import photorealism_distance
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.scene import frame_views, measure_scene
+from usdsmoke.core.views.scene import frame_views
 
 
 def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:
@@ -30,10 +31,10 @@ def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:
             "losses": weights,
         }
     )
-    scene = measure_scene([frame_of(density)], config, "Y")
+    scene = scene_of([frame_of(density)], config, "Y")
     targets = StyleTargets([random_style(16, 20)], scene, config, torch.device("cpu"))
     colours, _ = run_colour_step(smoke, None, targets, scene, config, config.colour.iterations)
-    where = frame_views(smoke, config, scene, 1)
+    where = frame_views(smoke, config.views, scene, 1)
     (view,) = prepare_views(smoke, where, scene.gamma_w)
     columns = column_map(smoke.positions, smoke.voxel_volume, where[0])
     grey = opacity(scene.gamma_w_shape * columns.apply(smoke.density[:, None])[..., 0])

@@ -110,7 +110,7 @@ def test_a_box_of_nothing_gives_an_empty_field():
 
 @pytest.mark.parametrize("at_once", [7, 10**6])
 def test_a_function_of_places_is_taken_at_every_voxel_a_few_at_a_time(monkeypatch, at_once):
-    monkeypatch.setattr(lattice_module, "VOXELS_AT_ONCE", at_once)
+    monkeypatch.setattr(lattice_module, "LATTICE_CHUNK", at_once)
     lattice = surround(smoke_of(puff(5), affine(4)), 2)
     sizes = []
 

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import frame_of, masked, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps import colour
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.scene import Scene, measure_scene
+from usdsmoke.core.views.scene import Scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -225,5 +225,5 @@ def test_there_is_no_light_where_there_is_no_density(mask):
 
 def test_the_extinction_is_the_whole_smoke_s_and_not_the_mask_s():
     frames = [FRAME, masked(half_mask())]
-    scenes = [measure_scene([frame], quick_config(), "Y") for frame in frames]
+    scenes = [scene_of([frame], quick_config(), "Y") for frame in frames]
     assert scenes[0] == scenes[1]

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, frame_of, masked, puff
-from usdsmoke.core.views.mask import EffectMask, effect_mask
+from usdsmoke.core.views.visibility import EffectMask, effect_mask
 
 
 def test_a_linear_ramp_in_space_is_found_again_from_a_turned_grid_of_uneven_voxels():

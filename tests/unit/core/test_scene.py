@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
+from tests.stylize_fixtures import scene_of
 from usdsmoke.base.config import Config, OpticsConfig, ViewsConfig, resolve_config
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views, measure_scene
+from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views
 
 DENSITY = puff(12)
 
@@ -24,7 +25,7 @@ def thick_column(density: np.ndarray, index_to_world: np.ndarray, config: Config
 
 def test_an_unset_gamma_gives_the_thick_columns_their_optical_depth():
     config = resolve_config({"optics": {"depth": 3.0, "depth_shape": 0.7}})
-    scene = measure_scene([frame_of(DENSITY)], config, "Y")
+    scene = scene_of([frame_of(DENSITY)], config, "Y")
     thick = thick_column(DENSITY, np.eye(4), config)
     assert scene.gamma_w * thick == pytest.approx(3.0, rel=1e-5)
     assert scene.gamma_w_shape * thick == pytest.approx(0.7, rel=1e-5)
@@ -33,7 +34,7 @@ def test_an_unset_gamma_gives_the_thick_columns_their_optical_depth():
 def test_a_set_gamma_is_per_voxel_and_becomes_per_length():
     matrix = np.diag([0.1, 0.2, 0.4, 1.0])
     config = resolve_config({"optics": {"gamma": 0.5, "gamma_shape": 0.1}})
-    scene = measure_scene([frame_of(DENSITY, index_to_world=matrix)], config, "Y")
+    scene = scene_of([frame_of(DENSITY, index_to_world=matrix)], config, "Y")
     assert scene.reference_voxel_size == pytest.approx(0.2)
     assert scene.gamma_w == pytest.approx(2.5) and scene.gamma_w_shape == pytest.approx(0.5)
 
@@ -41,7 +42,7 @@ def test_a_set_gamma_is_per_voxel_and_becomes_per_length():
 @pytest.mark.parametrize("gamma", [1e-9, 1e-3, 0.1])
 def test_a_gamma_that_leaves_thick_columns_faint_is_exposed_to_seven_tenths(gamma):
     config = resolve_config({"optics": {"gamma": gamma, "gamma_shape": 0.5 * gamma}})
-    scene = measure_scene([frame_of(DENSITY)], config, "Y")
+    scene = scene_of([frame_of(DENSITY)], config, "Y")
     thick = thick_column(DENSITY, np.eye(4), config)
     for gamma_w, exposure in (
         (scene.gamma_w, scene.exposure),
@@ -53,13 +54,13 @@ def test_a_gamma_that_leaves_thick_columns_faint_is_exposed_to_seven_tenths(gamm
 
 @pytest.mark.parametrize("depths", [{}, {"depth": 1.21, "depth_shape": 100.0}])
 def test_smoke_that_is_thick_enough_is_not_exposed_at_all(depths):
-    scene = measure_scene([frame_of(DENSITY)], resolve_config({"optics": depths}), "Y")
+    scene = scene_of([frame_of(DENSITY)], resolve_config({"optics": depths}), "Y")
     assert scene.exposure == 1.0 and scene.exposure_shape == 1.0
 
 
 def test_an_optical_depth_of_a_millionth_millionth_is_measured_without_overflow():
     config = resolve_config({"optics": {"depth": 1e-12, "depth_shape": 1e-300}})
-    scene = measure_scene([frame_of(DENSITY)], config, "Y")
+    scene = scene_of([frame_of(DENSITY)], config, "Y")
     assert scene.exposure == pytest.approx(7e11, rel=1e-3)
     assert scene.exposure_shape == pytest.approx(7e11, rel=1e-3)  # and no brighter than that
     numbers = [scene.gamma_w, scene.gamma_w_shape, scene.grey_mean, scene.grey_deviation]
@@ -69,9 +70,9 @@ def test_an_optical_depth_of_a_millionth_millionth_is_measured_without_overflow(
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("amount", [1e-30, 1.0, 1e30])
 def test_units_of_length_and_density_drop_out_of_the_pictures(unit, amount):
-    plain = measure_scene([frame_of(DENSITY)], Config(), "Y")
+    plain = scene_of([frame_of(DENSITY)], Config(), "Y")
     matrix = np.diag([unit, unit, unit, 1.0])
-    scene = measure_scene([frame_of(DENSITY * amount, index_to_world=matrix)], Config(), "Y")
+    scene = scene_of([frame_of(DENSITY * amount, index_to_world=matrix)], Config(), "Y")
     assert scene.gamma_w * unit * amount == pytest.approx(plain.gamma_w, rel=1e-4)
     assert scene.pixel_size == pytest.approx(plain.pixel_size * unit)
     assert scene.image_size == plain.image_size
@@ -82,27 +83,25 @@ def test_units_of_length_and_density_drop_out_of_the_pictures(unit, amount):
 def test_emptiness_around_the_smoke_changes_nothing():
     padded = np.pad(DENSITY, ((9, 2), (0, 3), (4, 4)))
     frames = [frame_of(DENSITY), frame_of(padded, ijk_min=(-9, 0, -4))]
-    scenes = [measure_scene([frame], Config(), "Z") for frame in frames]
+    scenes = [scene_of([frame], Config(), "Z") for frame in frames]
     assert scenes[0] == scenes[1]
 
 
 def test_empty_frames_are_passed_over():
     empty = frame_of(np.zeros((0, 0, 0)))
     full = frame_of(DENSITY)
-    assert measure_scene([empty, full, empty], Config(), "Y") == measure_scene(
-        [full], Config(), "Y"
-    )
+    assert scene_of([empty, full, empty], Config(), "Y") == scene_of([full], Config(), "Y")
 
 
 @pytest.mark.parametrize("frames", [[], [frame_of(np.zeros((4, 4, 4)))]])
 def test_nothing_but_emptiness_gives_harmless_numbers(frames):
-    scene = measure_scene(frames, Config(), "Y")
+    scene = scene_of(frames, Config(), "Y")
     assert isinstance(scene, Scene)
     assert scene.gamma_w > 0 and scene.pixel_size > 0 and scene.image_size >= 1
 
 
 def test_one_voxel_can_be_measured():
-    scene = measure_scene([frame_of(np.ones((1, 1, 1)))], Config(), "Y")
+    scene = scene_of([frame_of(np.ones((1, 1, 1)))], Config(), "Y")
     assert np.isfinite([scene.gamma_w, scene.gamma_w_shape, scene.grey_mean]).all()
     assert scene.gamma_w > 0 and scene.image_size >= 1
 
@@ -112,7 +111,7 @@ def test_one_voxel_can_be_measured():
 def test_pixels_are_whole_voxels_and_the_picture_has_about_the_size_asked_for(image_size, refine):
     config = resolve_config({"views": {"image_size": image_size}, "grids": {"refine": refine}})
     density = np.ones((90, 20, 20), np.float32)
-    scene = measure_scene([frame_of(density)], config, "Y")
+    scene = scene_of([frame_of(density)], config, "Y")
     voxels = scene.pixel_size * refine
     assert voxels == pytest.approx(max(1, round(voxels)))
     finest = 90 * refine
@@ -133,7 +132,7 @@ def test_every_view_of_the_pool_just_holds_the_smoke(up_axis, factor):
     smoke = smoke_of(np.ones((12, 7, 9)), affine(1))
     config = Config(views=ViewsConfig(pool=7, azimuth=180, elevation=60))
     scene = Scene(1.0, 1.0, 0.9, up_axis, 1.0, 20)
-    views = frame_views(smoke, config, scene, 3, factor)
+    views = frame_views(smoke, config.views, scene, 3, factor)
     assert len(views) == 7
     assert len({view.azimuth for view in views}) == 7
     for view in views:
@@ -169,7 +168,7 @@ def test_a_lying_slab_is_seen_face_on_too():
 def test_a_slab_has_one_view_whatever_is_asked_for():
     smoke = smoke_of(np.ones((5, 6, 1)))
     config = Config(views=ViewsConfig(pool=24))
-    assert len(frame_views(smoke, config, Scene(1, 1, 1, "Y", 1, 6), 0)) == 1
+    assert len(frame_views(smoke, config.views, Scene(1, 1, 1, "Y", 1, 6), 0)) == 1
 
 
 def test_face_view_of_a_volume_is_a_programming_error():
@@ -182,9 +181,7 @@ def test_a_slab_s_extinction_counts_its_thickness():
     config = Config(optics=OpticsConfig(depth=2.0))
     flat = np.random.default_rng(0).random((8, 8, 1)).astype(np.float32) + 0.5
     scenes = [
-        measure_scene(
-            [frame_of(flat / deep, index_to_world=np.diag([1, 1, deep, 1.0]))], config, "Y"
-        )
+        scene_of([frame_of(flat / deep, index_to_world=np.diag([1, 1, deep, 1.0]))], config, "Y")
         for deep in (1.0, 10.0)
     ]
     assert scenes[0].pixel_size == scenes[1].pixel_size == pytest.approx(1.0)

@@ -7,13 +7,12 @@ import pytest
 
 from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
 from tests.smoke_fixtures import frame_of, masked, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps import colour, shape
 from usdsmoke.core.views.frustum import frustum_of
-from usdsmoke.core.views.scene import measure_scene
 
 
 def half_camera(distance: float = 60.0) -> CameraSource:
@@ -80,7 +79,7 @@ def test_mass_is_kept_among_what_is_seen(half):
 def test_colours_end_softly_at_the_border(half):
     """At full strength emission over extinction is at most 1, at a share s at most s."""
     share, density = shares(half_camera()), by_voxel(half.density)
-    scene = measure_scene([seen_by(half_camera())], quick_config(), "Y")
+    scene = scene_of([seen_by(half_camera())], quick_config(), "Y")
     for voxel, light in by_voxel(half.emission).items():
         if voxel in share:
             limit = share[voxel] * scene.gamma_w * density[voxel][0]
@@ -160,7 +159,7 @@ def test_a_window_under_a_panning_camera_follows_and_keeps_what_is_outside():
         at = eye + 60 * np.array([np.sin(turn + 0.15), 0, -np.cos(turn + 0.15)])
         camera = looking(eye, at, film=14.0)
         frames.append(seen_by(camera, frame_of(DENSITY, 1.0 + number, np.array([1.0, 0, 0]))))
-    scene = measure_scene(frames, config, "Y")
+    scene = scene_of(frames, config, "Y")
     style = np.random.default_rng(0).uniform(size=(24, 24, 3)).astype(np.float32)
     starts = {start.time_code: start for start in coarse_frames(frames, [style], scene, config)}
     assert starts[4.0].colours is None and starts[1.0].colours is not None
@@ -187,7 +186,7 @@ def test_a_window_under_a_panning_camera_follows_and_keeps_what_is_outside():
     ids=["inside", "wide", "narrow", "far", "behind", "thin"],
 )
 def test_extreme_cameras_give_finite_smoke_and_sixteen_pixels_at_least(camera):
-    scene = measure_scene([seen_by(camera)], quick_config(), "Y")
+    scene = scene_of([seen_by(camera)], quick_config(), "Y")
     assert scene.image_size >= 16
     result = run_core([seen_by(camera)], scene=scene)[0]
     assert np.isfinite(result.density.values).all() and np.isfinite(result.emission.values).all()

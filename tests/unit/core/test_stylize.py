@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.scene import Scene, measure_scene
+from usdsmoke.core.views.scene import Scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -106,7 +106,7 @@ def refuse_targets(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_empty_frame_is_passed_through_without_renderer_or_network(values, monkeypatch):
     refuse_targets(monkeypatch)
     frame = frame_of(values)
-    scene = measure_scene([FRAME], quick_config(), "Y")
+    scene = scene_of([FRAME], quick_config(), "Y")
     result = run_core([frame], scene=scene)[0]
     assert result.density is frame.density
     assert result.emission.values.shape == (*values.shape, 3)
@@ -134,7 +134,7 @@ def test_without_a_shape_step_the_density_is_the_source_s_own():
 
 
 def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized):
-    scene = measure_scene([FRAME], quick_config(), "Y")
+    scene = scene_of([FRAME], quick_config(), "Y")
     emission, density = stylized.emission, stylized.density
     assert emission.values.shape == (*density.values.shape, 3)
     assert emission.ijk_min == density.ijk_min

@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import affine, frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import NonFiniteError, PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame
-from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(10)
 COLOUR_ONLY = {"optimize": {"steps": ["colour"], "threads": 1}}
@@ -86,7 +85,7 @@ def test_a_background_other_than_zero_fills_the_box_only(background):
 def test_any_extinction(gamma):
     config = quick_config(optics={"gamma": gamma, "gamma_shape": gamma})
     frame = frame_of(DENSITY)
-    scene = measure_scene([frame], config, "Y")
+    scene = scene_of([frame], config, "Y")
     assert scene.gamma_w == pytest.approx(gamma)
     assert_sound(run_core([frame], config, scene)[0], DENSITY, gamma)
 
@@ -95,7 +94,7 @@ def test_no_extinction_gives_no_light_and_no_motion_but_a_finite_result():
     """The settings refuse it; a scene of one's own making can hold it."""
     frame = frame_of(DENSITY)
     scene = dataclasses.replace(
-        measure_scene([frame], quick_config(), "Y"), gamma_w=0.0, gamma_w_shape=0.0
+        scene_of([frame], quick_config(), "Y"), gamma_w=0.0, gamma_w_shape=0.0
     )
     result = run_core([frame], scene=scene)[0]
     assert_sound(result, DENSITY, gamma_w=0)
@@ -137,7 +136,7 @@ def test_the_field_prim_s_place_counts_like_the_grid_s_own():
 @pytest.mark.parametrize("up_axis", ["Y", "Z"])
 def test_smoke_is_stylized_with_either_axis_up(up_axis):
     frame = frame_of(DENSITY)
-    scene = measure_scene([frame], quick_config(), up_axis)
+    scene = scene_of([frame], quick_config(), up_axis)
     assert scene.up_axis == up_axis
     assert_sound(run_core([frame], scene=scene)[0], DENSITY)
 
@@ -196,7 +195,7 @@ def test_a_grid_that_changes_place_and_voxel_size_from_frame_to_frame():
     finer[3, :3] = -0.25
     first = frame_of(np.ones((6, 6, 6)), 1.0)
     second = frame_of(np.ones((12, 12, 12)), 2.0, index_to_world=finer)
-    scene = measure_scene([first], config, "Y")
+    scene = scene_of([first], config, "Y")
     coarse, fine = (r.emission.values for r in run_core([first, second], config, scene))
     inside = fine[2:-2, 2:-2, 2:-2].reshape(4, 2, 4, 2, 4, 2, 3).mean(axis=(1, 3, 5))
     correlation = np.corrcoef(inside.ravel(), coarse[1:-1, 1:-1, 1:-1].ravel())[0, 1]

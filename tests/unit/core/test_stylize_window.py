@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from tests.smoke_fixtures import frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.progress import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window
-from usdsmoke.core.views.scene import measure_scene
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -95,7 +94,7 @@ def test_frames_are_taken_one_at_a_time(steps: list[str], ahead: int):
             yield frame_of(DENSITY, float(k))
 
     config = quick_config(optimize={"steps": steps, "threads": 1})
-    window = stylize_window(frames(), [random_style()], measure_scene([FRAME], config, "Y"), config)
+    window = stylize_window(frames(), [random_style()], scene_of([FRAME], config, "Y"), config)
     for done in range(1, 4):
         next(window)
         assert len(pulled) == done + ahead

@@ -8,7 +8,7 @@ import pytest
 
 from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
-from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.planning.estimate import START, Estimate, FrameSize, estimate_run
 
 FRAME = FrameSize(90_000, (51, 49, 96))

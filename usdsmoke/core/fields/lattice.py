@@ -18,7 +18,7 @@ from usdsmoke.core.smoke.memory import chunks
 
 __all__ = ["Lattice", "field_from_box", "grow", "surround"]
 
-VOXELS_AT_ONCE = 2**16
+LATTICE_CHUNK = 2**16  # voxels
 LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
 
 
@@ -56,14 +56,14 @@ class Lattice:
         return (ijk + low).double() @ matrix[:3, :3] + matrix[3, :3]
 
     def on_voxels(self, at: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
-        """What a function of places gives on all voxels of the box, [I J K ...]; made in pieces.
+        """What a function of places gives on all voxels of the box, [I J K ...]; made in chunks.
 
         Args:
             at: stage positions [n 3] float64 -> [n ...].
             like: gives the device of the positions.
         """
         n_voxels, found = math.prod(self.shape), None
-        for part in chunks(n_voxels, VOXELS_AT_ONCE, like.device):
+        for part in chunks(n_voxels, LATTICE_CHUNK, like.device):
             flat = torch.arange(part.start, part.stop, device=like.device)
             ij, k = flat // self.shape[2], flat % self.shape[2]
             places = torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)
@@ -104,8 +104,8 @@ class Lattice:
         return sample_linear(values, place.to(values.dtype), boundary=beyond)
 
 
-def surround(smoke: ActiveSmoke, room: int) -> Lattice:
-    """The box of the smoke with ``room`` empty voxels around.
+def surround(smoke: ActiveSmoke, padding: int) -> Lattice:
+    """The box of the smoke with ``padding`` empty voxels around.
 
     Axes one voxel thick stay so: what is flat moves in its plane.
 
@@ -113,7 +113,7 @@ def surround(smoke: ActiveSmoke, room: int) -> Lattice:
         PlanError: the box is too long to be dense; smoke in places far apart.
     """
     low, high = smoke.box
-    margin = np.where(high > low, room, 0)
+    margin = np.where(high > low, padding, 0)
     shape = tuple(int(n) for n in high - low + 1 + 2 * margin)
     if max(shape) > LONGEST:
         raise PlanError(

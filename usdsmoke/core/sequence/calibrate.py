@@ -65,7 +65,7 @@ def calibrate(
     """
     started = time.perf_counter()
     pilot = _pilot_config(config)
-    scene = measure_scene([frame], pilot, up_axis)
+    scene = measure_scene([frame], pilot.views, pilot.optics, up_axis, pilot.grids.refine)
     job = make_job(styles, scene, pilot, None, 24.0, None, 1)
     (link,) = run_chain([frame], job, open_frame)
     if link.left_out:
@@ -113,7 +113,7 @@ def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
     painted, smoke = painted_frame(link), link.smoke
     gamma_w = link.scene.gamma_w_shape if painted.colours is None else link.scene.gamma_w
     longest, found = scene.image_size * scene.pixel_size, []
-    views = replace(config, views=replace(config.views, pool=1))
+    views = replace(config.views, pool=1)
     per_voxel = MOST_VOXELS
     while per_voxel >= 1:
         pixel = per_voxel * smoke.voxel_size

@@ -18,12 +18,12 @@ from usdsmoke.base.progress import ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.frame_state import Job, Link
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.stylize import make_job, open_frame
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.smoke.schedule import coarse_factor
 from usdsmoke.core.views.scene import Scene
 
 __all__ = [

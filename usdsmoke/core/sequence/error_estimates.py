@@ -107,7 +107,7 @@ def _views(link: Link, pool: int, seed: int, sampling: str | None = None) -> lis
     """A pool of views of the finished smoke."""
     views = link.config.views
     views = replace(views, pool=pool, sampling=sampling or views.sampling)
-    return frame_views(link.smoke, replace(link.config, views=views), link.scene, seed)
+    return frame_views(link.smoke, views, link.scene, seed)
 
 
 def _unseen_views(link: Link) -> float:

@@ -152,10 +152,15 @@ def _move(link: Link, free: Displacement, job: Job) -> None:
         link.report = replace(link.report, transport=TransportReport(cap))
         return
     link.density, transport = move_density(
-        link.density, link.source, link.displacement, link.config, share, link.sight is not None
+        link.density,
+        link.source,
+        link.displacement,
+        link.config,
+        share,
+        link.visibility is not None,
     )
     moved = activate(link.density, link.frame.density_to_stage, job.device)
-    link.smoke = moved if link.sight is None else link.sight.seen(moved)
+    link.smoke = moved if link.visibility is None else link.visibility.visible(moved)
     link.report = replace(link.report, transport=replace(transport, cap=cap))
 
 

@@ -14,9 +14,8 @@ from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.mask import EffectMask
 from usdsmoke.core.views.scene import Scene
-from usdsmoke.core.views.visibility import Sight
+from usdsmoke.core.views.visibility import EffectMask, Visibility
 
 __all__ = ["Job", "Link", "Watch"]
 
@@ -52,7 +51,7 @@ class Link:
 
     frame: VolumeFrame
     density: DenseField  # refined, then moved; all of it
-    source: ActiveSmoke  # what is worked on: the smoke in sight and a little around
+    source: ActiveSmoke  # what is worked on: the visible smoke and a little around
     smoke: ActiveSmoke  # what is painted: of the moved density, without what is around
     mask: EffectMask | None
     left_out: str  # why nothing is done; "" when there is something to do
@@ -60,7 +59,7 @@ class Link:
     config: Config  # the job's, with the frame's own controls
     scene: Scene  # likewise, with its camera
     targets: StyleTargets  # likewise
-    sight: Sight | None = None  # None: all of the smoke is worked on
+    visibility: Visibility | None = None  # None: all of the smoke is worked on
     rests: bool = False  # left out for its strength of 0: what comes after it starts anew
     report: FrameReport = field(default_factory=FrameReport)  # replaced as steps are done
     free: Displacement | None = None  # before it is held below the cap: what is carried along

@@ -38,7 +38,9 @@ LATTICE = 2  # voxels of a density's level along an axis of one voxel of its mot
 REACH, REACH_SHARE = 16, 0.25  # how far around the later box the earlier smoke is looked at
 # Coarse levels hold less detail to go by, and cost next to nothing.
 COARSE_SMOOTHNESS, COARSE_WARPS = 2.0, 2  # times more, at each level and at all of them
-FAINTEST = 1e-3  # share of the greatest density below which a voxel does not count for the scale
+LEAST_DENSITY_SHARE = (
+    1e-3  # share of the greatest density below which a voxel does not count for the scale
+)
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,9 @@ def _place_densities(
     peak = float(after.density.values.max())
     if before.density.is_empty or peak <= 0 or not before.density.values.any():
         return None
-    counted = after.density.values[after.density.values > FAINTEST * peak].astype(np.float64)
+    counted = after.density.values[after.density.values > LEAST_DENSITY_SHARE * peak].astype(
+        np.float64
+    )
     scale = peak * math.sqrt(np.mean((counted / peak) ** 2))
     smoke_after, smoke_before = (
         torch.from_numpy((frame.density.values / scale).astype(np.float32)).to(device)

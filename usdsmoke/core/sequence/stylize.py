@@ -13,20 +13,19 @@ from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress, ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import refine_field
+from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.core.sequence.error_estimates import frame_errors
 from usdsmoke.core.sequence.frame_loop import run_chain
 from usdsmoke.core.sequence.frame_state import Job, Link, Watch
 from usdsmoke.core.sequence.start import CoarseStart
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
-from usdsmoke.core.smoke.controls import frame_config
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import longest_move
 from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.mask import EffectMask, effect_mask
 from usdsmoke.core.views.scene import Scene, frame_scene
-from usdsmoke.core.views.visibility import Sight, sight_of
+from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, frame_visibility
 
 __all__ = ["StylizedFrame", "finished_frame", "make_job", "open_frame", "stylize_window"]
 
@@ -137,27 +136,27 @@ def open_frame(frame: VolumeFrame, job: Job) -> Link:
     config = frame_config(job.config, frame.controls, frame.time_code, job.targets.n_styles)
     density = refine_field(frame.density, job.config.grids.refine)
     source = activate(density, frame.density_to_stage, job.device)
-    reach = longest_move(source, job.config) if len(source.ijk) else 0.0
-    sight = sight_of(frame, source, reach, job.config)
-    mask = effect_mask(frame, sight)
+    longest = longest_move(source, job.config) if len(source.ijk) else 0.0
+    visibility = frame_visibility(frame, source, longest, job.config.views.camera_margin)
+    mask = effect_mask(frame, visibility)
     report = FrameReport(voxels=len(source.ijk))
-    if sight is not None:
-        n_outside = int((sight.at(source.positions) == 0).sum())
+    if visibility is not None:
+        n_outside = int((visibility.at(source.positions) == 0).sum())
         report = replace(report, voxels_outside_camera=n_outside)
     if mask is not None and mask.n_clamped:
         report = replace(report, warnings=(_clamped_text(frame, mask),))
-    left_out = _why_left_out(source, mask, sight, config)
+    left_out = _why_left_out(source, mask, visibility, config)
     report = replace(report, left_out=left_out)
     smoke, scene, targets = source, job.scene, job.targets
-    if sight is not None and not left_out:
-        source, smoke = sight.near(source), sight.seen(source)
+    if visibility is not None and not left_out:
+        source, smoke = visibility.padded(source), visibility.visible(source)
     if config is not job.config:
-        scene, targets = frame_scene(scene, config), targets.weighted(config.style)
+        scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
         report = replace(report, extinction=scene.gamma_w)
     scene = replace(scene, camera=frame.camera)
     return Link(
         frame, density, source, smoke, mask, left_out, job.starts(frame.time_code), config, scene,
-        targets, sight, report=report,
+        targets, visibility, report=report,
     )  # fmt: skip
 
 
@@ -176,15 +175,15 @@ def finished_frame(link: Link, job: Job) -> StylizedFrame:
 
 
 def _why_left_out(
-    source: ActiveSmoke, mask: EffectMask | None, sight: Sight | None, config: Config
+    source: ActiveSmoke, mask: EffectMask | None, visibility: Visibility | None, config: Config
 ) -> str:
     """Why there is nothing to do for a frame; "" when there may be, if its strength is not 0."""
     if len(source.ijk) == 0:
         return "empty frame"
-    if sight is not None and not bool(sight.at(source.positions).any()):
+    if visibility is not None and not bool(visibility.at(source.positions).any()):
         return "outside the camera's frustum"
     if mask is not None and not bool(mask.at(source.positions).any()):
-        where = "the camera sees smoke" if sight is not None else "there is smoke"
+        where = "the camera sees smoke" if visibility is not None else "there is smoke"
         return f"the mask is 0 wherever {where}"
     return "losses.style is 0" if config.losses.style == 0 else ""
 

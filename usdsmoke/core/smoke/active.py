@@ -20,7 +20,7 @@ __all__ = [
     "sample_colours",
 ]
 
-FAINTEST = 1e-35  # an extinction per density that makes less visible does not fit float32
+LEAST_DENSITY = 1e-35  # an extinction per density that makes less visible does not fit float32
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class ActiveSmoke:
 def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:
     """The voxels of a dense field that hold smoke.
 
-    Negative density counts as none, and so does what is fainter than ``FAINTEST``.
+    Negative density counts as none, and so does what is fainter than ``LEAST_DENSITY``.
 
     Args:
         density: [i j k].
         to_stage: [4 4], the field's grid world to stage space.
     """
-    chosen = np.argwhere(density.values > FAINTEST)
+    chosen = np.argwhere(density.values > LEAST_DENSITY)
     values = density.values[tuple(chosen.T)] if len(chosen) else np.zeros(0, np.float32)
     ijk = torch.from_numpy(chosen + np.asarray(density.ijk_min, np.int64)).to(device)
     matrix = np.asarray(density.index_to_world, float) @ np.asarray(to_stage, float)

@@ -1,10 +1,8 @@
-"""How many iterations each octave gets; no torch here, so that the plan can ask too."""
+"""How many iterations each octave gets; no torch here, because the plan uses it."""
 
 from collections.abc import Sequence
 
-from usdsmoke.base.config import Config
-
-__all__ = ["OCTAVE_SCALE", "coarse_factor", "octave_iterations", "warm_iterations"]
+__all__ = ["OCTAVE_SCALE", "octave_iterations", "warm_iterations"]
 
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
@@ -41,13 +39,3 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
     """
     finest = max((k for k, n in enumerate(per_octave) if n), default=None)
     return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]
-
-
-def coarse_factor(config: Config) -> int:
-    """How many times larger the voxels of the shared coarse step are; 1 when there is none.
-
-    Every step keeps one octave at least for the windows, and one that has no more shares none.
-    """
-    n_octaves = [len(getattr(config, step).iterations) for step in config.optimize.steps]
-    n_fine = max(min(n_octaves) - config.windows.shared_octaves, 1)
-    return OCTAVE_SCALE**n_fine if n_fine < min(n_octaves) else 1

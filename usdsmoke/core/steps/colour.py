@@ -23,10 +23,10 @@ from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
 from usdsmoke.core.style.picture_loss import Content, PictureLoss
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.cameras import View, draw_views
-from usdsmoke.core.views.mask import EffectMask
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import SparseImage, colour_map, column_map
 from usdsmoke.core.views.scene import Scene, frame_views
+from usdsmoke.core.views.visibility import EffectMask
 
 __all__ = ["ColourView", "initial_colours", "optimize_colours", "prepare_views", "run_colour_step"]
 
@@ -223,7 +223,7 @@ def _octave_views(
     factor: int,
 ) -> Sequence[ColourView]:
     """The pool of views of one octave, with their content pictures if a loss wants them."""
-    views = frame_views(octave, config, scene, seed, factor)
+    views = frame_views(octave, config.views, scene, seed, factor)
     made = prepare_views(octave, views, scene.gamma_w, scene.exposure, shown)
     judge = targets.at(factor)
     if not judge.wants_content:

@@ -16,12 +16,12 @@ from usdsmoke.core.fields.potential import Displacement, border_mask
 from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.views.mask import EffectMask
+from usdsmoke.core.views.visibility import EffectMask
 
-__all__ = ["ROOM", "effect_on", "move_density", "shares_on"]
+__all__ = ["PADDING", "effect_on", "move_density", "shares_on"]
 
-ROOM = 2  # empty voxels around the smoke, whose displacement ends at its border
-FAINTEST = 1e-6  # of the largest density
+PADDING = 2  # empty voxels around the smoke, whose displacement ends at its border
+LEAST_SHARE = 1e-6  # of the largest density: less is round-off
 
 
 def effect_on(density: Tensor, share: Tensor | None) -> Tensor:
@@ -52,7 +52,7 @@ def move_density(
 
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
-        displacement: on the box that ``lattice.surround(source, ROOM)`` gives.
+        displacement: on the box that ``lattice.surround(source, PADDING)`` gives.
         config: strength, scheme and correction of mass.
         share: the mask's values on that box; where it is 0 the source stays bit for bit.
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
@@ -66,7 +66,7 @@ def move_density(
     scheme = cast(Scheme, config.shape.interpolation)
     moved = warp(box, u, scheme=scheme).clamp_min(0)
     # round-off of the spline is no smoke: it would fill the box with active voxels
-    moved = torch.where(moved > FAINTEST * box.max(), moved, torch.zeros_like(moved))
+    moved = torch.where(moved > LEAST_SHARE * box.max(), moved, torch.zeros_like(moved))
     if config.shape.interpolation != "linear":
         active = torch.nonzero((box > 0) | (moved > 0))
         cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")

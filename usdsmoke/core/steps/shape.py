@@ -41,14 +41,14 @@ from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.steps.grey import GreyView, look_at
-from usdsmoke.core.steps.move import ROOM, effect_on, shares_on
+from usdsmoke.core.steps.move import PADDING, effect_on, shares_on
 from usdsmoke.core.steps.optimize import Minimum, minimize
 from usdsmoke.core.style.picture_loss import PictureLoss
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.cameras import draw_views
-from usdsmoke.core.views.mask import EffectMask
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, frame_views
+from usdsmoke.core.views.visibility import EffectMask
 
 __all__ = ["Start", "longest_move", "run_shape_step"]
 
@@ -74,7 +74,7 @@ class _Octave:
         start: Start | None,
         n_channels: int,
     ) -> None:
-        self.lattice = surround(smoke, ROOM)
+        self.lattice = surround(smoke, PADDING)
         self.density = self.lattice.fill(smoke)
         self._share = shares_on(self.lattice, mask, self.density)
         self.effect = effect_on(self.density, self._share)
@@ -96,7 +96,7 @@ class _Octave:
         self._behind = scene.grey_mean
         positions = self.lattice.positions(self.active)
         still = self.density[where]
-        views = frame_views(smoke, config, scene, seed, factor)
+        views = frame_views(smoke, config.views, scene, seed, factor)
 
         shown, behind = self._shown, self._behind  # not ``self``: a cycle would outlive the octave
 
@@ -200,7 +200,7 @@ def run_shape_step(
     if done is not None:  # the box at full resolution is there
         lattice, effect, base = done
     else:
-        lattice = surround(source, ROOM)
+        lattice = surround(source, PADDING)
         density = lattice.fill(source)
         effect = effect_on(density, shares_on(lattice, mask, density))
         base = None if start is None else start(lattice)

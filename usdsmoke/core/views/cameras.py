@@ -22,7 +22,7 @@ __all__ = [
     "view_rays",
 ]
 
-MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
+FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
 
 
@@ -93,7 +93,7 @@ def frame_points(view: View, points: np.ndarray, height: int | None, width: int 
     seen = np.asarray(points, float) @ np.stack([view.right, view.up, view.forward], axis=1)
     low, high = seen.min(axis=0), seen.max(axis=0)
     largest = float((high - low).max()) or 1.0
-    sides = np.maximum((high - low)[:2] * (1 + 2 * MARGIN), 1e-3 * largest)
+    sides = np.maximum((high - low)[:2] * (1 + 2 * FIT_MARGIN), 1e-3 * largest)
     if height is None and width is None:
         raise ShapeError("neither height nor width of a picture was given; wanted one at least")
     pixel_size = max(

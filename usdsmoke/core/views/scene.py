@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.config import OpticsConfig, ViewsConfig
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -28,10 +28,10 @@ __all__ = [
     "measure_scene",
 ]
 
-MARGIN = 2  # pixels around the smoke
-FAINTEST = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
-FEWEST = 16  # pixels along the smoke that a camera far away leaves: fewer hold no structure
-VISIBLE = 0.7  # opacity that the thick columns are exposed to where they have less
+PICTURE_MARGIN = 2  # pixels around the smoke
+LEAST_OPACITY = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
+LEAST_PIXELS = 16  # along the smoke that a camera far away leaves: fewer hold no structure
+EXPOSED_OPACITY = 0.7  # opacity that the thick columns are exposed to where they have less
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def _corners(smoke: ActiveSmoke) -> np.ndarray:
     return ijk @ smoke.index_to_stage[:3, :3] + smoke.index_to_stage[3, :3]
 
 
-def fit_view(view: View, smoke: ActiveSmoke, margin: int = MARGIN) -> View:
+def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
     """The same orthographic view, moved and sized so that its image just holds the smoke."""
     corners = _corners(smoke)
     across, up = (corners @ axis for axis in (view.right, view.up))
@@ -75,12 +75,12 @@ def fit_view(view: View, smoke: ActiveSmoke, margin: int = MARGIN) -> View:
     )  # fmt: skip
 
 
-def crop_view(view: View, smoke: ActiveSmoke, margin: int = MARGIN) -> View:
+def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
     """As ``fit_view``, around the voxels themselves: a cut leaves their box half empty."""
     axes = np.stack([view.right, view.up, view.forward])
     places = smoke.positions.cpu().numpy() @ axes.T
-    reach = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
-    low, high = places.min(0) - reach, places.max(0) + reach
+    half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
+    low, high = places.min(0) - half, places.max(0) + half
     width, height = (
         max(1, math.ceil(float(side) / view.pixel_size - 1e-6)) + 2 * margin
         for side in (high - low)[:2]
@@ -110,7 +110,7 @@ def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
 
 
 def frame_views(
-    smoke: ActiveSmoke, config: Config, scene: Scene, seed: int, factor: int = 1
+    smoke: ActiveSmoke, views: ViewsConfig, scene: Scene, seed: int, factor: int = 1
 ) -> list[View]:
     """The pool of views of one frame and octave, each just large enough for the smoke.
 
@@ -118,14 +118,14 @@ def frame_views(
 
     Args:
         smoke: decides the images' extent, and a single face-on view when it is one voxel thick.
-        config: ``views``; ranges of 0 leave one view, whatever the pool's size.
+        views: angles and their number; ranges of 0 leave one view, whatever the pool's size.
         factor: pixels are this many times the scene's.
     """
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
-    one = config.views.azimuth == 0 and config.views.elevation == 0
-    angles = sample_angles(config.views, 1 if one else config.views.pool, seed)
+    one = views.azimuth == 0 and views.elevation == 0
+    angles = sample_angles(views, 1 if one else views.pool, seed)
     if scene.camera is not None:
         target = _middle(smoke)
         return [
@@ -148,14 +148,14 @@ def _middle(smoke: ActiveSmoke) -> np.ndarray:
 
 def _middle_view(
     smoke: ActiveSmoke,
-    config: Config,
+    views: ViewsConfig,
     up_axis: str,
     pixel_size: float,
     camera: CameraSource | None = None,
 ) -> View:
     if smoke.thin_axis is not None:
         return face_view(smoke, up_axis, pixel_size)
-    azimuth, elevation = config.views.centre_azimuth, config.views.centre_elevation
+    azimuth, elevation = views.centre_azimuth, views.centre_elevation
     if camera is not None:
         view = camera_orbit(camera, azimuth, elevation, _middle(smoke), pixel_size)
     else:
@@ -170,7 +170,13 @@ def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
     return columns[columns > 1e-3 * columns.max()].numpy()
 
 
-def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -> Scene:
+def measure_scene(
+    frames: Sequence[VolumeFrame],
+    views: ViewsConfig,
+    optics: OpticsConfig,
+    up_axis: str,
+    refine: int = 1,
+) -> Scene:
     """Extinction and pixel size from a few frames of the shot; empty frames are passed over.
 
     An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
@@ -182,30 +188,32 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
+        views, optics: see above.
         up_axis: "Y" or "Z".
+        refine: subdivisions of the source's voxels along an axis.
 
     Returns:
         The scene; with nothing but empty frames, harmless values.
     """
     filled = _filled(frames)
     if not filled:
-        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, config.views.image_size)
+        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
-    longest = max(_longest_side(smoke, config, up_axis, camera) for smoke, camera in filled)
-    parts = [(visible_part(smoke, camera, config), camera) for smoke, camera in filled]
+    longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
+    parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
     seen = [(part, camera) for part, camera in parts if len(part.ijk)]
-    pixel_size = _pixel_size(longest, voxel, seen, config)
+    pixel_size = _pixel_size(longest, voxel, seen, views, refine)
     coarse = max(pixel_size, voxel)
     columns = [
-        _columns(smoke, _middle_view(smoke, config, up_axis, coarse, camera))
+        _columns(smoke, _middle_view(smoke, views, up_axis, coarse, camera))
         for smoke, camera in seen or filled
     ]
-    thick = float(np.median([np.percentile(c, config.optics.percentile) for c in columns]))
+    thick = float(np.median([np.percentile(c, optics.percentile) for c in columns]))
     gamma_w, gamma_w_shape = (
         per_voxel / voxel if per_voxel is not None else depth / thick
         for per_voxel, depth in (
-            (config.optics.gamma, config.optics.depth),
-            (config.optics.gamma_shape, config.optics.depth_shape),
+            (optics.gamma, optics.depth),
+            (optics.gamma_shape, optics.depth_shape),
         )
     )
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
@@ -226,25 +234,25 @@ def measure_scene(frames: Sequence[VolumeFrame], config: Config, up_axis: str) -
     )
 
 
-def frame_scene(scene: Scene, config: Config) -> Scene:
-    """The scene with the colour step's extinction and exposure that one frame's settings ask for.
+def frame_scene(scene: Scene, gamma: float | None) -> Scene:
+    """The scene with the colour step's extinction and exposure that one frame's gamma asks for.
 
-    gamma_w = ``optics.gamma`` / reference voxel size; the exposure follows from it and the *shot's*
+    gamma_w = gamma / reference voxel size; the exposure follows from it and the *shot's*
     thick columns, so it changes as smoothly as gamma does and not with the frame's smoke.
 
     Args:
         scene: measured; returned as it is where gamma is unset.
-        config: of the frame, see ``controls.frame_config``.
+        gamma: ``optics.gamma`` of the frame, per voxel.
     """
-    if config.optics.gamma is None:
+    if gamma is None:
         return scene
-    gamma_w = config.optics.gamma / scene.reference_voxel_size
+    gamma_w = gamma / scene.reference_voxel_size
     exposure = _exposure(gamma_w, scene.thick) if scene.thick > 0 else scene.exposure
     return replace(scene, gamma_w=gamma_w, exposure=exposure)
 
 
 def _exposure(gamma_w: float, thick: float) -> float:
-    return max(1.0, VISIBLE / max(-math.expm1(-gamma_w * thick), FAINTEST))
+    return max(1.0, EXPOSED_OPACITY / max(-math.expm1(-gamma_w * thick), LEAST_OPACITY))
 
 
 def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSource | None]]:
@@ -260,19 +268,20 @@ def _pixel_size(
     longest: float,
     voxel: float,
     seen: Sequence[tuple[ActiveSmoke, CameraSource | None]],
-    config: Config,
+    views: ViewsConfig,
+    refine: int,
 ) -> float:
     """Of the finest octave's pictures, stage units; ``seen`` is what each frame's camera sees."""
     # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
-    fine = voxel / config.grids.refine
-    finest = min((nearest_footprint(*pair, config) for pair in seen), default=0.0)
-    wanted = round(longest / config.views.image_size / fine)
-    resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / FEWEST / fine))
-    return fine * max(1, wanted, resolved)
+    fine = voxel / refine
+    finest = min((nearest_footprint(*pair, views.camera_width) for pair in seen), default=0.0)
+    asked = round(longest / views.image_size / fine)
+    resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / LEAST_PIXELS / fine))
+    return fine * max(1, asked, resolved)
 
 
 def _longest_side(
-    smoke: ActiveSmoke, config: Config, up_axis: str, camera: CameraSource | None
+    smoke: ActiveSmoke, views: ViewsConfig, up_axis: str, camera: CameraSource | None
 ) -> float:
-    view = _middle_view(smoke, config, up_axis, 1e-3 * smoke.voxel_size, camera)
+    view = _middle_view(smoke, views, up_axis, 1e-3 * smoke.voxel_size, camera)
     return max(view.height, view.width) * view.pixel_size

@@ -1,30 +1,37 @@
-"""The part of a frame's smoke that its camera sees: what is worked on at all."""
+"""Where the style takes effect: the part of the smoke that a camera sees, and the user's mask."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.frustum import Frustum, frustum_of, pixel_footprint
 
-__all__ = ["Sight", "nearest_footprint", "sight_of", "visible_part"]
+__all__ = [
+    "EffectMask",
+    "Visibility",
+    "effect_mask",
+    "frame_visibility",
+    "nearest_footprint",
+    "visible_part",
+]
 
-ROOM = 3  # voxels of still smoke around what is seen: splines and filters look that far
-STEEPEST = 1.125  # a share at the border's part t is at most this t
+VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines and filters read it
+STEEPEST_SHARE = 1.125  # a share at the border's part t is at most this t
 
 
-class Sight:
-    """A frustum and how far around it smoke is kept, so that what moves has something to fetch.
+class Visibility:
+    """A frustum, and how far around it smoke is kept so that moving smoke has a source.
 
     Args:
         frustum: of the frame's camera.
-        room: stage units around the frustum's border.
+        padding: stage units around the frustum's border.
     """
 
-    def __init__(self, frustum: Frustum, room: float) -> None:
-        self._frustum, self._room = frustum, room
+    def __init__(self, frustum: Frustum, padding: float) -> None:
+        self._frustum, self._padding = frustum, padding
 
     def at(self, positions: Tensor) -> Tensor:
         """The share of the effect at points, [N] float32: 1 in the picture, 0 beyond its border.
@@ -35,28 +42,30 @@ class Sight:
         shares = self._frustum.shares(positions.cpu().numpy())
         return torch.from_numpy(shares.astype(np.float32)).to(positions.device)
 
-    def seen(self, smoke: ActiveSmoke) -> ActiveSmoke:
-        """The smoke that the picture or its border shows: what is painted."""
+    def visible(self, smoke: ActiveSmoke) -> ActiveSmoke:
+        """The smoke in the picture or in its border: what is painted."""
         return smoke.take(self.at(smoke.positions) > 0)
 
-    def near(self, smoke: ActiveSmoke) -> ActiveSmoke:
-        """The smoke in sight and around it: what moves, and what may come after it."""
+    def padded(self, smoke: ActiveSmoke) -> ActiveSmoke:
+        """The visible smoke and the smoke around it: what moves, and what may follow it."""
         distances = self._frustum.distances(smoke.positions.cpu().numpy())
-        return smoke.take(torch.from_numpy(distances < self._room).to(smoke.ijk.device))
+        return smoke.take(torch.from_numpy(distances < self._padding).to(smoke.ijk.device))
 
 
-def sight_of(frame: VolumeFrame, smoke: ActiveSmoke, reach: float, config: Config) -> Sight | None:
+def frame_visibility(
+    frame: VolumeFrame, smoke: ActiveSmoke, max_displacement: float, margin: float
+) -> Visibility | None:
     """What a frame's camera sees of its smoke; None without a camera, or when it sees all.
 
     Args:
         frame: with or without a camera.
         smoke: its active voxels.
-        reach: how far smoke may be moved, stage units.
-        config: ``views.camera_margin``.
+        max_displacement: how far smoke may be moved, stage units.
+        margin: width of the picture's soft border, as a share of the film's width.
     """
     if frame.camera is None or len(smoke.ijk) == 0:
         return None
-    frustum = frustum_of(frame.camera, config.views.camera_margin)
+    frustum = frustum_of(frame.camera, margin)
     positions = smoke.positions.cpu().numpy()
     shares = frustum.shares(positions)
     if (shares == 1).all():
@@ -65,21 +74,77 @@ def sight_of(frame: VolumeFrame, smoke: ActiveSmoke, reach: float, config: Confi
     # displacement fades with the share: what fetches from beyond the border must start inside it
     nearest = float(frustum.depths(positions[shares > 0]).min()) if shares.any() else 0.0
     border = frustum.border * (1.0 if frustum.is_orthographic else nearest)
-    return Sight(frustum, ROOM * voxel + max(0.0, STEEPEST * reach - border))
+    beyond = max(0.0, STEEPEST_SHARE * max_displacement - border)
+    return Visibility(frustum, VISIBLE_PADDING * voxel + beyond)
 
 
-def visible_part(smoke: ActiveSmoke, camera: CameraSource | None, config: Config) -> ActiveSmoke:
+def visible_part(smoke: ActiveSmoke, camera: CameraSource | None, margin: float) -> ActiveSmoke:
     """The voxels that the camera's picture or its border shows; all of them without a camera."""
     if camera is None or len(smoke.ijk) == 0:
         return smoke
-    shares = frustum_of(camera, config.views.camera_margin).shares(smoke.positions.cpu().numpy())
+    shares = frustum_of(camera, margin).shares(smoke.positions.cpu().numpy())
     return smoke.take(torch.from_numpy(shares > 0).to(smoke.ijk.device))
 
 
-def nearest_footprint(visible: ActiveSmoke, camera: CameraSource | None, config: Config) -> float:
-    """What a pixel of the shot covers at the nearest visible smoke, stage units; 0 without any."""
+def nearest_footprint(visible: ActiveSmoke, camera: CameraSource | None, width: int) -> float:
+    """What a pixel of the shot covers at the nearest visible smoke, stage units; 0 without any.
+
+    Args:
+        width: pixels of the shot's pictures.
+    """
     if camera is None or len(visible.ijk) == 0:
         return 0.0
-    frustum = frustum_of(camera, config.views.camera_margin)
-    depth = float(frustum.depths(visible.positions.cpu().numpy()).min())
-    return pixel_footprint(camera, depth, config.views.camera_width)
+    depth = float(frustum_of(camera, 1.0).depths(visible.positions.cpu().numpy()).min())
+    return pixel_footprint(camera, depth, width)
+
+
+class EffectMask:
+    """The share of the effect, in [0, 1], anywhere in stage space: mask times visibility.
+
+    Args:
+        frame: its mask may have voxels, a box and a place of its own, and is clamped to [0, 1].
+        visibility: of the frame's camera; None: everything is visible.
+    """
+
+    def __init__(self, frame: VolumeFrame, visibility: Visibility | None = None) -> None:
+        mask, self._visibility, self._has_field = frame.mask, visibility, frame.mask is not None
+        #: voxels that were clamped
+        self.n_clamped = 0
+        if mask is None and visibility is not None:
+            return
+        if mask is None or frame.mask_to_stage is None:
+            raise ValueError("the frame has no mask")
+        self._outside = float(np.clip(np.ravel(mask.background)[0], 0, 1))
+        self._values = torch.from_numpy(np.clip(mask.values, 0, 1).astype(np.float32))
+        self._low = np.asarray(mask.ijk_min, float)
+        self._stage_to_index = np.linalg.inv(mask.index_to_world @ np.asarray(frame.mask_to_stage))
+        self.n_clamped = int(((mask.values < 0) | (mask.values > 1)).sum())
+
+    def at(self, positions: Tensor) -> Tensor:
+        """The share at points, [N] float32; trilinear, the background's beyond the field's box.
+
+        Args:
+            positions: [N 3] float64, stage space.
+        """
+        if self._visibility is None:
+            return self._field_at(positions)
+        visible = self._visibility.at(positions)
+        return visible * self._field_at(positions) if self._has_field else visible
+
+    def _field_at(self, positions: Tensor) -> Tensor:
+        if self._values.numel() == 0:
+            return torch.full((len(positions),), self._outside, device=positions.device)
+        matrix = torch.as_tensor(self._stage_to_index, device=positions.device)
+        low = torch.as_tensor(self._low, device=positions.device)
+        place = positions @ matrix[:3, :3] + matrix[3, :3] - low
+        # far away float32 has no fractions left, nor is there anything
+        limit = torch.as_tensor(self._values.shape, device=place.device) + 1.0
+        place = torch.minimum(place.clamp_min(-2.0), limit).float()
+        return sample_linear(self._values.to(place.device), place, self._outside).clamp(0, 1)
+
+
+def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> EffectMask | None:
+    """The frame's mask and visibility; None when the style takes effect everywhere."""
+    if frame.mask is None and visibility is None:
+        return None
+    return EffectMask(frame, visibility)

@@ -1,6 +1,6 @@
-"""Settings that change from frame to frame: the run's, with what one frame says of its own.
+"""The settings of each frame, which frames are computed, and the octaves that windows share.
 
-No torch here, so that the plan can ask too.
+No torch here, because the plan uses it.
 """
 
 from collections.abc import Sequence
@@ -9,8 +9,16 @@ from typing import Any
 from usdsmoke.base.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, VolumeSource
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
-__all__ = ["SETTINGS", "check_controls", "frame_config", "in_effect", "is_computed"]
+__all__ = [
+    "SETTINGS",
+    "check_controls",
+    "coarse_factor",
+    "frame_config",
+    "in_effect",
+    "is_computed",
+]
 
 SETTINGS = {  # of a frame's controls, as section and key
     "strength": ("optimize", "strength"),
@@ -89,3 +97,13 @@ def is_computed(effect: Sequence[bool]) -> list[bool]:
     """
     padded = [False, *effect, False]
     return [any(padded[n : n + 3]) for n in range(len(effect))]
+
+
+def coarse_factor(config: Config) -> int:
+    """How many times larger the voxels of the shared coarse step are; 1 when there is none.
+
+    Every step keeps one octave at least for the windows, and one that has no more shares none.
+    """
+    n_octaves = [len(getattr(config, step).iterations) for step in config.optimize.steps]
+    n_fine = max(min(n_octaves) - config.windows.shared_octaves, 1)
+    return OCTAVE_SCALE**n_fine if n_fine < min(n_octaves) else 1
