@@ -222,7 +222,6 @@ RUNS = {
             "views.count=2",
             "views.sampling=uniform",
             "style.tiling=2",
-            "optimize.carry_moments=true",
             QUICK,
         ),
     ),
@@ -232,7 +231,7 @@ RUNS = {
         (
             "stage.frames=2",
             "shape.displacement=mixed",
-            "shape.interpolation=maccormack",
+            "shape.interpolation=cubic",
             "colour.init=density",
             "optics.gamma=0.4",
             "views.sampling=fixed",

@@ -54,7 +54,7 @@ import os
 import numpy as np
 import torch
 from usdsmoke.core.views.project import colour_map
-from usdsmoke.core.fields.refine import refine_field
+from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.views.cameras import orbit_view
 from usdsmoke.base.memory import give_back_memory
 from usdsmoke.base.volume import DenseField
