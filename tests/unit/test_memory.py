@@ -18,7 +18,7 @@ from usdsmoke.runs import sheet as pipeline_pictures
 
 PIECES = """
 import os
-from usdsmoke import machine
+from usdsmoke.base import machine
 
 def resident() -> int:
     with open("/proc/self/statm") as stream:
@@ -56,7 +56,7 @@ import torch
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.views.cameras import orbit_view
-from usdsmoke.base.memory import give_back_memory
+from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import DenseField
 
 def status(name: str) -> int:

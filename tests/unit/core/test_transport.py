@@ -126,7 +126,7 @@ def test_rotation_of_a_box_that_is_no_cube_is_rigid():
     offset = voxel_positions(shape, values) - torch.tensor([24.0, 16.0, 0.0], dtype=torch.float64)
     turn = torch.stack([-offset[:, 1], offset[:, 0], torch.zeros_like(offset[:, 0])], dim=1)
     velocity = turn.reshape(*shape, 3) * (math.pi / 2)
-    found = advect(values, velocity, 1.0, "cubic")
+    found = advect(values, velocity, 1.0, "cubic", 400)
     torch.testing.assert_close(found, blob(shape, 24.0, 22.0, 0.0, sigma=2.0), rtol=0, atol=1e-4)
 
 

@@ -219,19 +219,11 @@ def measure_scene(
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
+    image_size = math.ceil(longest / pixel_size - 1e-6)
     return Scene(
-        gamma_w,
-        gamma_w_shape,
-        pixel_size,
-        up_axis,
-        voxel,
-        math.ceil(longest / pixel_size - 1e-6),
-        float(inside.mean()),
-        float(inside.std()),
-        exposure,
-        exposure_shape,
-        thick=thick,
-    )
+        gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
+        float(inside.mean()), float(inside.std()), exposure, exposure_shape, thick=thick,
+    )  # fmt: skip
 
 
 def frame_scene(scene: Scene, gamma: float | None) -> Scene:
