@@ -1,1 +1,9 @@
-"""Smoke as tensors: active voxels, noise, sRGB, device, and the octave schedule."""
+"""Smoke as tensors.
+
+- ``active``: the voxels that hold smoke, and the same smoke at half the resolution
+- ``device``: where the core computes, and what decides its bits
+- ``memory``: long tensors in chunks, lazy lists, sums whose graph is freed term by term
+- ``noise``: white noise as a function of voxel, channel and seed
+- ``schedule``: iterations of each octave; without torch
+- ``srgb``: colour spaces, and the style image at the scale of a picture
+"""

@@ -1,1 +1,12 @@
-"""Cameras and optics: projection, ray marching, visibility, the scene's extinction."""
+"""Optics and cameras.
+
+- ``optics``: emission and absorption along a ray
+- ``cameras``: orthographic and perspective views; numpy only
+- ``frustum``: what a shot's camera can see; numpy only
+- ``visibility``: the part of the smoke that a camera sees, and the user's mask
+- ``project``: voxels splatted on pixels, a sparse linear map
+- ``media``: fields as rays read them
+- ``march``: pictures by ray marching
+- ``scene``: what all frames share: extinction, exposure, pixel size
+- ``render``: splatted pictures for the contact sheet
+"""
