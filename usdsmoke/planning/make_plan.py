@@ -12,8 +12,7 @@ from usdsmoke.base.errors import PlanError
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, volume_stems
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
-from usdsmoke.core.smoke.controls import check_controls, in_effect, is_computed
-from usdsmoke.core.smoke.schedule import coarse_factor
+from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
 from usdsmoke.planning.estimate import Estimate, FrameSize, add_estimates, estimate_run, grid_size
 from usdsmoke.planning.frames import (
     find_density,

@@ -6,7 +6,7 @@ from usdsmoke.base.config import Config
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
-from usdsmoke.core.smoke.controls import SETTINGS, in_effect
+from usdsmoke.core.sequence.controls import SETTINGS, in_effect
 from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 from usdsmoke.planning.estimate import n_different_views
