@@ -22,7 +22,7 @@
         OutputExists
         WriteFailed
       ClusterError        a Dask cluster cannot be reached or used
-      MissingExtra        an optional package that a command needs is not installed
+      MissingPackage      a package that a command needs is not installed
       Interrupted         the user stopped the run
 
 A message says what, where, what was found against what was wanted, and what to do.
@@ -43,7 +43,7 @@ __all__ = [
     "ImageError",
     "Interrupted",
     "LayerError",
-    "MissingExtra",
+    "MissingPackage",
     "NonFiniteError",
     "OutputExists",
     "PlanError",
@@ -144,8 +144,8 @@ class ClusterError(UsdSmokeError):
     """A Dask cluster cannot be reached or used, or lost its workers."""
 
 
-class MissingExtra(UsdSmokeError):
-    """An optional package that a command needs is not installed; the message names the extra."""
+class MissingPackage(UsdSmokeError):
+    """A package that a command needs is not installed; the message says how to install it."""
 
 
 class Interrupted(UsdSmokeError):

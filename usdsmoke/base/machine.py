@@ -4,20 +4,26 @@ Nothing heavy is loaded here: not torch, not USD, not OpenVDB.
 """
 
 import ctypes
+import importlib.util
 import math
 import os
 import platform
 import shutil
+import sys
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.base.errors import MissingPackage
+
 __all__ = [
     "GIB",
     "available_memory_gib",
+    "check_packages",
     "free_disk_bytes",
     "give_back_memory",
+    "missing_package",
     "package_versions",
     "platform_name",
     "prepare_torch_environment",
@@ -27,6 +33,20 @@ __all__ = [
 GIB = 2**30
 
 _PACKAGES = ("usd-core", "torch", "numpy")
+_INSTALL = {  # module: what to do if it is missing
+    "numpy": "pip install numpy",
+    "yaml": "pip install pyyaml",
+    "pydantic": "pip install pydantic",
+    "rich": "pip install rich",
+    "pxr": "pip install usd-core",
+    "torch": "pip install torch",
+    "PIL": "pip install pillow",
+    "OpenEXR": "pip install OpenEXR",
+    "matplotlib": "pip install 'usdsmoke[report]'",
+    "jinja2": "pip install 'usdsmoke[report]'",
+    "distributed": "pip install 'usdsmoke[cluster]'",
+    "prov": "pip install 'usdsmoke[prov]'",
+}
 
 
 def usable_cpus() -> int:
@@ -109,3 +129,32 @@ def prepare_torch_environment() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     # Every size of picture leaves its convolutions in a cache, which grows with the shot.
     os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")
+
+
+def check_packages(*modules: str) -> None:
+    """Refuse to begin without the packages that the work needs later.
+
+    Args:
+        modules: names of modules; nothing is imported.
+
+    Raises:
+        MissingPackage: one is not installed.
+    """
+    for name in modules:
+        try:
+            found = name in sys.modules or importlib.util.find_spec(name) is not None
+        except ValueError:  # a module that was loaded without a spec
+            found = True
+        if not found or sys.modules.get(name, name) is None:
+            raise missing_package(name)
+
+
+def missing_package(name: str | None) -> MissingPackage:
+    """The error for a module that cannot be found.
+
+    Args:
+        name: of the module, as ``ModuleNotFoundError.name``.
+    """
+    top = (name or "a module").partition(".")[0]
+    advice = _INSTALL.get(top, f"pip install {top}")
+    return MissingPackage(f"the Python package {top} is not installed. Run: {advice}")

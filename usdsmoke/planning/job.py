@@ -22,6 +22,7 @@ from usdsmoke.base.given_settings import (
     settle_files,
     style_paths,
 )
+from usdsmoke.base.machine import check_packages
 from usdsmoke.base.naming import colour_names, run_record_files
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures.contact_sheet import sheet_files
@@ -41,6 +42,7 @@ from usdsmoke.usd.stage import (
     stage_file,
 )
 from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
+from usdsmoke.vdb.binding import check_bindings
 
 __all__ = ["Job", "Request", "describe_request", "prepare_job", "recorded_request"]
 
@@ -141,6 +143,9 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     Raises:
         UsdSmokeError: everything that can be wrong without a voxel being read.
     """
+    if fits:  # what the work itself loads, before the plan is made
+        check_packages("torch")
+        check_bindings()
     request = request.settled()
     config, explicit = read_settings(request.settings)
     output = settle_output(request.output)

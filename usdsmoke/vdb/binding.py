@@ -17,15 +17,30 @@ import numpy as np
 
 from usdsmoke.base.errors import BindingMissing
 
-__all__ = ["binding_version", "find_binding"]
+__all__ = ["binding_version", "check_bindings", "find_binding"]
 
 _MODULES = ("openvdb", "pyopenvdb")
 _INSTALL = (
-    "install Debian's or Ubuntu's python3-openvdb and link its pyopenvdb*.so into this "
-    "environment, or conda-forge's openvdb, or run inside Houdini or Blender"
+    "Install conda-forge's openvdb, or Debian's python3-openvdb and link its pyopenvdb*.so into "
+    "this environment, or run inside Houdini or Blender."
 )
 _TRIAL = "import numpy, {0}; {0}.FloatGrid().copyFromArray(numpy.ones((2, 2, 2), numpy.float32))"
 _TRIAL_LIMIT_S = 60.0
+
+
+def check_bindings() -> str:
+    """The name of OpenVDB's Python module, which is not imported.
+
+    Raises:
+        BindingMissing: neither ``openvdb`` nor ``pyopenvdb`` is installed.
+    """
+    for name in _MODULES:
+        if importlib.util.find_spec(name) is not None:
+            return name
+    raise BindingMissing(
+        f"the Python bindings of OpenVDB are not installed for {sys.executable} (neither "
+        f"{' nor '.join(_MODULES)}). {_INSTALL}"
+    )
 
 
 @functools.cache
@@ -36,21 +51,14 @@ def find_binding() -> ModuleType:
         BindingMissing: neither ``openvdb`` nor ``pyopenvdb`` is there, it does not load, or it was
             built for another NumPy.
     """
-    for name in _MODULES:
-        if importlib.util.find_spec(name) is not None:
-            break
-    else:
-        raise BindingMissing(
-            f"no OpenVDB bindings for {sys.executable}: found neither "
-            f"{' nor '.join(_MODULES)}; {_INSTALL}"
-        )
+    name = check_bindings()
     if int(np.__version__.partition(".")[0]) >= 2:
         _check_array(name)
     try:
         return importlib.import_module(name)
     except Exception as error:  # whatever a broken extension raises while it loads
         raise BindingMissing(
-            f"the OpenVDB bindings {name} do not load: {type(error).__name__}: {error}; {_INSTALL}"
+            f"the OpenVDB bindings {name} do not load ({type(error).__name__}: {error}). {_INSTALL}"
         ) from error
 
 
@@ -82,5 +90,5 @@ def _check_array(name: str) -> None:
     if not fits:
         raise BindingMissing(
             f"the OpenVDB bindings {name} were built for NumPy 1, and this is NumPy "
-            f'{np.__version__}; install NumPy 1: python -m pip install "numpy<2"'
+            f'{np.__version__}. Run: python -m pip install "numpy<2"'
         )

@@ -4,30 +4,14 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from usdsmoke.base.errors import MissingExtra
 from usdsmoke.work_precision.records import Point, Spread, SweepResult
 
-__all__ = ["check_matplotlib", "draw_sweep"]
+__all__ = ["draw_sweep"]
 
 _COLOURS = ("#0b6e99", "#c8501e", "#3a7d2c", "#8a4fa3", "#a07900", "#5b5b5b")
 _MARKERS = "osD^vP"
 _LEAST_SPAN = 1.3  # of an axis, end by beginning
 _INCHES, _DPI = (9.2, 4.4), 105
-
-
-def check_matplotlib() -> None:
-    """Refuse early where diagrams cannot be drawn.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-    """
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise MissingExtra(
-            "the report needs matplotlib, which is not installed. Run: pip install "
-            "'usdsmoke[report]'"
-        ) from None
 
 
 def draw_sweep(result: SweepResult) -> bytes:
@@ -36,10 +20,7 @@ def draw_sweep(result: SweepResult) -> bytes:
     Medians are joined along each curve; bars reach from the smallest to the largest run. The
     configured point has a ring. Errors of 0 stand beyond a line at the left, where the axis says 0.
 
-    Raises:
-        MissingExtra: matplotlib is not installed.
     """
-    check_matplotlib()
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")

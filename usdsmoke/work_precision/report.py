@@ -16,14 +16,14 @@ from typing import Any
 from usdsmoke import __version__
 from usdsmoke.base.errors import Interrupted, OutputExists, WriteFailed
 from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
-from usdsmoke.base.machine import package_versions, prepare_torch_environment
+from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
 from usdsmoke.usd.stage.opening import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
-from usdsmoke.work_precision.diagrams import check_matplotlib, draw_sweep
+from usdsmoke.work_precision.diagrams import draw_sweep
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
 from usdsmoke.work_precision.files import FILES
 from usdsmoke.work_precision.networks import NETWORK, check_network
@@ -81,7 +81,7 @@ def make_report(
         sweeps: the most useful first.
 
     Raises:
-        MissingExtra: matplotlib is not installed.
+        MissingPackage: matplotlib is not installed.
         UsdSmokeError: the scene cannot be used; nothing is written then.
         WriteFailed, OutputExists: the report cannot be written there.
         FeatureError: a named VGG-19 file cannot be read.
@@ -90,7 +90,7 @@ def make_report(
     Everything but the last is raised before the first measurement.
     """
     # What can be refused is refused first.
-    check_matplotlib()
+    check_packages("matplotlib", "jinja2")
     prepare_torch_environment()
     tell = progress or (lambda sweep, point, share: None)
     target = Path(output).absolute()

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
+from usdsmoke.base.machine import missing_package
 from usdsmoke.ui.cli.arguments import build_parser
 from usdsmoke.ui.cli.look_commands import run_inspect, run_plugin_path, run_settings, run_validate
 from usdsmoke.ui.cli.preview_command import run_preview
@@ -60,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = build_parser()
     arguments = parser.parse_args(argv)
     if name := empty_path(arguments):
-        parser.error(f"{name} is an empty text; wanted a path")
+        parser.error(f"{name} is empty. Give a path.")
     try:
         with _signals_as_exceptions() as seen:
             code = _run(_COMMANDS[arguments.command], arguments, seen)
@@ -84,6 +85,10 @@ def _run(
         _report(error, arguments)
         stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
         return 128 + (seen[-1] if seen else signal.SIGINT) if stopped else 1
+    except ModuleNotFoundError as error:
+        is_ours = (error.name or "").startswith("usdsmoke")
+        _report(error if is_ours else missing_package(error.name), arguments)
+        return 1
     except Exception as error:
         _report(error, arguments)
         return 1
@@ -116,11 +121,11 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
         traceback.print_exception(error)
     kind, message = type(error).__name__, str(error)
     if isinstance(error, KeyboardInterrupt):
-        kind, message = Interrupted.__name__, "stopped; nothing was left behind"
+        kind, message = Interrupted.__name__, "stopped; nothing is left behind"
     elif isinstance(error, MemoryError):
-        message = "out of memory; lower views.pool, views.image_size or grids.refine"
+        message = "out of memory. Lower views.pool, views.image_size or grids.refine."
     elif not isinstance(error, UsdSmokeError):
-        message = f"unexpected {kind}: {message}; --verbose shows where. Please report this"
+        message = f"unexpected {kind}: {message}. Run with --verbose to see where, and report it."
     print(f"usdsmoke: {message}", file=sys.stderr)
     if arguments.json:
         print_json({"error": {"type": kind, "message": message}})
