@@ -68,7 +68,7 @@ def test_missing_bindings_say_what_to_install(only) -> None:
 
 def test_bindings_that_do_not_load_say_why(only) -> None:
     only(openvdb="raise ImportError('libtbb.so.12: cannot open shared object file')")
-    with pytest.raises(BindingMissing, match=r"openvdb do not load: ImportError: libtbb\.so\.12"):
+    with pytest.raises(BindingMissing, match=r"openvdb .*ImportError: libtbb\.so\.12"):
         find_binding()
 
 
@@ -76,7 +76,7 @@ def test_build_for_numpy_1_is_kept_away_from_numpy_2(only, monkeypatch: pytest.M
     """Such a build imports well and ends the process at the first array, as this stand-in does."""
     only(pyopenvdb=MISFIT)
     monkeypatch.setattr(np, "__version__", "2.3.1")
-    with pytest.raises(BindingMissing, match=r'NumPy 2\.3\.1; .*pip install "numpy<2"'):
+    with pytest.raises(BindingMissing, match=r'NumPy 2\.3\.1.*pip install "numpy<2"'):
         find_binding()
     assert "pyopenvdb" not in sys.modules
 
