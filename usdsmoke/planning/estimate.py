@@ -56,7 +56,7 @@ VIEW_BYTES = 40  # four pixels and weights
 PIXEL_BYTES = 12_000  # feature maps and what is kept of them for the gradient
 
 START = 3.0  # loading torch, learning the filters
-FRAME = 1.0  # starting the processes that read, write and re-open the files
+FRAME = 0.15  # reading, writing and re-opening the files, however small
 FILE_TIME = 2.0e-6
 ITERATION = 0.006
 PIXEL_TIME = 5.0e-6
