@@ -16,8 +16,8 @@ from usdsmoke.base.errors import OutputExists, PlanError
 from usdsmoke.pipeline import Request
 from usdsmoke.planning import frame_reader as pipeline_frames
 from usdsmoke.planning import make_plan as plan_module
-from usdsmoke.runs import description as pipeline_description
-from usdsmoke.runs import folder as folder_module
+from usdsmoke.runs import identity as identity_module
+from usdsmoke.runs import run as run_module
 from usdsmoke.ui.cli.main import main
 
 
@@ -37,8 +37,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         monkeypatch.setattr(module, name, counted)
 
-    count(pipeline_description, "hash_file", "input")
-    count(folder_module, "hash_file", "ours")
+    count(identity_module, "hash_file", "input")
+    count(run_module, "hash_file", "ours")
     count(pipeline_frames, "read_frame", "voxels")
     return counts
 
@@ -120,7 +120,7 @@ def test_beside_a_result_the_refusal_names_what_has_changed(
     make(farm)
     assert main(farm.arguments(*OPTIONS, *way, *more)) == 1
     said = " ".join(capsys.readouterr().err.split())
-    assert re.search(rf"result of other settings or inputs .*out: {wanted}; ", said), said
+    assert re.search(rf"result of other settings or inputs .*out: {wanted}\. ", said), said
     assert said.count(" was ") == 1 and "--force" in said
 
 

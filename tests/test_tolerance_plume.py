@@ -17,7 +17,7 @@ from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.runs.budget import choose_settings
-from usdsmoke.runs.folder import find_runs
+from usdsmoke.runs.run import find_runs
 from usdsmoke.runs.tolerance import choice_notes
 
 SETTINGS = (

@@ -1,34 +1,23 @@
 """The table of contents: a stage is planned, stylized window by window, and assembled."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
-from usdsmoke.base.errors import Interrupted, LayerError
 from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
-from usdsmoke.base.locks import lock_output
 from usdsmoke.base.machine import prepare_torch_environment
-from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, Request, prepare_job, recorded_request
+from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.output_folder import settle_output
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.assemble import StylizeResult, assemble_run, summarize_result
-from usdsmoke.runs.begin import (
-    begin_run,
-    how_far,
-    joined_run,
-    open_or_redo,
-    settle_scenes,
-    tidy_end,
-)
+from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
-from usdsmoke.runs.coarse import run_coarse_step
-from usdsmoke.runs.disk import check_room
-from usdsmoke.runs.finished import StepResult, check_same, is_whole, run_to_assemble
+from usdsmoke.runs.coarse import run_coarse_step, settle_scenes
 from usdsmoke.runs.machine import machine_of, processor_note
-from usdsmoke.runs.manifests import finished_window, manifest_path
-from usdsmoke.runs.progress import WAITING, RunProgress, RunProgressCallback
+from usdsmoke.runs.opened import OpenRun
+from usdsmoke.runs.opening import join_run, open_run, open_run_to_assemble
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
-from usdsmoke.runs.window import check_frames, list_tasks, pick_task, stylize_windows
-from usdsmoke.usd.look import published_runs
+from usdsmoke.runs.window import check_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
 
 __all__ = [
@@ -43,6 +32,17 @@ __all__ = [
 ]
 
 _Planned = Callable[[Plan], None]
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What a part of a run left behind: one window, or the coarse step."""
+
+    folder: Path  # of the run
+    manifest: Path  # what was written, for machines; a run without a coarse step has none
+    was_done: bool  # nothing was left to do
+    plan: Plan
+    warnings: tuple[str, ...] = ()
 
 
 def plan(request: Request, fits: bool = True) -> Plan:
@@ -96,23 +96,24 @@ def stylize(
     """
     clock, tell = PartClock(), progress or _tell_nobody
     request = Request(stage, style, output, settings, force)
-    job = clock.timed("preparing", _prepare, request, planned)
-    with lock_output(job.output) as lock:
-        job, run, redone = open_or_redo(job)
-        to_do = [
-            task
-            for task in list_tasks(job.plan)
-            if task.window.index in redone or finished_window(run, task.window.index) is None
-        ]
-        with tidy_end(run, lock, lambda: how_far(run, job.plan)):
-            check_room(job, run, to_do, whole=True)
-            reader = FrameReader(job.plan)
-            hashes = clock.timed("reading", check_frames, reader, to_do, tell)
-            begin_run(job, run)
-            settle_scenes(job, run, reader)
-            clock.timed(ELSEWHERE, run_coarse_step, job, run, reader, tell)
-            clock.timed(ELSEWHERE, stylize_windows, job, run, reader, to_do, hashes, tell, True)
-            return assemble_run(job, run, reader, tell, clock)
+    # Plan: the stage and the headers of VDB files; refusals come with numbers.
+    with clock.part("preparing"):
+        job = _prepare(request, planned)
+    # The run: begun, continued, repeated in part, or refused.
+    with open_run(job) as opened:
+        to_do = opened.unfinished
+        opened.check_disk(to_do, whole=True)
+        # Damage and NaN show before an hour of work.
+        with clock.part("reading"):
+            hashes = check_frames(opened, to_do, tell)
+        opened.begin()
+        # What all windows share, then the windows; these keep their own time.
+        settle_scenes(opened)
+        with clock.part(ELSEWHERE):
+            run_coarse_step(opened, tell)
+            stylize_windows(opened, to_do, hashes, tell, again=True)
+        # Frames of two windows are blended, and the look layer is written last.
+        return assemble_run(opened, tell, clock)
 
 
 def run_coarse(
@@ -134,17 +135,14 @@ def run_coarse(
         Interrupted: by Ctrl-C.
     """
     job, tell = _prepare(request, planned), progress or _tell_nobody
-    with joined_run(job, tell) as (job, run, lock):
-        with tidy_end(run, lock, lambda: "stopped in the coarse step; run the command again"):
-            check_room(job, run, ())
-            reader = FrameReader(job.plan)
-            had_scenes = bool(run.scenes)
-            if not had_scenes:
-                check_frames(reader, list_tasks(job.plan), tell)
-                settle_scenes(job, run, reader)
-            was_done = not run_coarse_step(job, run, reader, tell) and had_scenes
-            notes = () if was_done else processor_note(run, machine_of(job).processor)
-    return StepResult(run.folder, run.folder / "coarse.json", was_done, job.plan, notes)
+    with join_run(job, tell) as opened:
+        opened.check_disk(())
+        had_scenes = bool(opened.run.scenes)
+        if not had_scenes:
+            check_frames(opened, opened.plan.tasks, tell)
+            settle_scenes(opened)
+        was_done = not run_coarse_step(opened, tell) and had_scenes
+    return _step_result(opened, None, was_done)
 
 
 def run_window(
@@ -175,21 +173,16 @@ def run_window(
         Interrupted: by Ctrl-C.
     """
     job, tell = _prepare(request, planned), progress or _tell_nobody
-    task = pick_task(job.plan, window)
-    with joined_run(job, tell, task) as (job, run, lock):
-        manifest = manifest_path(run, window)
-        if not again and finished_window(run, window) is not None:
-            return StepResult(run.folder, manifest, True, job.plan)
-        with tidy_end(run, lock, lambda: f"stopped in window {window}; run the command again"):
-            reader = FrameReader(job.plan)
-            task = pick_task(job.plan, window)  # with what the run has settled
-            check_room(job, run, [task])
-            hashes = check_frames(reader, [task], tell)
-            settle_scenes(job, run, reader)
-            run_coarse_step(job, run, reader, tell, task.frames)
-            stylize_windows(job, run, reader, [task], hashes, tell, again)
-            notes = processor_note(run, machine_of(job).processor)
-    return StepResult(run.folder, manifest, False, job.plan, notes)
+    with join_run(job, tell, job.plan.task(window)) as opened:
+        was_done = opened.run.window(window) is not None and not again
+        if not was_done:
+            task = opened.plan.task(window)
+            opened.check_disk([task])
+            hashes = check_frames(opened, [task], tell)
+            settle_scenes(opened)
+            run_coarse_step(opened, tell, task.frames)
+            stylize_windows(opened, [task], hashes, tell, again)
+    return _step_result(opened, window, was_done)
 
 
 def assemble(
@@ -217,24 +210,18 @@ def assemble(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    output, clock = settle_output(output), PartClock()
-    if not output.is_dir():
-        raise LayerError(f"there is no folder {output}; give the one that windows were written to")
-    tell = progress or _tell_nobody
-    with lock_output(output, waits=lambda: tell(WAITING)):
-        run = run_to_assemble(output, look)
-        job = prepare_job(recorded_request(output, run.request, mode), fits=False)
-        check_same(run, job)
-        if (
-            run.complete
-            and run.run_id in published_runs(job.targets.look_layer)
-            and is_whole(run, job)
-        ):
-            return summarize_result(job, run)
-        try:
-            return assemble_run(job, run, FrameReader(job.plan), tell, clock)
-        except KeyboardInterrupt:
-            raise Interrupted("stopped; run the same command again to continue") from None
+    clock, tell = PartClock(), progress or _tell_nobody
+    with open_run_to_assemble(settle_output(output), look, mode, tell) as opened:
+        if is_whole(opened):
+            return summarize_result(opened)
+        return assemble_run(opened, tell, clock)
+
+
+def _step_result(opened: OpenRun, window: int | None, was_done: bool) -> StepResult:
+    """A finished piece, with a note where this processor differs from the run's."""
+    run = opened.run
+    notes = () if was_done else processor_note(run, machine_of(opened.job).processor)
+    return StepResult(run.folder, run.manifest_path(window), was_done, opened.plan, notes)
 
 
 def _prepare(request: Request, planned: _Planned | None) -> Job:

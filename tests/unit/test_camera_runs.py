@@ -16,7 +16,7 @@ from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.description import describe_run
+from usdsmoke.runs.identity import describe_run
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
 

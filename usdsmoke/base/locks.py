@@ -1,8 +1,8 @@
-"""Who may write where: one process alone in an output folder, or several on its windows.
+"""Who may write where: one process alone in an output folder, or several on pieces of a run.
 
-Locks belong to open files: the system lets go of them when a process ends, however rudely. Where a
-file system knows no locks nothing is held; files are still published whole, and equal work gives
-equal bits, so that only time is lost.
+Locks are ``flock`` on open files: the system releases them when a process ends, however rudely. On
+a file system without them nothing is held. Files are still published whole, and equal work gives
+equal bits, so only time is lost.
 """
 
 import os
@@ -41,9 +41,9 @@ class OutputLock:
     def is_alone(self) -> bool:
         """Whether no other process is at work in the folder; then none can begin any more.
 
-        To be asked when the work is over: a lock that was shared may be lost by asking.
+        Ask when the work is over: a shared lock may be lost by asking.
         """
-        self._alone = self._alone or _take(self._handle, alone=True)
+        self._alone = self._alone or _take(self._handle, alone=True) is not False
         return self._alone
 
 
@@ -55,7 +55,7 @@ def lock_output(
 
     Args:
         output: the folder.
-        alone: keep every other process out; otherwise those that do not want it alone may enter.
+        alone: keep every other process out; otherwise others that share it may enter.
         waits: for a process that waits some minutes for others; called once when it begins to.
 
     Raises:
@@ -78,24 +78,21 @@ def hold_file(lock_path: Path) -> Iterator[None]:
     """Wait until no other process holds a lock file, and hold it.
 
     Args:
-        lock_path: made if missing, in a folder that exists; it stays.
+        lock_path: made if missing, with its folder; it stays.
 
     Raises:
         WriteFailed: the file cannot be made.
     """
+    make_folders(lock_path.parent)
     try:
         handle = os.open(lock_path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise WriteFailed(
-            f"cannot make the lock file {lock_path}: {error.strerror or error}; "
-            "choose an output folder that may be written to"
+            f"cannot make the lock file {lock_path}: {error.strerror or error}. "
+            "Choose an output folder that may be written to."
         ) from None
     try:
-        if "fcntl" in sys.modules:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            except OSError:
-                pass  # a file system without locks
+        _take(handle, alone=True, waits=True)
         yield
     finally:
         os.close(handle)
@@ -106,23 +103,23 @@ def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) 
     patience = _LONG_PATIENCE if waits is not None else 0.0 if alone else _PATIENCE
     began, told = time.monotonic(), False
     while True:
-        make_folders(output)  # one that ends may have removed it, as it left it empty
+        make_folders(output)  # another process that ends may have removed it as empty
         try:
             handle = os.open(output, os.O_RDONLY)
         except FileNotFoundError:
             continue  # it was removed this very moment
         except OSError as error:
             raise WriteFailed(
-                f"cannot open the folder {output}: {error.strerror or error}; change its "
-                "permissions (read, write and search), or choose another output folder"
+                f"cannot open the folder {output}: {error.strerror or error}. Change its "
+                "permissions (read, write and search), or choose another output folder."
             ) from None
-        if _take(handle, alone) and _is_same(handle, output):
+        if _take(handle, alone) is not False and _is_same(handle, output):
             return handle
         os.close(handle)
         waited = time.monotonic() - began
         if waited >= patience:
             raise OutputExists(
-                f"another usdsmoke is writing to {output}; wait for it or choose another folder"
+                f"another usdsmoke is writing to {output}. Wait for it, or choose another folder."
             )
         if waits is not None and waited >= _PATIENCE and not told:
             waits()
@@ -137,14 +134,15 @@ def _is_same(handle: int, output: Path) -> bool:
         return False
 
 
-def _take(handle: int, alone: bool) -> bool:
-    """Whether the lock was to be had, without waiting."""
+def _take(handle: int, alone: bool, waits: bool = False) -> bool | None:
+    """Whether the lock was to be had; None where there are no locks."""
     if "fcntl" not in sys.modules:
-        return True
+        return None
+    kind = fcntl.LOCK_EX if alone else fcntl.LOCK_SH
     try:
-        fcntl.flock(handle, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        fcntl.flock(handle, kind if waits else kind | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
-        return True  # a file system without locks
+        return None  # a file system without locks
     return True

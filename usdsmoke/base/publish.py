@@ -2,24 +2,23 @@
 
 The file is written under a hidden temporary name in the folder of the target, synced to the disk,
 checked, renamed over the target, and the folder is synced. Whatever happens before the rename, the
-target keeps what it had; a process that is killed leaves a temporary behind, which
-``remove_leftovers`` clears away when its process is gone.
+target keeps what it had. A process that is killed leaves a temporary behind: a process that is
+alone in the folder removes it with ``remove_leftovers``, any other one after a day.
 """
 
 import errno
 import os
 import re
-import socket
+import secrets
 import time
-import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from usdsmoke.base.errors import WriteFailed
 
 __all__ = ["make_folders", "publish_file", "publish_new", "remove_empty", "remove_leftovers"]
 
-_LEFTOVER = re.compile(r"\..+\.tmp-([0-9a-f]{8})-(\d+)(\.[^.]*)?")
+_LEFTOVER = re.compile(r"\.(.+)\.tmp-[0-9a-f]{8}(\.[^.]*)?")
 
 _ADVICE = {
     errno.ENOSPC: "free some space or choose another output folder",
@@ -34,11 +33,7 @@ _ADVICE = {
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 
-# What tells a machine from others, beside its name: containers may share that, and number their
-# processes by themselves.
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
-_PROCESS_SPACE = Path("/proc/self/ns/pid")
-_STALE_S = 24 * 3600.0  # after which a temporary of somewhere else is nobody's any more
+_STALE_S = 24 * 3600.0  # after which a temporary is abandoned: far longer than any writing takes
 
 # Answers of file systems that cannot sync a folder; the rename itself has succeeded by then.
 _FOLDER_SYNC_UNSUPPORTED = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
@@ -140,63 +135,35 @@ def remove_empty(folders: Sequence[Path]) -> None:
             continue  # not empty, or never made
 
 
-def remove_leftovers(folder: Path) -> list[Path]:
-    """Remove the temporaries of processes that are no longer running.
-
-    Whether a process of another machine or container lives cannot be known here: its temporaries
-    are left alone for a day, far longer than anything takes to be written.
+def remove_leftovers(folder: Path, alone: bool = False, of: Collection[str] = ()) -> None:
+    """Remove the temporaries that killed processes have left.
 
     Args:
         folder: the folder to look in, not below it; a folder that does not exist has none.
-
-    Returns:
-        What was removed, sorted.
+        alone: whether no other process can be writing there. Otherwise only temporaries older
+            than a day are removed, because their process may still be running.
+        of: file names that nobody else writes: their temporaries are removed in any case.
     """
-    removed = []
+    stems = {Path(name).stem for name in of}
     try:
-        names = sorted(os.listdir(folder))
+        found = [match for name in os.listdir(folder) if (match := _LEFTOVER.fullmatch(name))]
     except OSError:
-        return []
-    for name in names:
-        match = _LEFTOVER.fullmatch(name)
-        leftover = Path(folder) / name
-        if match and _is_abandoned(leftover, match[1], int(match[2])) and _remove_quietly(leftover):
-            removed.append(leftover)
-    return removed
+        return
+    for match in found:
+        leftover = Path(folder) / match[0]
+        if alone or match[1] in stems or _is_stale(leftover):
+            _remove_quietly(leftover)
 
 
 def _temporary_path(target: Path) -> Path:
-    mark = f"tmp-{_host_mark()}-{os.getpid()}"
-    return target.with_name(f".{target.stem}.{mark}{target.suffix}")
+    return target.with_name(f".{target.stem}.tmp-{secrets.token_hex(4)}{target.suffix}")
 
 
-def _host_mark() -> str:
-    """Eight hexadecimal digits for the space in which process ids mean something: this machine
-    since it was started, or a container on it."""
-    try:
-        boot, space = _BOOT.read_text(encoding="utf-8"), _PROCESS_SPACE.stat().st_ino
-    except OSError:  # not Linux
-        boot, space = "", 0
-    return f"{zlib.crc32(f'{socket.gethostname()} {space} {boot}'.encode()):08x}"
-
-
-def _is_abandoned(leftover: Path, mark: str, process_id: int) -> bool:
-    if mark == _host_mark():
-        return not _is_running(process_id)
+def _is_stale(leftover: Path) -> bool:
     try:
         return time.time() - leftover.stat().st_mtime > _STALE_S
     except OSError:
         return False  # gone meanwhile
-
-
-def _is_running(process_id: int) -> bool:
-    try:
-        os.kill(process_id, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        return True  # it lives, and belongs to somebody else
-    return True
 
 
 def _sync(file_path: Path) -> None:
@@ -215,12 +182,11 @@ def _sync_folder(folder: Path) -> None:
             raise
 
 
-def _remove_quietly(file_path: Path) -> bool:
+def _remove_quietly(file_path: Path) -> None:
     try:
         file_path.unlink()
     except OSError:
-        return False  # never made, renamed already, or not ours to remove
-    return True
+        return  # never made, renamed already, or not ours to remove
 
 
 def _refusal(target: Path, error: OSError) -> str:

@@ -31,8 +31,8 @@ from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.pipeline import Request, StylizeResult, assemble, plan, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.begin import frames_again
 from usdsmoke.runs.machine import settle_threads
+from usdsmoke.runs.opening import frames_again
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
 if TYPE_CHECKING:

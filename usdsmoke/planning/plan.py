@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.config import Config
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.planning.estimate import Estimate, FrameSize
 from usdsmoke.planning.frames import MaskSource, VelocitySource
 from usdsmoke.planning.windows import Window
 from usdsmoke.vdb.header import GridHeader
 
-__all__ = ["FramePlan", "Omission", "Plan", "VolumePlan"]
+__all__ = ["FramePlan", "Omission", "Plan", "VolumePlan", "WindowTask"]
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,25 @@ class VolumePlan:
 
 
 @dataclass(frozen=True)
+class WindowTask:
+    """One window with the frames that it computes."""
+
+    window: Window
+    volume_number: int
+    volume: VolumePlan
+    frames: tuple[FramePlan, ...]  # its own, then those beyond
+
+    @property
+    def number(self) -> int:
+        """The window's, from 0 over all Volumes."""
+        return self.window.index
+
+    def is_part(self, frame: FramePlan) -> bool:
+        """Whether another window computes the frame too, and both versions are blended."""
+        return any(frame is other for other in self.volume.twice_frames)
+
+
+@dataclass(frozen=True)
 class Plan:
     """Everything that was decided before the run."""
 
@@ -83,6 +103,32 @@ class Plan:
     def n_frames(self) -> int:
         """Of all Volumes."""
         return sum(len(volume.frames) for volume in self.volumes)
+
+    @property
+    def tasks(self) -> list[WindowTask]:
+        """The windows of all Volumes, in the order of their numbers."""
+        tasks = []
+        for number, volume in enumerate(self.volumes):
+            frames = {frame.source.time_code: frame for frame in volume.frames}
+            for window in volume.windows:
+                members = tuple(frames[code] for code in (*window.time_codes, *window.beyond))
+                tasks.append(WindowTask(window, number, volume, members))
+        return tasks
+
+    def task(self, window: int) -> WindowTask:
+        """The window of this number.
+
+        Raises:
+            ConfigError: there is none; the message says how many there are.
+        """
+        tasks = self.tasks
+        if not 0 <= window < len(tasks):
+            count = f"{len(tasks)} window{'' if len(tasks) == 1 else 's'}"
+            raise ConfigError(
+                f"there is no window {window}: the plan has {count}, counted from 0 to "
+                f"{len(tasks) - 1}. See 'windows' in the plan (--dry-run --json)."
+            )
+        return tasks[window]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON: volumes, frames, windows, needed, omitted, estimate."""

@@ -12,36 +12,29 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import DenseField
-from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job, describe_request
+from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
-from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata, make_provenance
 from usdsmoke.runs.machine import processor_warnings
-from usdsmoke.runs.manifests import (
-    WindowRecord,
-    finished_coarse,
-    finished_window,
-    part_file_name,
-    remove_locks,
-)
+from usdsmoke.runs.manifests import WindowRecord, part_file_name
+from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import (
     collect_volume,
     frame_record,
     result_fields,
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import write_contact_sheet
-from usdsmoke.runs.window import list_tasks
 from usdsmoke.usd import late_note
-from usdsmoke.usd.look import author_look
+from usdsmoke.usd.look import author_look, published_runs
 from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 
-__all__ = ["StylizeResult", "assemble_run", "collect_windows", "summarize_result"]
+__all__ = ["StylizeResult", "assemble_run", "is_whole", "summarize_result"]
 
 
 @dataclass(frozen=True)
@@ -91,57 +84,51 @@ class _Versions:
         return {name: window.frames[name]["sha256"] for name, window in names}
 
 
-def collect_windows(run: RunFolder, plan: Plan) -> list[WindowRecord]:
+def _collect_windows(run: Run, plan: Plan) -> list[WindowRecord]:
     """The manifests of all windows, in order.
 
     Raises:
         LayerError: some windows are not finished; the message lists them.
     """
-    found = [finished_window(run, task.window.index) for task in list_tasks(plan)]
+    found = [run.window(task.number) for task in plan.tasks]
     missing = [number for number, record in enumerate(found) if record is None]
     if missing:
         raise LayerError(
             f"window{'' if len(missing) == 1 else 's'} {format_time_codes(map(float, missing))} of "
             f"{len(found)} (counted from 0) {'is' if len(missing) == 1 else 'are'} not finished in "
-            f"{run.folder}; run 'usdsmoke stylize ... --window K' for each of them first"
+            f"{run.folder}. Run 'usdsmoke stylize ... --window K' for each of them first."
         )
     return [record for record in found if record is not None]
 
 
-def assemble_run(
-    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback, clock: PartClock
-) -> StylizeResult:
+def assemble_run(opened: OpenRun, tell: RunProgressCallback, clock: PartClock) -> StylizeResult:
     """Blend what two windows have computed, author the layer, which makes all of it the result, and
     draw the sheets.
 
     Args:
-        job: what was asked for.
-        run: begun for this job; this process is alone in the output folder.
-        reader: of the source's frames.
-        tell: hears of every frame that is blended, and of every sheet.
+        opened: the run; this process is alone in the output folder.
+        tell: called for every frame that is blended, and for every sheet.
         clock: of the call.
 
     Raises:
         LayerError: a window is not finished, or the result cannot be written.
         GridError: a file cannot be read.
     """
-    windows = collect_windows(run, job.plan)
-    files, failures = clock.timed("assembling", _assemble, job, run, windows, reader, tell)
+    run = opened.run
+    windows = _collect_windows(run, opened.plan)
+    files, failures = clock.timed("assembling", _assemble, opened, windows, tell)
     reports = [report for window in windows for report in window.reports.values()]
-    run.seconds = run_seconds(windows, reports, finished_coarse(run).seconds, clock)
-    run.finish([*files, *_sheets(job)])
-    return summarize_result(job, run, failures)
+    run.seconds = run_seconds(windows, reports, run.coarse().seconds, clock)
+    run.finish([*files, *opened.job.sheets])
+    return summarize_result(opened, failures)
 
 
 def _assemble(
-    job: Job,
-    run: RunFolder,
-    windows: Sequence[WindowRecord],
-    reader: FrameReader,
-    tell: RunProgressCallback,
+    opened: OpenRun, windows: Sequence[WindowRecord], tell: RunProgressCallback
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """All of it but the run's record: the layers' files, and what went wrong with the sheets."""
-    _collect_frames(job, run, windows, reader, tell)
+    job, run = opened.job, opened.run
+    _collect_frames(opened, windows, tell)
     volumes = [
         collect_volume(run, volume, scene["gamma_w"], job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
@@ -151,20 +138,34 @@ def _assemble(
     provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
     source, layer = job.plan.source, job.config.layer
     files = author_look(job.stage, source, volumes, job.output, layer, provenance, job.earlier)
-    failures = _draw_sheets(job, run, reader, tell)
+    failures = _draw_sheets(opened, tell)
     run.request = describe_request(job)  # the mode may be another one than it was begun with
-    remove_locks(run)  # before the record says that nothing is left to do
+    run.remove_locks()  # before the record says that nothing is left to do
     return files.written, failures
 
 
-def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> StylizeResult:
-    """What stands in the output folder when a run is complete.
+def is_whole(opened: OpenRun) -> bool:
+    """Whether a run is complete, and all files of its result are there, made from the parts that
+    are there."""
+    job, run = opened.job, opened.run
+    if not run.complete or run.run_id not in published_runs(job.targets.look_layer):
+        return False
+    frames = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
+    files = [*job.targets.written, *(run.output / name for name in run.files)]
+    records = [run.finished(name) for name in frames]
+    parts = [part for record in records if record for part in record.get("parts", {}).items()]
+    unchanged = [run.is_unchanged(name, sha) for name, sha in parts if (run.folder / name).exists()]
+    return all(records) and all(path.is_file() for path in files) and all(unchanged)
+
+
+def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult:
+    """What is in the output folder when a run is complete.
 
     Args:
-        job: what was asked for.
-        run: complete.
+        opened: the run, complete.
         more: further warnings.
     """
+    job, run = opened.job, opened.run
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
     budget = ErrorBudget.from_dict(run.error_budget)
     broken = budget.tolerance.warnings if budget.tolerance is not None else ()
@@ -172,7 +173,7 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
         root_stage=job.targets.root_stage,
         look_layer=job.targets.look_layer,
         frames=tuple(run.folder / name for name in names),
-        contact_sheets=tuple(sheet for sheet in _sheets(job) if sheet.is_file()),
+        contact_sheets=tuple(sheet for sheet in job.sheets if sheet.is_file()),
         plan=job.plan,
         warnings=(*job.earlier.notes, *_warnings(job.plan, run), *broken, *more),
         temporal_error=_temporal_error(run),
@@ -183,14 +184,11 @@ def summarize_result(job: Job, run: RunFolder, more: Sequence[str] = ()) -> Styl
 
 
 def _collect_frames(
-    job: Job,
-    run: RunFolder,
-    windows: Sequence[WindowRecord],
-    reader: FrameReader,
-    tell: RunProgressCallback,
+    opened: OpenRun, windows: Sequence[WindowRecord], tell: RunProgressCallback
 ) -> None:
     """Note every frame of the result in the run's record; blend those that two windows have."""
-    versions = _versions(job.plan, run, windows)
+    run = opened.run
+    versions = _versions(opened.plan, run, windows)
     kept = {name: run.frames[name] for name in versions if run.finished(name) is not None}
     run.frames = {
         name: record
@@ -202,15 +200,15 @@ def _collect_frames(
         if name in kept and kept[name].get("parts") == pair.digests:
             continue
         tell(RunProgress("blend", pair.frame.source.time_code, number, len(versions), 1.0))
-        run.finish_frame(name, _blend(run, pair, reader))
+        run.finish_frame(name, _blend(run, pair, opened.reader))
         give_back_memory()
 
 
-def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
+def _versions(plan: Plan, run: Run, windows: Sequence[WindowRecord]) -> dict[str, _Versions]:
     """By file name the frames that two windows have, in order."""
     found = {}
-    for task, _ in pairwise(list_tasks(plan)):
-        place, beyond = task.window.index, task.window.beyond
+    for task, _ in pairwise(plan.tasks):
+        place, beyond = task.number, task.window.beyond
         own = len(task.window.time_codes)
         gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
         weights = zip(task.frames[own:], tail_weights(len(beyond)), strict=True)
@@ -220,7 +218,7 @@ def _versions(plan: Plan, run: RunFolder, windows: Sequence[WindowRecord]) -> di
     return found
 
 
-def _blend(run: RunFolder, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
+def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
     """Write the blend of both versions of a frame; its record."""
     volume, frame, config = pair.volume, pair.frame, pair.volume.config
     tail, head = (_read_part(run, pair, window) for window in (pair.tail, pair.head))
@@ -253,7 +251,7 @@ def _blended_report(pair: _Versions, difference: Mapping[str, float]) -> FrameRe
     return replace(later, temporal=temporal, overlap=overlap)
 
 
-def _read_part(run: RunFolder, pair: _Versions, window: WindowRecord) -> list[DenseField]:
+def _read_part(run: Run, pair: _Versions, window: WindowRecord) -> list[DenseField]:
     """Density and, after a colour step, emission of one version."""
     names = [pair.volume.source.density]
     config = pair.volume.config
@@ -263,39 +261,32 @@ def _read_part(run: RunFolder, pair: _Versions, window: WindowRecord) -> list[De
     return read_grids(part, [GridRequest(name) for name in names], config.grids)
 
 
-def _draw_sheets(
-    job: Job, run: RunFolder, reader: FrameReader, tell: RunProgressCallback
-) -> tuple[str, ...]:
+def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
     """The contact sheets; what went wrong, as the result is whole without them."""
-    plan, warnings = job.plan, []
-    sheets = _sheets(job)
+    job, run, plan, warnings = opened.job, opened.run, opened.plan, []
+    sheets = job.sheets
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         scene = run.scenes[number]
         try:
             pictures = job.pictures(volume)
-            write_contact_sheet(sheet, plan, volume, reader, run.folder, scene, pictures)
+            write_contact_sheet(sheet, plan, volume, opened.reader, run.folder, scene, pictures)
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for
             warnings.append(f"no contact sheet: {error}")
     return tuple(warnings)
 
 
-def _sheets(job: Job) -> tuple[Path, ...]:
-    stems = [volume.stem for volume in job.plan.volumes]
-    return sheet_files(stems, job.output, job.config.layer.look)
-
-
-def _temporal_error(run: RunFolder) -> dict[str, float] | None:
+def _temporal_error(run: Run) -> dict[str, float] | None:
     reports = run.reports.values()
     return mean_entries(reports, lambda report: report.temporal, "colour", "displacement")
 
 
-def _overlap_difference(run: RunFolder) -> dict[str, float] | None:
+def _overlap_difference(run: Run) -> dict[str, float] | None:
     reports = run.reports.values()
     return mean_entries(reports, lambda report: report.overlap, "density", "emission")
 
 
-def _warnings(plan: Plan, run: RunFolder) -> tuple[str, ...]:
+def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     found = [
         f"{name}: {warning}" for name, report in run.reports.items() for warning in report.warnings
     ]

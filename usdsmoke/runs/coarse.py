@@ -1,7 +1,7 @@
 """What all windows of a run share: the measured scenes, and the coarse step that they start from.
 
-The coarse step sees the whole sequence at a low resolution, frame after frame. Its results lie in
-the run's folder, so that whoever computes a window later starts from the same bits.
+The coarse step sees the whole sequence at a low resolution, frame after frame. Its results are in
+the run's folder, so that every window starts from the same bits, whichever machine computes it.
 """
 
 import dataclasses
@@ -15,18 +15,12 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.runs.folder import RunFolder
-from usdsmoke.runs.manifests import (
-    CoarseRecord,
-    coarse_file_name,
-    finish_coarse,
-    finished_coarse,
-    hold_work,
-)
+from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name
+from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
@@ -36,7 +30,7 @@ if TYPE_CHECKING:
     from usdsmoke.core.smoke.device import Machine
     from usdsmoke.core.views.scene import Scene
 
-__all__ = ["coarse_starts", "measure_scenes", "missing_starts", "read_scene", "run_coarse_step"]
+__all__ = ["coarse_starts", "measure_scenes", "read_scene", "run_coarse_step", "settle_scenes"]
 
 
 def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
@@ -63,29 +57,34 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     return scenes
 
 
-def read_scene(run: RunFolder, volume_number: int) -> "Scene":
+def read_scene(run: Run, volume_number: int) -> "Scene":
     """The scene of a Volume as it was measured when the run began."""
     from usdsmoke.core.views.scene import Scene
 
     return Scene(**run.scenes[volume_number])
 
 
+def settle_scenes(opened: OpenRun) -> None:
+    """Measure the scenes of a run that has begun, if no process has.
+
+    Raises:
+        GridError, NonFiniteError: see ``FrameReader.read``.
+        WriteFailed: the operating system refused.
+    """
+    if not opened.run.scenes:
+        opened.run.keep_scenes(measure_scenes(opened.reader, opened.plan))
+
+
 def run_coarse_step(
-    job: Job,
-    run: RunFolder,
-    reader: FrameReader,
-    tell: RunProgressCallback,
-    frames: Collection[FramePlan] | None = None,
+    opened: OpenRun, tell: RunProgressCallback, frames: Collection[FramePlan] | None = None
 ) -> bool:
     """The coarse step of every sequence that several windows share, as far as it is not done.
 
     A second process waits for the first one's results.
 
     Args:
-        job: what was asked for.
-        run: where the results go; it has begun.
-        reader: of the source's frames.
-        tell: hears of every frame.
+        opened: the run; it has begun.
+        tell: called for every frame.
         frames: those whose starts are asked for; None: all. No other start is looked at.
 
     Returns:
@@ -94,19 +93,20 @@ def run_coarse_step(
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
-    if not missing_starts(run, job.plan, frames):
+    run, plan = opened.run, opened.plan
+    if not missing_starts(run, plan, frames):
         return False
-    with hold_work(run):
-        to_do = missing_starts(run, job.plan, frames)  # another process may have done it meanwhile
+    with run.claim():
+        to_do = missing_starts(run, plan, frames)  # another process may have done it meanwhile
         n_frames, done = sum(len(chain) for _, _, chain in to_do), 0
         for number, volume, chain in to_do:
-            _run_chain(job, run, reader, (number, volume, chain), (done, n_frames), tell)
+            _run_chain(opened, (number, volume, chain), (done, n_frames), tell)
             done += len(chain)
     return bool(to_do)
 
 
 def coarse_starts(
-    run: RunFolder, volume: VolumePlan, frames: Collection[FramePlan]
+    run: Run, volume: VolumePlan, frames: Collection[FramePlan]
 ) -> "Callable[[float], CoarseStart | None] | None":
     """What gives a frame's coarse start by its timeCode; None where windows do without.
 
@@ -125,7 +125,7 @@ def coarse_starts(
     names = {
         frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
     }
-    record = finished_coarse(run, {coarse_file_name(frame.file_name) for frame in frames})
+    record = run.coarse({coarse_file_name(frame.file_name) for frame in frames})
 
     def start(time_code: float) -> "CoarseStart | None":
         name = names.get(time_code)
@@ -134,55 +134,31 @@ def coarse_starts(
         known = record.frames.get(name)
         if known is None or not run.is_unchanged(name, known["sha256"]):
             raise FileUnreadable(
-                f"the coarse start {run.folder / name} has vanished or was changed; run the same "
-                "command again, which makes it anew"
+                f"the coarse start {run.folder / name} is missing or was changed. Run the same "
+                "command again, which makes it anew."
             )
         return load_start(run.folder / name)
 
     return start
 
 
-def missing_starts(
-    run: RunFolder, plan: Plan, wanted: Collection[FramePlan] | None = None
-) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
-    """Volume number, Volume and frames of every sequence in which a start is missing.
-
-    Args:
-        run: with its folder.
-        plan: of the run.
-        wanted: those whose starts are asked for, no other is looked at; None: all.
-    """
-    names = None if wanted is None else {coarse_file_name(frame.file_name) for frame in wanted}
-    record = finished_coarse(run, names)
-    to_do = []
-    for number, volume in enumerate(plan.volumes):
-        frames = {frame.source.time_code: frame for frame in volume.frames}
-        for codes in volume.coarse_runs:
-            chain = tuple(frames[code] for code in codes)
-            starts = {coarse_file_name(frame.file_name) for frame in chain}
-            if (starts if names is None else starts & names) - record.frames.keys():
-                to_do.append((number, volume, chain))
-    return to_do
-
-
 def _run_chain(
-    job: Job,
-    run: RunFolder,
-    reader: FrameReader,
+    opened: OpenRun,
     chain: tuple[int, VolumePlan, Sequence[FramePlan]],
     counted: tuple[int, int],
     tell: RunProgressCallback,
 ) -> None:
     """One sequence between two cuts, from its first frame to its last.
 
-    The manifest is written after every frame: who goes on begins with the last frame that is there
-    and that others start from.
+    The manifest is written after every frame: a process that continues begins with the last frame
+    that is there and that others start from.
     """
     from usdsmoke.core.sequence.coarse import coarse_frames, save_start
     from usdsmoke.core.smoke.device import describe_machine
 
     (number, volume, frames), (done, n_frames) = chain, counted
-    record, started = finished_coarse(run), time.monotonic()
+    job, run = opened.job, opened.run
+    record, started = run.coarse(), time.monotonic()
     here = describe_machine(job.config.optimize)
     first, known = _resumed(run, record, frames, here)
 
@@ -190,7 +166,7 @@ def _run_chain(
         tell(RunProgress("coarse", state.time_code, done + first + state.frame, n_frames, 0.0))
 
     starts = coarse_frames(
-        (reader.read(volume, frame) for frame in frames[first:]),
+        (opened.reader.read(volume, frame) for frame in frames[first:]),
         job.pictures(volume),
         read_scene(run, number),
         volume.config,
@@ -206,22 +182,22 @@ def _run_chain(
             digest = hash_file(run.folder / name)
             record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
             seconds = record.seconds + time.monotonic() - started
-            finish_coarse(run, CoarseRecord(run.run_id, record.frames, seconds, here.processor))
+            run.keep(CoarseRecord(run.run_id, record.frames, seconds, here.processor))
         give_back_memory()
         if all(coarse_file_name(frame.file_name) in record.frames for frame in frames):
-            break  # what is left stands there already
+            break  # the rest is there already
 
 
 def _resumed(
-    run: RunFolder, record: CoarseRecord, frames: Sequence[FramePlan], here: "Machine"
+    run: Run, record: CoarseRecord, frames: Sequence[FramePlan], here: "Machine"
 ) -> tuple[int, "Carried | None"]:
     """From which frame of a sequence on there is something to do, and what that starts with.
 
     Args:
         run: with the files.
-        record: of what stands there unchanged.
+        record: of the files that are unchanged.
         frames: of the sequence.
-        here: the machine; what another kind of processor has made is not gone on with.
+        here: the machine; a sequence of another kind of processor is not continued.
     """
     from usdsmoke.core.sequence.coarse import load_carried
 

@@ -21,9 +21,9 @@ from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import ErrorBudget, step_seconds, summarize_figures
-from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.machine import machine_texts
-from usdsmoke.runs.manifests import WindowRecord, finished_coarse
+from usdsmoke.runs.manifests import WindowRecord
+from usdsmoke.runs.run import Run
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
@@ -33,7 +33,7 @@ _OURS = "usdsmoke:"
 
 
 def frame_metadata(
-    run: RunFolder,
+    run: Run,
     volume: VolumePlan,
     frame: FramePlan,
     source_hashes: Mapping[str, str],
@@ -80,7 +80,7 @@ def frame_metadata(
 
 
 def make_provenance(
-    run: RunFolder,
+    run: Run,
     plan: Plan,
     styles: Sequence[StyleImage],
     windows: Sequence[WindowRecord],
@@ -97,7 +97,7 @@ def make_provenance(
     """
     config = plan.config
     reports = list(run.reports.values())
-    coarse = finished_coarse(run).seconds
+    coarse = run.coarse().seconds
     work = sum(window.seconds for window in windows)
     state = {key: value for key, value in run.description.items() if key != "settings"}
     facts = RunFacts(
@@ -138,7 +138,7 @@ def make_provenance(
     return build_provenance(facts)
 
 
-def _inputs(run: RunFolder, plan: Plan) -> dict[str, str]:
+def _inputs(run: Run, plan: Plan) -> dict[str, str]:
     """Content hashes by file and grid."""
     inputs = {}
     for volume in plan.volumes:
@@ -150,7 +150,7 @@ def _inputs(run: RunFolder, plan: Plan) -> dict[str, str]:
     return inputs
 
 
-def _frame_entry(run: RunFolder, volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
+def _frame_entry(run: Run, volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
     """A frame of the result and what it was made from, files relative to the output folder."""
     hashes = run.frames[frame.file_name]["source_hashes"]
     return {

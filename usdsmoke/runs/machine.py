@@ -1,11 +1,10 @@
-"""What a run settles of the machine when it is begun: threads, device, kind of processor.
+"""What a run settles of the machine when it begins: threads, device, kind of processor.
 
-Whoever does a later part computes with that number of threads on that kind of device, however many
-processors there are, because bits depend on them. Another kind of processor cannot be made the
-same; windows keep what they were made on, and it is told.
+Every later task computes with that number of threads on that kind of device, however many
+processors it has, because bits depend on them. Another kind of processor cannot be made the same:
+each manifest names the one that made it, and the result names those that differ.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +13,7 @@ from usdsmoke.base.config import Config
 from usdsmoke.base.machine import usable_cpus
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
-from usdsmoke.runs.choice import taken_up
-from usdsmoke.runs.folder import RunFolder, find_runs
-from usdsmoke.runs.manifests import made_on
+from usdsmoke.runs.run import Run, find_runs
 
 if TYPE_CHECKING:
     from usdsmoke.core.smoke.device import Machine
@@ -26,7 +23,6 @@ __all__ = [
     "machine_texts",
     "processor_note",
     "processor_warnings",
-    "settle_description",
     "settle_threads",
     "with_settled",
 ]
@@ -43,25 +39,14 @@ def machine_of(job: Job) -> "Machine":
     return describe_machine(job.config.optimize)
 
 
-def settle_description(description: Mapping[str, Any], job: Job) -> dict[str, Any]:
-    """A run's description with what it leaves to the machine as it is here.
-
-    Raises:
-        ConfigError: the device is not there.
-    """
-    machine = machine_of(job)
-    here = {"settings": {"optimize": {"threads": machine.threads, "device": machine.device}}}
-    return taken_up(description, here)
-
-
 def settle_threads(output: Path, config: Config, force: bool) -> Config:
-    """Settings with a number of threads for processes elsewhere: that of the run that they go on
-    with, or, where there is none, what this process may use.
+    """Settings with a number of threads for processes elsewhere: that of the run which they
+    continue, or, where there is none, what this process may use.
 
     Args:
         output: the output folder.
         config: as asked for.
-        force: a result is begun anew, and not gone on with.
+        force: a result is replaced, and not continued.
     """
     threads = config.optimize.threads
     if threads == 0:
@@ -72,7 +57,7 @@ def settle_threads(output: Path, config: Config, force: bool) -> Config:
     return replace(config, optimize=replace(config.optimize, threads=threads or usable_cpus()))
 
 
-def with_settled(job: Job, run: RunFolder) -> Job:
+def with_settled(job: Job, run: Run) -> Job:
     """The job with the threads and the device that its run was begun with."""
     settled = _optimize(run)
 
@@ -90,7 +75,7 @@ def with_settled(job: Job, run: RunFolder) -> Job:
     return replace(job, plan=plan)
 
 
-def processor_note(run: RunFolder, here: str) -> tuple[str, ...]:
+def processor_note(run: Run, here: str) -> tuple[str, ...]:
     """A sentence where this task runs on another kind of processor than the run was begun on."""
     if here == run.processor or not run.processor:
         return ()
@@ -100,7 +85,7 @@ def processor_note(run: RunFolder, here: str) -> tuple[str, ...]:
     )
 
 
-def processor_warnings(run: RunFolder) -> list[str]:
+def processor_warnings(run: Run) -> list[str]:
     """A sentence for every other kind of processor that a part of the run was made on."""
     return [
         f"{', '.join(named)} ran on another kind of processor ({kind}) than the run was begun on "
@@ -109,7 +94,7 @@ def processor_warnings(run: RunFolder) -> list[str]:
     ]
 
 
-def machine_texts(run: RunFolder) -> list[str]:
+def machine_texts(run: Run) -> list[str]:
     """Texts ``name=value`` for the record: threads, device, processor, and what others made."""
     settled = _optimize(run)
     texts = [f"{name}={settled[name]}" for name in ("threads", "device") if name in settled]
@@ -118,11 +103,11 @@ def machine_texts(run: RunFolder) -> list[str]:
     return texts + [f"{name}={kind}" for kind in sorted(others) for name in others[kind]]
 
 
-def _others(run: RunFolder) -> dict[str, list[str]]:
+def _others(run: Run) -> dict[str, list[str]]:
     """What was made on other kinds of processors, by kind: ``coarse step``, ``window 3``."""
     found: dict[str, list[str]] = {}
     windows: dict[str, list[int]] = {}
-    for window, processor in made_on(run).items():
+    for window, processor in run.made_on().items():
         if not processor or processor == run.processor or not run.processor:
             continue
         if window is None:
@@ -135,5 +120,5 @@ def _others(run: RunFolder) -> dict[str, list[str]]:
     return found
 
 
-def _optimize(run: RunFolder) -> dict[str, Any]:
+def _optimize(run: Run) -> dict[str, Any]:
     return dict(run.description.get("settings", {}).get("optimize", {}))

@@ -18,8 +18,8 @@ from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan
-from usdsmoke.runs.folder import RunFolder
 from usdsmoke.runs.frame_records import frame_metadata
+from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.vdb.transform import field_extent
@@ -67,7 +67,7 @@ def result_fields(
 
 
 def write_result(
-    run: RunFolder,
+    run: Run,
     name: str,
     volume: VolumePlan,
     frame: FramePlan,
@@ -136,7 +136,7 @@ def frame_record(
 
 
 def collect_volume(
-    run: RunFolder,
+    run: Run,
     volume: VolumePlan,
     extinction_per_density: float,
     styles: Sequence[StyleImage],
@@ -201,7 +201,7 @@ def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
     return dict(zip(names, grids, strict=True)) if len(names) == len(grids) else {}
 
 
-def _write_empty(run: RunFolder, volume: VolumePlan, config: Config) -> tuple[str, str]:
+def _write_empty(run: Run, volume: VolumePlan, config: Config) -> tuple[str, str]:
     """A file without a voxel, named like the first timeCode not stylized, and its content hash; two
     empty texts when all are stylized."""
     stylized = {frame.source.time_code for frame in volume.frames}

@@ -18,7 +18,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.runs.budget.choice import choose_settings, user_values
-from usdsmoke.runs.description import describe_run
+from usdsmoke.runs.identity import describe_run
 from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.sheet import sample_frames
 

@@ -4,76 +4,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.planning.frame_reader import FrameReader, hash_sources
-from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.planning.windows import Window
+from usdsmoke.planning.frame_reader import hash_sources
+from usdsmoke.planning.plan import WindowTask
 from usdsmoke.runs.budget import PartClock, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
-from usdsmoke.runs.folder import RunFolder
-from usdsmoke.runs.manifests import (
-    WindowRecord,
-    finish_window,
-    finished_window,
-    hold_work,
-    part_file_name,
-)
+from usdsmoke.runs.manifests import WindowRecord, part_file_name
+from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
 
 if TYPE_CHECKING:
     from usdsmoke.base.progress import Progress
 
-__all__ = ["WindowTask", "check_frames", "list_tasks", "pick_task", "stylize_windows"]
-
-
-@dataclass(frozen=True)
-class WindowTask:
-    """One window with the frames that it computes."""
-
-    window: Window
-    volume_number: int
-    volume: VolumePlan
-    frames: tuple[FramePlan, ...]  # its own, then those beyond
-
-    def file_name(self, frame: FramePlan) -> str:
-        """Where this window's version of a frame goes, relative to the run's folder."""
-        if any(frame is other for other in self.volume.twice_frames):
-            return part_file_name(self.window.index, frame.file_name)
-        return frame.file_name
-
-
-def list_tasks(plan: Plan) -> list[WindowTask]:
-    """The windows of all Volumes, in the order of their numbers."""
-    tasks = []
-    for number, volume in enumerate(plan.volumes):
-        frames = {frame.source.time_code: frame for frame in volume.frames}
-        for window in volume.windows:
-            members = tuple(frames[code] for code in (*window.time_codes, *window.beyond))
-            tasks.append(WindowTask(window, number, volume, members))
-    return tasks
-
-
-def pick_task(plan: Plan, window: int) -> WindowTask:
-    """The window of this number.
-
-    Raises:
-        ConfigError: there is none; the message tells how many there are.
-    """
-    tasks = list_tasks(plan)
-    if not 0 <= window < len(tasks):
-        count = f"{len(tasks)} window{'' if len(tasks) == 1 else 's'}"
-        raise ConfigError(
-            f"there is no window {window}: the plan has {count}, counted from 0 to "
-            f"{len(tasks) - 1}; see 'windows' in the plan (--dry-run --json)"
-        )
-    return tasks[window]
+__all__ = ["check_frames", "stylize_windows"]
 
 
 def check_frames(
-    reader: FrameReader, tasks: Sequence[WindowTask], tell: RunProgressCallback
+    opened: OpenRun, tasks: Sequence[WindowTask], tell: RunProgressCallback
 ) -> dict[str, dict[str, str]]:
     """Read every frame once, so that damage and NaN show before an hour of work, not after it.
 
@@ -88,15 +36,12 @@ def check_frames(
     hashes = {}
     for number, (name, (volume, frame)) in enumerate(to_do.items()):
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
-        read = reader.read(volume, frame)
-        hashes[name] = hash_sources(read)
+        hashes[name] = hash_sources(opened.reader.read(volume, frame))
     return hashes
 
 
 def stylize_windows(
-    job: Job,
-    run: RunFolder,
-    reader: FrameReader,
+    opened: OpenRun,
     tasks: Sequence[WindowTask],
     source_hashes: Mapping[str, Mapping[str, str]],
     tell: RunProgressCallback,
@@ -107,12 +52,10 @@ def stylize_windows(
     A window that another process has finished meanwhile is left as it is.
 
     Args:
-        job: what was asked for.
-        run: where frames go; it has begun, and the coarse step is done.
-        reader: of the source's frames.
+        opened: the run; it has begun, and the coarse step is done.
         tasks: the windows to do.
         source_hashes: from ``check_frames``.
-        tell: hears of every iteration and every file.
+        tell: called for every iteration and every file.
         again: do them all, also those that are finished.
 
     Raises:
@@ -123,10 +66,10 @@ def stylize_windows(
     meter, done = WorkMeter(configs, warm), 0
     tell = _never_back(tell)
     for task in tasks:
-        with hold_work(run, task.window.index):
-            if again or finished_window(run, task.window.index) is None:
+        with opened.run.claim(task.number):
+            if again or opened.run.window(task.number) is None:
                 progress = _Counter(meter, done, len(warm), tell)
-                _stylize_window(job, run, reader, task, source_hashes, progress)
+                _stylize_window(opened, task, source_hashes, progress)
         done += len(task.frames)
 
 
@@ -176,9 +119,7 @@ class _Counter:
 
 
 def _stylize_window(
-    job: Job,
-    run: RunFolder,
-    reader: FrameReader,
+    opened: OpenRun,
     task: WindowTask,
     source_hashes: Mapping[str, Mapping[str, str]],
     progress: _Counter,
@@ -186,10 +127,12 @@ def _stylize_window(
     from usdsmoke.core.sequence.stylize import stylize_window
     from usdsmoke.core.smoke.device import describe_machine
 
+    job, run = opened.job, opened.run
     config, clock = task.volume.config, PartClock()
     gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
+    sources = (opened.reader.read(task.volume, frame) for frame in task.frames)
     results = stylize_window(
-        timed_items(clock, "reading", (reader.read(task.volume, frame) for frame in task.frames)),
+        timed_items(clock, "reading", sources),
         job.pictures(task.volume),
         read_scene(run, task.volume_number),
         config,
@@ -200,15 +143,17 @@ def _stylize_window(
     records = {}
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
         progress.writing(frame.source.time_code, place)
-        name, hashes = task.file_name(frame), source_hashes[frame.file_name]
+        name, hashes = frame.file_name, source_hashes[frame.file_name]
+        if task.is_part(frame):
+            name = part_file_name(task.number, name)
         records[name] = clock.timed(
             "writing", write_result,
-            run, name, task.volume, frame, stylized, gamma_w, reader, hashes,
+            run, name, task.volume, frame, stylized, gamma_w, opened.reader, hashes,
         )  # fmt: skip
         give_back_memory()
-    window = WindowRecord(
+    record = WindowRecord(
         run_id=run.run_id,
-        window=task.window.index,
+        window=task.number,
         volume=task.volume.source.prim_path,
         time_codes=list(task.window.time_codes),
         beyond=list(task.window.beyond),
@@ -217,4 +162,4 @@ def _stylize_window(
         timings=clock.parts,
         processor=describe_machine(config.optimize).processor,
     )
-    finish_window(run, window)
+    run.keep(record)

@@ -21,7 +21,7 @@ from tests.usd_fixtures import (
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
 from usdsmoke.base.config import config_to_dict, resolve_config
 from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
-from usdsmoke.runs.folder import RunFolder
+from usdsmoke.runs.run import Run
 from usdsmoke.ui.cli.arguments import build_parser, given_settings
 from usdsmoke.usd.look import LookFiles
 
@@ -119,7 +119,7 @@ def test_an_older_look_is_traced_through_its_run_and_gaps_are_noted(
     assert "has a look already" in window.texts[0][1]
     assert "a style image is not where it was" in window.texts[0][1]
 
-    run = RunFolder(tmp_path / "out/vdb/0123", {}, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
+    run = Run(tmp_path / "out/vdb/0123", {}, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
     run.begin({}, REQUEST, [])
     command = parsed(do("copy_all", api).copied[0])
     assert command["stage"] == str(tmp_path / "shot.usda")

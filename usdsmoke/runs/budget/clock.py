@@ -8,6 +8,7 @@ theirs.
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import ParamSpec, Protocol, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
@@ -62,6 +63,15 @@ class PartClock:
         finally:
             spent = self._clock() - started
             self.parts[part] = self.parts.get(part, 0.0) + spent
+
+    @contextmanager
+    def part(self, part: str) -> Iterator[None]:
+        """The time of a block goes to a part, also where it fails."""
+        started = self._clock()
+        try:
+            yield
+        finally:
+            self.parts[part] = self.parts.get(part, 0.0) + self._clock() - started
 
 
 def timed_items(clock: PartClock, part: str, items: Iterable[_Result]) -> Iterator[_Result]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.config import Config, config_to_dict
-from usdsmoke.runs.folder import find_runs
+from usdsmoke.runs.run import find_runs
 from usdsmoke.ui.usdview.looks import Look
 
 __all__ = ["LookRequest", "changed_settings", "read_look_request"]

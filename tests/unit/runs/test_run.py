@@ -3,27 +3,18 @@
 import json
 from pathlib import Path
 
-from usdsmoke.runs.folder import RunFolder, find_runs
-from usdsmoke.runs.manifests import (
-    CoarseRecord,
-    WindowRecord,
-    finish_coarse,
-    finish_window,
-    finished_coarse,
-    finished_window,
-    is_useless,
-    manifest_path,
-)
+from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
+from usdsmoke.runs.run import Run, find_runs
 
 DESCRIPTION = {"settings": {"optimize": {"seed": 0}}, "features_hash": ""}
 SCENES = [{"gamma_w": 0.1 + 0.2, "up_axis": "Z"}]
 
 
-def make_run(folder: Path) -> RunFolder:
-    return RunFolder(folder / "out/vdb/abc", DESCRIPTION)
+def make_run(folder: Path) -> Run:
+    return Run(folder / "out/vdb/abc", DESCRIPTION)
 
 
-def begin(run: RunFolder, scenes: list[dict[str, object]] = SCENES) -> RunFolder:  # type: ignore[assignment]
+def begin(run: Run, scenes: list[dict[str, object]] = SCENES) -> Run:  # type: ignore[assignment]
     run.begin({"windows": []}, {"stage": "../shot.usda"}, "kind")
     run.keep_scenes(scenes)
     return run
@@ -45,7 +36,7 @@ def test_numbers_of_a_scene_come_back_bit_for_bit(tmp_path: Path) -> None:
     assert found.request == {"stage": "../shot.usda"}
 
 
-def window_of(run: RunFolder, file_name: str, sha256: str) -> WindowRecord:
+def window_of(run: Run, file_name: str, sha256: str) -> WindowRecord:
     frames = {file_name: {"sha256": sha256, "part": False}}
     return WindowRecord(run.run_id, 0, "/smoke", [1.0], [2.0], frames, 3.5)
 
@@ -53,26 +44,26 @@ def window_of(run: RunFolder, file_name: str, sha256: str) -> WindowRecord:
 def test_a_window_is_finished_as_long_as_its_files_are_unchanged(tmp_path: Path) -> None:
     run = begin(make_run(tmp_path))
     (run.folder / "windows").mkdir(exist_ok=True)
-    (run.folder / "windows/.0001.tmp-0bbfd16a-1316.json").write_text("{")  # killed while writing
-    assert is_useless(run)
+    (run.folder / "windows/.0001.tmp-0bbfd16a.json").write_text("{")  # killed while writing
+    assert run.is_useless()
     (run.folder / "a.vdb").write_bytes(b"")
     empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
     record = window_of(run, "a.vdb", empty)
-    finish_window(run, record)
-    assert finished_window(run, 0) == record and finished_window(run, 1) is None
-    assert not is_useless(run)
+    run.keep(record)
+    assert run.window(0) == record and run.window(1) is None
+    assert not run.is_useless()
     (run.folder / "a.vdb").write_bytes(b"x")
-    assert finished_window(run, 0) is None
+    assert run.window(0) is None
 
 
 def test_manifests_of_other_runs_or_of_other_shapes_are_none(tmp_path: Path) -> None:
     run = begin(make_run(tmp_path))
     for values in ({"run_id": "another"}, {"run_id": run.run_id, "frames": 3}, [1], "text", None):
-        manifest_path(run, 0).parent.mkdir(exist_ok=True)
-        manifest_path(run, 0).write_text(json.dumps(values))
-        assert finished_window(run, 0) is None
+        run.manifest_path(0).parent.mkdir(exist_ok=True)
+        run.manifest_path(0).write_text(json.dumps(values))
+        assert run.window(0) is None
         (run.folder / "coarse.json").write_text(json.dumps(values))
-        assert finished_coarse(run).frames == {}
+        assert run.coarse().frames == {}
 
 
 def test_only_coarse_frames_whose_files_stand_are_finished(tmp_path: Path) -> None:
@@ -81,5 +72,5 @@ def test_only_coarse_frames_whose_files_stand_are_finished(tmp_path: Path) -> No
     (run.folder / "coarse").mkdir()
     (run.folder / "coarse/a.npz").write_bytes(b"")
     frame = {"time_code": 1.0, "sha256": empty}
-    finish_coarse(run, CoarseRecord(run.run_id, {"coarse/a.npz": frame, "coarse/b.npz": frame}))
-    assert finished_coarse(run).frames == {"coarse/a.npz": frame}
+    run.keep(CoarseRecord(run.run_id, {"coarse/a.npz": frame, "coarse/b.npz": frame}))
+    assert run.coarse().frames == {"coarse/a.npz": frame}

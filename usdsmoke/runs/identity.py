@@ -1,0 +1,227 @@
+"""What decides a run's result, as JSON values: equal descriptions give equal results."""
+
+import copy
+import json
+import os
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from usdsmoke import __version__
+from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.pictures.png import StyleImage
+from usdsmoke.planning.features import features_hashes
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import Plan, VolumePlan
+from usdsmoke.planning.stage_values import stage_pieces
+from usdsmoke.runs.machine import machine_of
+from usdsmoke.runs.run import Run
+
+__all__ = ["Identity", "describe_run", "list_changes", "requested_values"]
+
+# Values of ``optimize`` that leave a choice to the machine on which a run begins.
+_OPEN = {"threads": 0, "device": "auto"}
+
+# Settings that change when or whether a result comes about, but not the result.
+_NEUTRAL = {
+    "features": ("vgg19_file",),  # what it holds counts: features_hash
+    "grids": ("memory_limit_gib", "time_limit_s"),
+    "optimize": ("memory_limit_gib", "error_budget", "target_error"),
+    "layer": ("mode",),
+}
+
+_MOST_CHANGES = 6  # that a message names
+_LONGEST = 60  # letters of a value
+_DIGEST = re.compile(r"\b([0-9a-f]{12})[0-9a-f]{52}\b")
+
+
+class Identity:
+    """What a job asks for, as it compares with runs.
+
+    What the job leaves to the machine is as the run has it, once there is one.
+
+    Args:
+        job: what was asked for.
+        reads: the input files that are read, as the plan names them, given a run that has begun;
+            None: all. Digests of other files are taken from the run.
+    """
+
+    def __init__(
+        self, job: Job, reads: Callable[[Run], Collection[str] | None] = lambda run: None
+    ) -> None:
+        self._job, self._reads = job, reads
+        self._features = features_hashes(volume.config.features for volume in job.plan.volumes)
+
+    def alone(self) -> dict[str, Any]:
+        """The description of a new run, with what is left to the machine as it is here.
+
+        Raises:
+            ConfigError: the device is not there.
+        """
+        machine = machine_of(self._job)
+        here = {"settings": {"optimize": {"threads": machine.threads, "device": machine.device}}}
+        return _as_stored(_settled(describe_run(self._job, self._features), here))
+
+    def beside(self, run: Run) -> dict[str, Any]:
+        """The description as it compares with a run's."""
+        known, wanted = run.description.get("files", {}), self._reads(run)
+        described = describe_run(self._job, self._features, known, wanted)
+        return _as_stored(_settled(described, run.description))
+
+    def is_of(self, run: Run) -> bool:
+        """Whether a run is the one that is asked for."""
+        return self.beside(run) == run.description
+
+    def changes(self, run: Run) -> str:
+        """What differs from a run, in words; empty where nothing does."""
+        return list_changes(run.description, self.beside(run))
+
+
+def describe_run(
+    job: Job,
+    features_hash: str,
+    known: Mapping[str, str] | None = None,
+    wanted: Collection[str] | None = None,
+) -> dict[str, Any]:
+    """Everything that decides a result, as JSON values: equal descriptions give equal results.
+
+    Files are named relative to the stage, so that a moved shot is still the same run. Threads and
+    device stand there as asked for; they may be left to the machine.
+
+    Args:
+        job: gives stage, files, settings and styles.
+        features_hash: of what pictures are compared by.
+        known: digests of an earlier description's ``files``, for those that are not read.
+        wanted: the files that are read and compared, as the plan names them; None: all.
+    """
+    source = job.plan.source
+    folder = Path(source.file_path).parent
+    requests = requested_values(job.plan, job.styles)
+    files = {}
+    for file_path in source.grid_files:
+        name = os.path.relpath(file_path, folder)
+        if wanted is None or known is None or file_path in wanted or name not in known:
+            files[name] = _file_digest(job, file_path)
+        else:
+            files[name] = known[name]
+    return {
+        **({"requests": requests} if requests else {}),
+        "version": __version__,
+        "settings": _deciding_settings(job.config),
+        "stage": {"file": Path(source.file_path).name, **stage_pieces(source)},
+        "files": files,
+        "styles": [f"{style.name} {style.sha256}" for style in job.styles],
+        "features_hash": features_hash,
+    }
+
+
+def _file_digest(job: Job, file_path: str) -> str:
+    """SHA-256 of a file, taken once."""
+    if file_path not in job.digests:
+        job.digests[file_path] = hash_file(file_path)
+    return job.digests[file_path]
+
+
+def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]:
+    """What each Volume's prim asks for and gets, as JSON values that name no folder.
+
+    Args:
+        plan: of the run.
+        styles: all images of the run.
+
+    Returns:
+        ``settings``, ``styles`` (name and SHA-256) and, where values change over time, ``samples``
+        (by setting and timeCode) by prim path; nothing for Volumes that ask for nothing.
+    """
+    found: dict[str, Any] = {}
+    for volume in plan.volumes:
+        request = volume.source.request
+        if request.settings or request.styles:
+            images = [styles[place] for place in volume.styles] if request.styles else []
+            found[volume.source.prim_path] = {
+                "settings": {key: dict(values) for key, values in request.settings.items()},
+                "styles": [f"{image.name} {image.sha256}" for image in images],
+            }
+            if samples := _requested_samples(volume):
+                found[volume.source.prim_path]["samples"] = samples
+    return found
+
+
+def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for row in (row for row in REQUEST_ATTRIBUTES if row.control):
+        for frame in volume.source.frames:
+            value = getattr(frame.controls, row.control)
+            if value is not None:
+                code = format_time_code(frame.time_code)
+                found.setdefault(row.setting, {})[code] = value
+    return found
+
+
+def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
+    settings = config_to_dict(config)
+    for section, keys in _NEUTRAL.items():
+        for key in keys:
+            del settings[section][key]
+    device = settings["optimize"]["device"]
+    settings["optimize"]["device"] = device.partition(":")[
+        0
+    ]  # which one of several GPUs is as well
+    return settings
+
+
+def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
+    """What differs between two descriptions, in words; empty where nothing does.
+
+    >>> list_changes({"optimize": {"seed": 0}}, {"optimize": {"seed": 1}})
+    'optimize.seed was 0, now 1'
+    >>> list_changes({"styles": ["a.png 0f"]}, {"styles": ["a.png 0f", "b.png 1e"]})
+    'styles[1] was absent, now "b.png 1e"'
+    """
+    before, after = dict(_flatten(earlier)), dict(_flatten(later))
+    changes = [
+        f"{name} was {_shown(before, name)}, now {_shown(after, name)}"
+        for name in sorted({*before, *after})
+        if before.get(name) != after.get(name)
+    ]
+    more = len(changes) - _MOST_CHANGES
+    return ", ".join(changes[:_MOST_CHANGES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _flatten(value, f"{prefix}{name}.")
+        elif name == "styles" and isinstance(value, list):  # images: each for itself
+            yield from ((f"{prefix}{name}[{n}]", item) for n, item in enumerate(value))
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _shown(values: Mapping[str, Any], name: str) -> str:
+    """A value as people read it: of digests the first digits, of long texts the beginning."""
+    if name not in values:
+        return "absent"
+    text = _DIGEST.sub(r"\1...", json.dumps(values[name], ensure_ascii=False))
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
+
+def _settled(description: dict[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:
+    """A description in which what is left to the machine is as it was when a run began."""
+    taken = copy.deepcopy(description)
+    before = earlier.get("settings", {}).get("optimize", {})
+    optimize = taken["settings"]["optimize"]
+    for name, value in _OPEN.items():
+        if name in before and optimize.get(name) == value:
+            optimize[name] = before[name]
+    return taken
+
+
+def _as_stored(description: dict[str, Any]) -> dict[str, Any]:
+    """As it comes back from a record."""
+    stored: dict[str, Any] = json.loads(json.dumps(description))
+    return stored

@@ -1,0 +1,317 @@
+"""Which run a call belongs to: begun, continued, joined by several processes, or done again."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from usdsmoke.base.errors import Interrupted, LayerError, OutputExists
+from usdsmoke.base.locks import OutputLock, hold_file, lock_output
+from usdsmoke.base.publish import remove_empty
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.planning.job import Job, prepare_job, recorded_request
+from usdsmoke.planning.plan import Plan, WindowTask
+from usdsmoke.runs.identity import Identity
+from usdsmoke.runs.machine import with_settled
+from usdsmoke.runs.opened import OpenRun, missing_starts
+from usdsmoke.runs.progress import WAITING, RunProgressCallback
+from usdsmoke.runs.run import Run, find_runs, new_run
+from usdsmoke.usd.look import published_runs
+
+__all__ = ["frames_again", "join_run", "open_run", "open_run_to_assemble"]
+
+_BEGINNING = "vdb/begin.lock"  # held while a run begins
+_MOST_NAMED = 3  # frames in a message
+
+
+# A whole run, by one process
+
+
+@contextmanager
+def open_run(job: Job) -> Iterator[OpenRun]:
+    """The run of a whole job; no other process is in the output folder.
+
+    A selection of a result's own frames means these frames once more: the job becomes the result's.
+
+    Args:
+        job: what was asked for.
+
+    Raises:
+        OutputExists: there is a result or an unfinished run of other settings, without ``force``.
+        ConfigError: the device is not there.
+        Interrupted: in the place of Ctrl-C.
+    """
+    with lock_output(job.output) as lock:
+        again = None if job.request.force else frames_again(job)
+        if again is not None:
+            opened = OpenRun(again[1], again[0], lock, again[2])
+        else:
+            run = _choose_run(job, Identity(job))
+            opened = OpenRun(run, with_settled(job, run), lock)
+        with _tidy_end(opened):
+            yield opened
+
+
+def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
+    """The whole job, its run and the windows to do, where the job is a part of a result's frames.
+
+    Args:
+        job: what was asked for.
+
+    Raises:
+        OutputExists: the result is of other settings or inputs.
+    """
+    published = published_runs(job.targets.look_layer)
+    selected, look = job.config.stage.frames, job.config.layer.look
+    for run in find_runs(job.output):
+        frames = run.description["settings"]["stage"]["frames"]
+        if not (run.complete and run.run_id in published and run.look == look):
+            continue
+        if selected and frames != selected:
+            stage = dataclasses.replace(job.config.stage, frames=frames)
+            whole = job.with_config(dataclasses.replace(job.config, stage=stage))
+            if numbers := _windows_of(whole.plan, job.plan):
+                if changes := Identity(whole).changes(run):
+                    raise OutputExists(_other_result(run.output, changes))
+                return with_settled(whole, run), run, numbers
+    return None
+
+
+def _windows_of(whole: Plan, part: Plan) -> frozenset[int]:
+    """The windows that hold the frames of a part; none when there are frames that no window has."""
+    homes = {
+        (task.volume.source.prim_path, code): task.number
+        for task in whole.tasks
+        for code in task.window.time_codes
+    }
+    wanted = [
+        (volume.source.prim_path, frame.source.time_code)
+        for volume in part.volumes
+        for frame in volume.frames
+    ]
+    if not all(place in homes for place in wanted):
+        return frozenset()
+    return frozenset(homes[place] for place in wanted)
+
+
+# A piece of a run, by one of several processes
+
+
+@contextmanager
+def join_run(
+    job: Job, tell: RunProgressCallback, task: WindowTask | None = None
+) -> Iterator[OpenRun]:
+    """The run of a job that several processes may work on, begun if it was not.
+
+    Of two processes that begin different runs at once one is refused: the record is there before a
+    frame is read.
+
+    Args:
+        job: what was asked for; with ``force`` begun beside a result of other settings.
+        tell: called if other processes at work have to be waited for, some minutes at most.
+        task: the window that is to be done: no other inputs are read where the run has begun and
+            this window's coarse starts are there. None: the coarse step.
+
+    Raises:
+        OutputExists: the folder holds a run or result of other settings or inputs, without
+            ``force``.
+        ConfigError: the device is not there.
+        Interrupted: in the place of Ctrl-C.
+    """
+
+    def reads(run: Run) -> set[str] | None:
+        if task is None or not run.scenes or missing_starts(run, job.plan, task.frames):
+            return None
+        return {field.file_path for frame in task.frames for field in frame.source.fields.values()}
+
+    def waits() -> None:
+        tell(WAITING)
+
+    identity = Identity(job, reads)
+    if job.request.force and _find_equal(job.output, identity) is None:
+        # Unfinished runs of other settings are removed: no other process may be at work on them.
+        with lock_output(job.output, waits=waits):
+            _choose_run(job, identity)
+    with lock_output(job.output, alone=False, waits=waits) as lock:
+        run = _find_equal(job.output, identity)
+        if run is None:
+            _choose_run(job, identity, alone=False)  # or be refused
+            with _beginning(job.output, lock):
+                run = _find_equal(job.output, identity)
+                if run is None:
+                    run = _choose_run(job, identity, alone=False)
+                    OpenRun(run, with_settled(job, run), lock).begin()
+        piece = "the coarse step" if task is None else f"window {task.number}"
+        opened = OpenRun(run, with_settled(job, run), lock, piece=piece)
+        with _tidy_end(opened):
+            yield opened
+
+
+@contextmanager
+def _beginning(output: Path, lock: OutputLock) -> Iterator[None]:
+    """Begin a run while no other process does; a refusal leaves no lock file in an empty folder."""
+    try:
+        with hold_file(output / _BEGINNING):
+            yield
+    except BaseException:
+        if not any(find_runs(output)) and lock.is_alone():
+            (output / _BEGINNING).unlink(missing_ok=True)
+            remove_empty([output / "vdb"])
+        raise
+
+
+@contextmanager
+def _tidy_end(opened: OpenRun) -> Iterator[None]:
+    """Let an error leave nothing behind, and let Ctrl-C say how far the run is."""
+    try:
+        yield
+    except BaseException as error:
+        message = opened.how_far() if isinstance(error, KeyboardInterrupt) else ""
+        if opened.run.is_useless() and opened.lock.is_alone():
+            opened.run.remove_locks()
+            opened.run.remove()
+        if message:
+            raise Interrupted(message) from None
+        raise
+
+
+# The assembly
+
+
+@contextmanager
+def open_run_to_assemble(
+    output: Path, look: str | None, mode: str | None, tell: RunProgressCallback
+) -> Iterator[OpenRun]:
+    """The run whose windows an output folder holds: the one that is not complete, if any.
+
+    Args:
+        output: the output folder, without links.
+        look: the look's name; None where the folder leaves no choice.
+        mode: ``layer.mode`` in the place of the run's.
+        tell: called if other processes at work have to be waited for, some minutes at most.
+
+    Raises:
+        LayerError: there is none, or several.
+        OutputExists: the inputs are not those the run was begun with.
+        Interrupted: in the place of Ctrl-C.
+    """
+    if not output.is_dir():
+        raise LayerError(f"there is no folder {output}. Give the folder with the windows.")
+    with lock_output(output, waits=lambda: tell(WAITING)) as lock:
+        run = _run_to_assemble(output, look)
+        job = prepare_job(recorded_request(output, run.request, mode), fits=False)
+        changes = Identity(job).changes(run)
+        if changes:
+            raise OutputExists(
+                f"the inputs of the run in {run.folder} are no longer the same: {changes}. "
+                "Restore them, or stylize again with --force."
+            )
+        try:
+            yield OpenRun(run, job, lock)
+        except KeyboardInterrupt:
+            raise Interrupted("stopped. Run the same command again to continue.") from None
+
+
+def _run_to_assemble(output: Path, look: str | None) -> Run:
+    runs = [run for run in find_runs(output) if look in (None, run.look)]
+    unfinished = [run for run in runs if not run.complete]
+    if not runs:
+        named = f" of the look {look}" if look else ""
+        raise LayerError(
+            f"there is no run{named} in {output}. Give the folder with the windows, or begin a run "
+            "with 'usdsmoke stylize ... --window K'."
+        )
+    looks = sorted({run.look for run in unfinished or runs})
+    if len(looks) > 1:
+        raise LayerError(f"{output} holds several looks: {', '.join(looks)}. Name one with --look.")
+    if len(unfinished) > 1:
+        keys = ", ".join(run.folder.name for run in unfinished)
+        raise LayerError(
+            f"{output}/vdb holds {len(unfinished)} unfinished runs ({keys}). Remove the folders of "
+            "those that you do not need."
+        )
+    run = (unfinished or runs)[0]
+    if not run.request:
+        raise LayerError(
+            f"the run in {run.folder} does not say what it was begun with. Run 'usdsmoke stylize' "
+            "as it was begun."
+        )
+    return run
+
+
+# The runs of an output folder
+
+
+def _find_equal(output: Path, identity: Identity) -> Run | None:
+    """A run of the same settings and inputs: the unfinished one before the complete one."""
+    runs = [run for run in find_runs(output) if identity.is_of(run)]
+    return min(runs, key=lambda run: run.complete, default=None)
+
+
+def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
+    """The run to begin or to continue; with ``force``, runs that never became a result go away.
+
+    Runs of other looks in the same folder do not matter. A look layer may point to a run that was
+    stopped before its last step; such a run is continued like any other.
+
+    Args:
+        job: what was asked for.
+        identity: the job's.
+        alone: no other process is in the folder; otherwise its unfinished runs stay.
+
+    Raises:
+        OutputExists: there is a result or an unfinished run of other settings, without ``force``.
+    """
+    output, force = job.output, job.request.force
+    published = published_runs(job.targets.look_layer)
+    runs = {run.run_id: run for run in find_runs(output) if run.look == job.config.layer.look}
+    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
+    unfinished = [run for run_id, run in runs.items() if run_id not in results]
+    others = [run for run in unfinished if not identity.is_of(run)]
+    if results and not force:
+        known = [runs[run_id] for run_id in sorted(results) if run_id in runs]
+        raise OutputExists(_result_in_the_way(output, known, identity))
+    given_up = [run for run in others if run.run_id not in published]
+    if others and not (force and (alone or not given_up)):
+        raise OutputExists(
+            f"{output} holds an unfinished run of other settings or inputs: "
+            f"{identity.changes(others[0])}. Finish it with its own settings, choose another "
+            "output folder, or give it up with --force."
+        )
+    for run in given_up:
+        run.remove()
+    for run in unfinished:
+        if run not in others:
+            run.complete = False
+            return run
+    return new_run(output, identity.alone())
+
+
+def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> str:
+    """Why a result stays as it is, and what can be done instead."""
+    advice = "Choose another output folder or look, or replace it with --force."
+    if not known:
+        return f"there is a result in {output} already. {advice}"
+    run = known[0]
+    if changes := identity.changes(run):
+        return _other_result(output, changes)
+    lost = [name for name in sorted(run.frames) if run.finished(name) is None]
+    if lost:
+        named = ", ".join(lost[:_MOST_NAMED])
+        more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
+        codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
+        return (
+            f"the result in {output} is damaged: {named}{more} in {run.folder} missing or changed. "
+            f"Repair it by the same command with --frames={codes}"
+        )
+    return (
+        f"there is a result in {output} already. Change its mode with 'usdsmoke assemble', redo "
+        f"single frames with --frames, or: {advice[0].lower()}{advice[1:]}"
+    )
+
+
+def _other_result(output: Path, changes: str) -> str:
+    return (
+        f"there is a result of other settings or inputs in {output}: {changes}. Restore them, "
+        "choose another output folder or look, or replace the result with --force."
+    )
