@@ -32,11 +32,18 @@ class OutputLock:
     Args:
         handle: the open folder.
         alone: whether no other process may hold it at the same time.
+        real: whether the file system has locks.
     """
 
-    def __init__(self, handle: int, alone: bool) -> None:
+    def __init__(self, handle: int, alone: bool, real: bool = True) -> None:
         self._handle = handle
         self._alone = alone
+        self._real = real
+
+    @property
+    def excludes_others(self) -> bool:
+        """Whether certainly no other process is at work in the folder; nothing is lost by asking."""
+        return self._alone and self._real
 
     def is_alone(self) -> bool:
         """Whether no other process is at work in the folder; then none can begin any more.
@@ -63,8 +70,8 @@ def lock_output(
         WriteFailed: the folder cannot be made or opened.
     """
     made = make_folders(output)
-    handle = _open_and_take(output, alone, waits)
-    lock = OutputLock(handle, alone)
+    handle, real = _open_and_take(output, alone, waits)
+    lock = OutputLock(handle, alone, real)
     try:
         yield lock
     finally:
@@ -98,8 +105,8 @@ def hold_file(lock_path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) -> int:
-    """The open folder, held."""
+def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) -> tuple[int, bool]:
+    """The open folder, held, and whether the file system has locks."""
     patience = _LONG_PATIENCE if waits is not None else 0.0 if alone else _PATIENCE
     began, told = time.monotonic(), False
     while True:
@@ -113,8 +120,9 @@ def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) 
                 f"cannot open the folder {output}: {error.strerror or error}. Change its "
                 "permissions (read, write and search), or choose another output folder."
             ) from None
-        if _take(handle, alone) is not False and _is_same(handle, output):
-            return handle
+        taken = _take(handle, alone)
+        if taken is not False and _is_same(handle, output):
+            return handle, taken is True
         os.close(handle)
         waited = time.monotonic() - began
         if waited >= patience:

@@ -119,7 +119,7 @@ def assemble_run(opened: OpenRun, tell: RunProgressCallback, clock: PartClock) -
     files, failures = clock.timed("assembling", _assemble, opened, windows, tell)
     reports = [report for window in windows for report in window.reports.values()]
     run.seconds = run_seconds(windows, reports, run.coarse().seconds, clock)
-    run.finish([*files, *opened.job.sheets])
+    run.finish([*files, *opened.job.sheets], opened.lock.excludes_others)
     return summarize_result(opened, failures)
 
 

@@ -54,7 +54,7 @@ class OpenRun:
             WriteFailed: the operating system refused.
         """
         if self.run.has_begun or self.run.adopt():
-            self.run.tidy()
+            self.run.tidy(self.lock.excludes_others)
             return
         described = self.plan.to_dict()
         # What of the plan stays with the result: nothing that names folders of this machine.

@@ -163,13 +163,14 @@ class Run:
             return None
         return record
 
-    def finish(self, files: Sequence[Path]) -> None:
+    def finish(self, files: Sequence[Path], alone: bool = False) -> None:
         """Mark the run as complete, and remove what earlier results of this look left behind.
 
         Only a process that is alone in the output folder may.
 
         Args:
             files: that belong to the result and are outside the run's folder.
+            alone: see ``tidy``.
         """
         self.files = sorted(os.path.relpath(file_path, self.output) for file_path in files)
         others = [run for run in find_runs(self.output) if run.run_id != self.run_id]
@@ -180,7 +181,7 @@ class Run:
                     (self.output / name).unlink(missing_ok=True)
                 run.remove()
         remove_leftovers(self.output, of=self.files)
-        self.tidy(alone=True)
+        self.tidy(alone)
         if (self.folder / _SCENES).exists():
             self.save()  # scenes and all
             (self.folder / _SCENES).unlink()
