@@ -26,7 +26,7 @@ DEBT = {
     "parameters": {
         "optimize_colours", "run_colour_step", "run_shape_step",
         "_optimize_octave", "_Octave.__init__", "render_view", "preview",
-        "make_request", "write_result",
+        "make_request",
         "__init__",
     },
 }  # fmt: skip

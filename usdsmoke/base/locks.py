@@ -42,7 +42,7 @@ class OutputLock:
 
     @property
     def excludes_others(self) -> bool:
-        """Whether certainly no other process is at work in the folder; nothing is lost by asking."""
+        """Whether it is certain that no other process is at work in the folder."""
         return self._alone and self._real
 
     def is_alone(self) -> bool:

@@ -15,10 +15,11 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.pictures.png import StyleImage
-from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.make_plan import result_file_names
-from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
 from usdsmoke.runs.frame_records import frame_metadata
+from usdsmoke.runs.manifests import part_file_name
+from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
@@ -67,45 +68,44 @@ def result_fields(
 
 
 def write_result(
-    run: Run,
-    name: str,
-    volume: VolumePlan,
+    opened: OpenRun,
+    task: WindowTask,
     frame: FramePlan,
     stylized: "StylizedFrame",
-    gamma_w: float,
-    reader: FrameReader,
     source_hashes: Mapping[str, str],
-) -> dict[str, Any]:
+) -> tuple[str, dict[str, Any]]:
     """Write what one window made of a frame.
 
     A version that is to be blended with another is a part: it keeps all of its voxels, in 32-bit
-    floats, and nothing is copied into it. The density's grid is called like its relationship: some
+    floats, and nothing is copied into it. The density's grid has the name of its relationship: some
     renderers look for the one name, some for the other.
 
     Args:
-        run: where it goes.
-        name: of the file, relative to the run's folder; another one than the frame's for a part.
-        volume, frame: what it is the result of.
+        opened: the run that it goes to.
+        task: the window.
+        frame: what it is the result of.
         stylized: the result.
-        gamma_w: the scene's extinction, for frames without one of their own.
-        reader: of the source's frames, for grids that are copied.
         source_hashes: content hashes of what was read, see ``hash_sources``.
 
     Returns:
-        JSON values that describe the file; see ``frame_record``.
+        The file, relative to the run's folder, and JSON values that describe it; see
+        ``frame_record``.
 
     Raises:
         WriteFailed: the operating system refused, or the file came back different.
         GridError: a velocity to be copied cannot be read.
     """
+    run, volume, config = opened.run, task.volume, task.volume.config
+    is_part, report = task.is_part(frame), stylized.report
+    name = part_file_name(task.number, frame.file_name) if is_part else frame.file_name
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
     if stylized.emission is not None:
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
-    is_part, report = name != frame.file_name, stylized.report
-    config = volume.config
     if not is_part:
-        gamma_w = gamma_w if report.extinction is None else report.extinction
-        copied = reader.read_copied(volume, frame)
+        gamma_w = report.extinction
+        if gamma_w is None:  # then the scene's
+            gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
+        copied = opened.reader.read_copied(volume, frame)
         fields, report = result_fields(fields, copied, report, gamma_w, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
@@ -113,7 +113,7 @@ def write_result(
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
-    return {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
+    return name, {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
 
 
 def frame_record(

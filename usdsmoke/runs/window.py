@@ -9,7 +9,7 @@ from usdsmoke.planning.frame_reader import hash_sources
 from usdsmoke.planning.plan import WindowTask
 from usdsmoke.runs.budget import PartClock, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
-from usdsmoke.runs.manifests import WindowRecord, part_file_name
+from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
@@ -129,7 +129,6 @@ def _stylize_window(
 
     job, run = opened.job, opened.run
     config, clock = task.volume.config, PartClock()
-    gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
     sources = (opened.reader.read(task.volume, frame) for frame in task.frames)
     results = stylize_window(
         timed_items(clock, "reading", sources),
@@ -143,15 +142,12 @@ def _stylize_window(
     records = {}
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
         progress.writing(frame.source.time_code, place)
-        name, hashes = frame.file_name, source_hashes[frame.file_name]
-        if task.is_part(frame):
-            name = part_file_name(task.number, name)
-        records[name] = clock.timed(
-            "writing", write_result,
-            run, name, task.volume, frame, stylized, gamma_w, opened.reader, hashes,
-        )  # fmt: skip
+        with clock.part("writing"):
+            hashes = source_hashes[frame.file_name]
+            name, record = write_result(opened, task, frame, stylized, hashes)
+        records[name] = record
         give_back_memory()
-    record = WindowRecord(
+    manifest = WindowRecord(
         run_id=run.run_id,
         window=task.number,
         volume=task.volume.source.prim_path,
@@ -162,4 +158,4 @@ def _stylize_window(
         timings=clock.parts,
         processor=describe_machine(config.optimize).processor,
     )
-    run.keep(record)
+    run.keep(manifest)
