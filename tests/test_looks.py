@@ -73,9 +73,7 @@ def test_windows_of_two_looks_are_assembled_by_name(farm: Shot) -> None:
     for settings in (WINDOWS, [*WINDOWS, "layer.look=ember"]):
         for window in (2, 0, 1):
             run_window(Request(farm.stage, farm.style, farm.output, settings), window)
-    with pytest.raises(
-        LayerError, match=r"holds several looks: ember, stylized; name one .*--look"
-    ):
+    with pytest.raises(LayerError, match=r"several looks: ember, stylized.*--look"):
         assemble(farm.output)
     ember = assemble(farm.output, look="ember")
     assert ember.root_stage == farm.output / "shot_look_ember.usda"
@@ -111,7 +109,7 @@ def test_another_mode_is_assembled_from_the_same_frames(shot: Shot, core: FakeCo
     assert core.stylized == []
     assert [path.stat().st_mtime_ns for path in again.frames] == before
     assert assemble(shot.output).root_stage == again.root_stage  # the folder remembers the mode
-    with pytest.raises(OutputExists, match="another mode with 'usdsmoke assemble'"):
+    with pytest.raises(OutputExists, match="'usdsmoke assemble'"):
         run(shot, "layer.mode=reference")
     with pytest.raises(ConfigError, match="wanted one of"):
         assemble(shot.output, mode="usdz")
