@@ -53,7 +53,7 @@ def test_stylize_prints_where_the_result_is_and_says_the_rest_on_stderr(
 ) -> None:
     assert main(shot.arguments()) == 0
     out, err = capsys.readouterr()
-    assert re.search(rf"^stage to open +{shot.output / 'shot_look.usda'}$", out, re.MULTILINE)
+    assert re.search(rf"^open +{shot.output / 'shot_look.usda'}$", out, re.MULTILINE)
     assert re.search(r"^temporal error +colour 50\.00%, displacement 25\.00%$", out, re.MULTILINE)
     assert "usdsmoke validate" in out
     assert "plan for" in err and "estimate" in err
@@ -104,7 +104,7 @@ def test_the_plan_lists_its_windows_by_number_where_there_are_several(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(shot.arguments("--dry-run", "--set", "windows.size=2")) == 0
-    assert "windows\n  0: 1,2, on to 3 of </World/smoke>\n  1: 3 of" in capsys.readouterr().out
+    assert "windows\n  0: 1,2, overlap to 3 of </World/smoke>\n  1: 3 of" in capsys.readouterr().out
     assert main(shot.arguments("--dry-run")) == 0
     assert "windows\n" not in capsys.readouterr().out
 

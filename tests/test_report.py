@@ -249,7 +249,7 @@ def test_a_time_that_is_none_is_wrong_usage(
     with pytest.raises(SystemExit) as stopped:
         main(words)
     assert stopped.value.code == 2
-    assert "wanted a number of seconds, minutes or hours" in capsys.readouterr().err
+    assert "'soon'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

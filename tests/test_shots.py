@@ -160,7 +160,7 @@ def test_the_command_line_tells_what_to_open_and_what_to_switch(
     files = [str(big.stage), "--style", str(big.style), "-o", str(big.output)]
     assert main(["stylize", *files, "--mode", "reference", "--look", "ember"]) == 0
     told = capsys.readouterr().out
-    assert re.search(rf"stage to open +{re.escape(str(big.output))}/shot_asset.usda", told)
+    assert re.search(rf"open +{re.escape(str(big.output))}/shot_asset.usda", told)
     assert "variant set look of the root prims: ember, original" in told
 
 

@@ -105,7 +105,7 @@ def test_inspection_of_a_missing_file_names_it_in_a_message(two_plumes: Path) ->
 
 def test_validation_is_of_the_open_stage_with_its_unsaved_edits(tmp_path: Path) -> None:
     api, _ = open_in_usdview(plume_stage(tmp_path))
-    assert do("validate", api).said[-1] == "shot.usda: nothing to say"
+    assert do("validate", api).said[-1] == "shot.usda: no findings"
     api.stage.GetPrimAtPath("/World/smoke/density").GetAttribute("fieldName").Set("fog")
     ((_, text),) = do("validate", api).texts
     assert "GridMissing </World/smoke/density>" in text

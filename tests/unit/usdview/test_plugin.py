@@ -81,7 +81,7 @@ print(json.dumps([seen, sorted(foreign)]))
     assert {name for name, calls in seen.items() if any(c[0] == "warn" for c in calls)} == set()
     assert "4 frames, 1 to 4" in seen["usdsmoke.inspect"][0][2]
     assert "shows run 3f2b8c1e" in seen["usdsmoke.provenance"][0][2]
-    assert seen["usdsmoke.validate"][-1][2].endswith(": nothing to say")
+    assert seen["usdsmoke.validate"][-1][2].endswith(": no findings")
     assert seen["usdsmoke.toggle"] == [["say", "original: muted look.usda"]]
     assert "--frames 2 " in seen["usdsmoke.copy_frame"][0][1]
     assert "--frames 1-4 " in seen["usdsmoke.copy_all"][0][1]

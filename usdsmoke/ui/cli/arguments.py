@@ -1,4 +1,4 @@
-"""What the command line takes; defaults and limits of settings come from the settings."""
+"""The arguments of each command. Defaults and limits of settings come from the settings."""
 
 import argparse
 from dataclasses import fields
@@ -19,7 +19,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of ``usdsmoke`` with its subcommands."""
     parser = argparse.ArgumentParser(
         prog="usdsmoke",
-        description="Stylize the smoke of a USD stage after an example image, as a new look layer.",
+        description="Stylize the smoke of a USD stage after an example image, into a new layer.",
         epilog=_EXIT_CODES,
     )
     parser.add_argument("--version", action="version", version=f"usdsmoke {__version__}")
@@ -27,16 +27,20 @@ def build_parser() -> argparse.ArgumentParser:
     _add_inspect(commands)
     _add_stylize(commands)
     _add_submit(commands)
-    assemble = _add_command(commands, "assemble", "make the result of windows run one by one")
-    assemble.add_argument("output", metavar="OUT", help="the folder that they were written to")
+    assemble = _add_command(
+        commands, "assemble", "make the result of windows that were run one by one"
+    )
+    assemble.add_argument("output", metavar="OUT", help="the folder of the windows")
     _add_layer(assemble)
-    validate = _add_command(commands, "validate", "check a stage or layer, its files and grids")
+    validate = _add_command(commands, "validate", "check a stage or layer with its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
-    _add_command(commands, "plugin-path", "print where usdview and USD find usdsmoke's plug-ins")
+    _add_command(
+        commands, "plugin-path", "print the folders of usdsmoke's USD and usdview plug-ins"
+    )
     _add_preview(commands)
     _add_report(commands)
     add_record_commands(partial(_add_command, commands))
-    _add_command(commands, "settings", "print every setting with its meaning, as a YAML file")
+    _add_command(commands, "settings", "print all settings with their meanings, as YAML")
     return parser
 
 
@@ -83,15 +87,20 @@ def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPar
         name, help=summary, description=summary.capitalize() + ".", epilog=_EXIT_CODES
     )
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
-    parser.add_argument("--verbose", action="store_true", help="show where an error comes from")
+    parser.add_argument("--verbose", action="store_true", help="show the traceback of an error")
     return parser
 
 
 def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--prim", action="append", metavar="PATH", help="a Volume; may be repeated; default: all"
+        "--prim",
+        action="append",
+        metavar="PATH",
+        help="a Volume prim; may be repeated (default: all)",
     )
-    parser.add_argument("--frames", metavar="1-24", help="timeCodes: 1-24, 1,5,9, 1-24x2")
+    parser.add_argument(
+        "--frames", metavar="1-24", help="timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: all)"
+    )
 
 
 def _add_layer(parser: argparse.ArgumentParser) -> None:
@@ -99,16 +108,18 @@ def _add_layer(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mode",
         choices=limits["mode"]["choices"],
-        help="what to write: a root stage with the look over the source (sublayer, the default), "
-        "an asset with a variant for each look (reference), or the look layer alone (layer)",
+        help="what to write: sublayer: a root stage with the look over the source (default); "
+        "reference: an asset with a variant for each look; layer: only the look layer",
     )
     parser.add_argument(
-        "--look", metavar="NAME", help="the look's name; looks of other names stay beside it"
+        "--look", metavar="NAME", help="the name of the look; looks with other names are kept"
     )
 
 
 def _add_inspect(commands: Any) -> None:
-    parser = _add_command(commands, "inspect", "show volumes, fields, files, frames and grids")
+    parser = _add_command(
+        commands, "inspect", "show the Volumes of a stage: fields, files, frames and grids"
+    )
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     _add_selection(parser)
     _add_style(parser)
@@ -120,22 +131,26 @@ def _add_stylize(commands: Any) -> None:
     _add_run(parser)
     part = parser.add_mutually_exclusive_group()
     part.add_argument(
-        "--coarse", action="store_true", help="do only the step that all windows share"
+        "--coarse", action="store_true", help="run only the coarse step, which all windows share"
     )
     part.add_argument(
         "--window",
         type=int,
         metavar="K",
-        help="do only this window, from 0; the plan lists them; 'usdsmoke assemble OUT' comes last",
+        help="run only window K, counted from 0 (--dry-run lists them); then 'usdsmoke assemble'",
     )
     part.add_argument(
         "--cluster",
         metavar="tcp://HOST:PORT",
-        help="let the workers of this Dask scheduler do the windows",
+        help="run the windows on the workers of this Dask scheduler",
     )
-    parser.add_argument("--dry-run", action="store_true", help="print the plan and write nothing")
     parser.add_argument(
-        "--force", action="store_true", help="replace a result, or give up an unfinished run"
+        "--dry-run", action="store_true", help="print the plan and its cost; write nothing"
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace an existing result, or an unfinished run with other settings",
     )
 
 
@@ -145,47 +160,48 @@ def _add_submit(commands: Any) -> None:
     parser.add_argument(
         "--template",
         metavar="FILE.yaml",
-        help="the job template (Open Job Description) to write; default: OUT/job/template.yaml",
+        help="the Open Job Description template to write (default: OUT/job/template.yaml)",
     )
     parser.add_argument(
         "--command",
         dest="program",
         default="usdsmoke",
         metavar="PROGRAM",
-        help="what the machines of the queue start: one program, by name or path, without "
-        "arguments; default: usdsmoke",
+        help="the program that the queue starts, a name or path without arguments "
+        "(default: usdsmoke)",
     )
 
 
 def _add_preview(commands: Any) -> None:
-    parser = _add_command(commands, "preview", "draw the smoke of a stage, looks included")
-    parser.add_argument("stage", metavar="STAGE", help="a USD file; of a look its root stage")
+    parser = _add_command(commands, "preview", "draw the smoke of a stage, including its looks")
+    parser.add_argument("stage", metavar="STAGE", help="a USD file; for a look its root stage")
     parser.add_argument(
         "-o",
         "--output",
         required=True,
         metavar="FILE",
-        help=".png: a picture, or a contact sheet of several; .exr: scene-linear, a file a frame",
+        help=".png: a picture, or a contact sheet of several frames; .exr: scene-linear, one file "
+        "per frame",
     )
     _add_selection(parser)
     parser.add_argument(
-        "--camera", default="", metavar="PATH", help="a Camera prim; default: a fitted front view"
+        "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"
     )
     parser.add_argument(
-        "--compare", action="store_true", help="draw the stage without its look as well"
+        "--compare", action="store_true", help="also draw the stage without its look"
     )
-    parser.add_argument("--width", type=int, metavar="N", help="pixels; default: 512 at most")
-    parser.add_argument("--size", type=size_value, metavar="WxH", help="pixels each way")
+    parser.add_argument("--width", type=int, metavar="N", help="pixels (default: at most 512)")
+    parser.add_argument("--size", type=size_value, metavar="WxH", help="width and height in pixels")
     parser.add_argument(
         "--background",
         choices=("grey", "black", "none"),
         default="grey",
-        help="of a PNG; none: transparent, for one picture",
+        help="background of a PNG; none: transparent, for a single picture",
     )
 
 
 def _add_report(commands: Any) -> None:
-    parser = _add_command(commands, "report", "measure what a scene's choices gain and cost")
+    parser = _add_command(commands, "report", "measure what the settings gain and cost in a scene")
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     parser.add_argument(
         "-o", "--output", required=True, metavar="DIR", help="the folder of the report"
@@ -198,33 +214,37 @@ def _add_report(commands: Any) -> None:
         default="5min",
         type=duration_value,
         metavar="TIME",
-        help="how long to measure: 300s, 5min, 1h30m; what does not fit is named; default: 5min",
+        help="time for measurements, such as 300s, 5min or 1h (default: 5min)",
     )
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
-    """What a run is made of."""
+    """The arguments of a run."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{_EXIT_CODES}\n\n{_settings_summary()}"
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     _add_style(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="the folder of the result"
+    )
     _add_selection(parser)
     _add_layer(parser)
     parser.add_argument(
         "--restylize",
         action="store_const",
         const=True,
-        help="take smoke that is stylized already as the source, not the original",
+        help="use an earlier look as the source instead of the original",
     )
     _add_settings(parser)
-    parser.add_argument("--half", action="store_const", const=True, help="write 16-bit floats")
+    parser.add_argument(
+        "--half", action="store_const", const=True, help="write 16-bit floats (grids.half)"
+    )
     _add_client_options(parser)
     parser.add_argument(
         "--repair",
         type=repair_value,
         metavar="nan=0",
-        help="put a number in the place of NaN and infinite voxels, which are refused otherwise",
+        help="replace NaN and infinite voxels by a number; without it they are an error",
     )
 
 
@@ -233,7 +253,7 @@ def _add_style(parser: argparse.ArgumentParser) -> None:
         "--style",
         action="append",
         metavar="IMAGE",
-        help="an image to take the style from; may be repeated; default: the Volumes' own",
+        help="the style image; may be repeated (default: the images that the Volumes request)",
     )
 
 
@@ -241,57 +261,57 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         metavar="FILE.yaml",
-        help="settings, weaker than what a Volume asks for itself; see 'usdsmoke settings'",
+        help="settings; requests on Volumes override them (see 'usdsmoke settings')",
     )
     parser.add_argument(
         "--overrides",
         metavar="FILE.yaml",
-        help="settings, stronger than what a Volume asks for itself, as all options are",
+        help="settings that override requests on Volumes, like all options",
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="one setting, such as windows.size=3; may be repeated; stronger than all others",
+        help="one setting, such as windows.size=3; may be repeated; overrides everything else",
     )
     parser.add_argument(
         "--camera",
         metavar="PATH",
-        help="the shot's Camera prim: only what it sees is stylized, seen from its direction",
+        help="the shot's Camera prim; only what it sees is stylized (views.camera)",
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="the same as --set optimize.seed=N")
+    parser.add_argument("--seed", type=int, metavar="N", help="the random seed (optimize.seed)")
     parser.add_argument(
         "--tolerance",
         type=float,
         metavar="E",
-        help="choose the cheapest settings whose estimated errors stay below this, such as 0.05",
+        help="choose the cheapest settings whose estimated errors stay below E, such as 0.3",
     )
 
 
 def _add_client_options(parser: argparse.ArgumentParser) -> None:
-    """What particular renderers want; docs/clients.md says which."""
+    """Output for particular renderers; see docs/clients.md."""
     parser.add_argument(
         "--alias-cd",
         action="store_const",
         const=["Cd"],
-        help="the same as --set layer.scatter_colour=Cd",
+        help="also write the colour as a scattering colour Cd (layer.scatter_colour)",
     )
     parser.add_argument(
         "--split-rgb",
         action="store_const",
         const=True,
-        help="write colours as three grids of floats too",
+        help="also write colours as three float grids (layer.split_rgb)",
     )
     parser.add_argument(
         "--emission-mode",
         choices=("absolute", "perDensity"),
-        help="perDensity is for renderers that multiply emission by density",
+        help="perDensity is for renderers that multiply emission by density (layer.emission_mode)",
     )
 
 
 def _settings_summary() -> str:
-    lines = ["settings for --set and --config (usdsmoke settings explains them):"]
+    lines = ["settings for --set and --config (explained by 'usdsmoke settings'):"]
     for section, settings in config_to_dict(Config()).items():
         lines.append(f"  {section}: {', '.join(settings)}")
     return "\n".join(lines)

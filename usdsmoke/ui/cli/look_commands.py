@@ -1,4 +1,4 @@
-"""The commands that look at what is there and change nothing."""
+"""The commands that read and write nothing: inspect, validate, plugin-path, settings."""
 
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""The command that draws a stage's smoke."""
+"""The command that draws the smoke of a stage."""
 
 import argparse
 import sys

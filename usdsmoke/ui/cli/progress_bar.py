@@ -1,4 +1,4 @@
-"""How far a run is, told on the error stream: a bar on a terminal, a line now and then in a log."""
+"""Progress on stderr: a bar on a terminal, a line every ten seconds in a log."""
 
 import time
 from collections.abc import Callable
@@ -12,11 +12,11 @@ from usdsmoke.runs.progress import RunProgress
 __all__ = ["ConsoleProgress", "format_seconds"]
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log
-_LEARN_FOR = 2.0  # seconds before a time that is left is told
+_LEARN_FOR = 2.0  # seconds before the remaining time is shown
 
 
 class ConsoleProgress:
-    """Called with each record of a run; draws a bar on a terminal, writes plain lines elsewhere.
+    """Draws a bar on a terminal and writes plain lines elsewhere; called with each progress record.
 
     Use it as a context, so that the terminal is whole again whatever happens.
 
@@ -55,9 +55,9 @@ class ConsoleProgress:
         self._bars.stop()
 
     def __call__(self, report: RunProgress) -> None:
-        """Shows one record of a run."""
+        """Show one record of a run."""
         if report.step == "wait":
-            self.say("waiting for another usdsmoke, which is writing to the output folder")
+            self.say("waiting for another usdsmoke process that writes to the output folder")
             return
         now = self._clock()
         noun = "" if report.step == "window" else " frame"
@@ -73,7 +73,7 @@ class ConsoleProgress:
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
     def say(self, message: str) -> None:
-        """Writes a message above the bar."""
+        """Write a message above the bar."""
         self._console.print(message, markup=False, highlight=False, soft_wrap=True)
 
     def _time_left(self, now: float, share: float) -> str:
@@ -86,7 +86,7 @@ class ConsoleProgress:
 
 
 def format_seconds(seconds: float) -> str:
-    """A duration as people say it.
+    """A duration as text.
 
     >>> format_seconds(7.4), format_seconds(95), format_seconds(7260)
     ('7 s', '1 min 35 s', '2 h 1 min')

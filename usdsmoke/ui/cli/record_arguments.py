@@ -1,4 +1,4 @@
-"""What the commands take that go by a result's own record."""
+"""The arguments of the commands that read a provenance record."""
 
 import argparse
 from collections.abc import Callable
@@ -14,16 +14,16 @@ def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> N
     Args:
         add: makes a command of a name and a summary.
     """
-    parser = add("provenance", "show how a result was made and from what")
+    parser = add("provenance", "show how a result was made, and from what")
     parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON on stdout")
-    parser = add("verify", "tell what has changed since a result was made")
+    parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON")
+    parser = add("verify", "report what has changed since a result was made")
     parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser = add("rerun", "make a result again from its own record")
+    parser = add("rerun", "make a result again from its provenance record")
     parser.add_argument("file", metavar="FILE", help=_FILE)
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="also with inputs that have changed, and in the place of a result in OUT",
+        help="use inputs that have changed, and replace a result in OUT",
     )

@@ -1,4 +1,4 @@
-"""What ``inspect`` prints of a Volume's request: values, and whose word each of them is."""
+"""What ``inspect`` prints of a Volume's request: values and where each comes from."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ _WORDS = {"config": "configuration", "option": "option", "default": "default"}
 
 
 def request_rows(request: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value and origin of everything that is not the default, and how much else there is.
+    """Name, value and origin of everything but defaults, and the number of defaults.
 
     Args:
         request: a Volume's, from ``inspection_requests.describe_requests``.

@@ -1,4 +1,4 @@
-"""What the command line prints: plans, results, inspections, findings, for people or as JSON."""
+"""What the commands print: plans, results, inspections and findings, as text or JSON."""
 
 import json
 import shlex
@@ -30,12 +30,12 @@ __all__ = [
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value on stdout; NaN and infinity are no JSON and raise ValueError."""
+    """Print one JSON value on stdout. NaN and infinity raise ValueError: JSON has neither."""
     print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def plan_text(plan: "Plan") -> str:
-    """A plan: volumes, what is needed, what is left out and why, what it costs."""
+    """A plan: Volumes, what is needed, what is left out and why, what it costs."""
     estimate = plan.estimate
     return "\n".join(
         [
@@ -48,7 +48,7 @@ def plan_text(plan: "Plan") -> str:
             *(f"  {omission.what}: {omission.reason}" for omission in plan.omitted),
             "estimate",
             f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
-            f"{_size(estimate.bytes_written)} to write",
+            f"{_size(estimate.bytes_written)} on disk",
         ]
     )
 
@@ -56,17 +56,17 @@ def plan_text(plan: "Plan") -> str:
 def result_text(result: "StylizeResult") -> str:
     """Where a result is and what to do next."""
     folders = sorted({str(file_path.parent) for file_path in result.frames})
-    opened = [("stage to open", str(result.root_stage))] if result.root_stage else []
+    opened = [("open", str(result.root_stage))] if result.root_stage else []
     rows = [
         *opened,
         ("look layer", str(result.look_layer)),
         (_count(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
         *_measured("temporal error", result.temporal_error),
-        *_measured("overlap differs by", result.overlap_difference),
+        *_measured("overlap difference", result.overlap_difference),
     ]
     checked = result.root_stage or result.look_layer
-    check = f"check it with: usdsmoke validate {checked}"
+    check = f"check: usdsmoke validate {checked}"
     return "\n".join([*columns(rows), "", *_use_of(result), check])
 
 
@@ -74,27 +74,27 @@ def _use_of(result: "StylizeResult") -> list[str]:
     """What to do with a result that is not a root stage over the source."""
     layer = result.plan.config.layer
     if layer.mode == "layer":
-        return [f"put it over its source: subLayers = [@{result.look_layer}@, ...]"]
+        return [f"use: add it above its source, subLayers = [@{result.look_layer}@, ...]"]
     if layer.mode == "reference":
         names = f"{layer.look}, {ORIGINAL}"
-        return [f"switch it with the variant set {VARIANT_SET} of the root prims: {names}, ..."]
+        return [f"use: variant set {VARIANT_SET} of the root prims ({names}, ...)"]
     return []
 
 
 def step_text(step: "StepResult") -> str:
-    """Where a part of a run has left its files."""
-    what = "nothing was left to do" if step.was_done else "finished"
+    """The files of a part of a run."""
+    what = "already done" if step.was_done else "finished"
     manifest = [("manifest", str(step.manifest))] if step.manifest.is_file() else []
     return "\n".join(columns([(what, str(step.folder)), *manifest]))
 
 
 def job_text(bundle: "JobBundle") -> str:
-    """Where a job for a queue was written, and the commands that take it."""
+    """The files of a queue job, and the commands that run it."""
     values = [part for pair in bundle.parameters.items() for part in ("-p", "=".join(pair))]
     run = shlex.join(["openjd", "run", str(bundle.template), *values])
     rows = [
         ("job template", str(bundle.template)),
-        (_count(bundle.n_windows, "window"), "each of them a task"),
+        (_count(bundle.n_windows, "window"), "one task each"),
         (
             "Deadline Cloud",
             shlex.join(["deadline", "bundle", "submit", str(bundle.template.parent)]),
@@ -105,7 +105,7 @@ def job_text(bundle: "JobBundle") -> str:
 
 
 def inspection_text(found: Mapping[str, Any]) -> str:
-    """What ``inspect`` found, a line for every field and timeCode."""
+    """What ``inspect`` found, one line per field and timeCode."""
     stage = found["stage"]
     lines = [
         f"{stage['file']}",
@@ -124,14 +124,14 @@ def inspection_text(found: Mapping[str, Any]) -> str:
         if asked := request_rows(volume["request"]):
             lines += ["  stylized with", *(f"    {line}" for line in columns(asked))]
     for omission in found["omitted"]:
-        lines += ["", f"left out {omission['what']}: {omission['reason']}"]
+        lines += ["", f"left out: {omission['what']}: {omission['reason']}"]
     lines += ["", *(f"note: {note}" for note in found["notes"])]
     lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
     return "\n".join(lines).rstrip()
 
 
 def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
-    """Findings, a line each, and how many there are."""
+    """Findings, one line each, and their number."""
     lines = []
     counts: dict[str, int] = {}
     for finding in findings:
@@ -139,7 +139,7 @@ def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
         where = f" <{finding.prim_path}>" if finding.prim_path else ""
         when = f" timeCode {finding.time_code:g}" if finding.time_code is not None else ""
         lines.append(f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}")
-    summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "nothing to say"
+    summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "no findings"
     return "\n".join([*lines, f"{file_path}: {summary}"])
 
 
@@ -164,7 +164,7 @@ def _volume_line(volume: "VolumePlan") -> str:
         f"<{volume.source.prim_path}>: {_count(len(volume.frames), 'frame')} in "
         f"{_count(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} voxels in "
         f"{_box(largest.size.box)}, written to {volume.frames[0].file_name}"
-        f"{' and so on' if len(volume.frames) > 1 else ''}"
+        f"{' ...' if len(volume.frames) > 1 else ''}"
     )
 
 
@@ -173,7 +173,7 @@ def _window_lines(plan: "Plan") -> list[str]:
     lines = []
     for volume in plan.volumes:
         for window in volume.windows:
-            beyond = f", on to {window.beyond[-1]:g}" if window.beyond else ""
+            beyond = f", overlap to {window.beyond[-1]:g}" if window.beyond else ""
             codes = format_time_codes(window.time_codes)
             lines.append(f"  {window.index}: {codes}{beyond} of <{volume.source.prim_path}>")
     return ["windows", *lines] if len(lines) > 1 else []

@@ -1,4 +1,4 @@
-"""Values of options that are more than a word or a number."""
+"""Options whose values are more than a word or a number."""
 
 import argparse
 import math
@@ -6,21 +6,16 @@ import re
 
 __all__ = ["duration_value", "empty_path", "repair_value", "size_value"]
 
-_SECOND, _MINUTE, _HOUR = 1.0, 60.0, 3600.0
-_UNITS = {
-    "s": _SECOND, "sec": _SECOND, "secs": _SECOND, "second": _SECOND, "seconds": _SECOND,
-    "m": _MINUTE, "min": _MINUTE, "mins": _MINUTE, "minute": _MINUTE, "minutes": _MINUTE,
-    "h": _HOUR, "hr": _HOUR, "hour": _HOUR, "hours": _HOUR,
-}  # fmt: skip
-_PART = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([a-z]+)\s*")
+_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_DURATION = re.compile(r"(\d+(?:\.\d*)?)\s*(s|min|h|)")
 _LEAST = 1.0  # seconds
 _PATHS = ("stage", "style", "output", "config", "overrides", "template", "file")
 
 
 def empty_path(arguments: argparse.Namespace) -> str | None:
-    """Name of a path that was given as an empty text, as by a script whose variable is not set.
+    """Name of a path that is empty, as from a script whose variable is not set.
 
-    Taken as a path it would mean the folder in which the command was called.
+    An empty path would mean the current folder.
     """
     for name in _PATHS:
         value = getattr(arguments, name, None)
@@ -33,11 +28,13 @@ def size_value(text: str) -> tuple[int, int]:
     """Width and height of ``960x540``.
 
     Raises:
-        argparse.ArgumentTypeError: it is no such text.
+        argparse.ArgumentTypeError: the text has another form.
     """
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted WIDTHxHEIGHT, as in 960x540")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a size. Write WIDTHxHEIGHT, such as 960x540."
+        )
     return int(width), int(height)
 
 
@@ -45,7 +42,7 @@ def repair_value(text: str) -> float:
     """The number of ``nan=0``.
 
     Raises:
-        argparse.ArgumentTypeError: it is no such text, or the number is not finite.
+        argparse.ArgumentTypeError: the text has another form, or the number is not finite.
     """
     name, equals, value = text.partition("=")
     try:
@@ -53,37 +50,25 @@ def repair_value(text: str) -> float:
     except ValueError:
         number = math.nan
     if name.strip().lower() != "nan" or not equals or not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted nan=NUMBER, as in nan=0")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a replacement. Write nan=NUMBER, such as nan=0."
+        )
     return number
 
 
 def duration_value(text: str) -> float:
-    """Seconds of a duration such as ``5min``, ``5m``, ``300s``, ``60 sec``, ``1h30min`` or ``90``.
+    """Seconds of a duration such as ``90``, ``300s``, ``5min`` or ``1.5h``.
 
-    >>> duration_value("5min"), duration_value("1.5 h"), duration_value("1h30m")
-    (300.0, 5400.0, 5400.0)
+    >>> duration_value("5min"), duration_value("1.5 h")
+    (300.0, 5400.0)
 
     Raises:
-        argparse.ArgumentTypeError: it is no duration, or less than a second.
+        argparse.ArgumentTypeError: it is not a duration, or less than a second.
     """
-    seconds = _seconds(text.strip().lower())
-    if not _LEAST <= seconds < float("inf"):
+    found = _DURATION.fullmatch(text.strip().lower())
+    seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    if not _LEAST <= seconds < math.inf:
         raise argparse.ArgumentTypeError(
-            f"{text!r}; wanted a number of seconds, minutes or hours, one second at least, as in "
-            "300s, 5min or 1h30min"
+            f"{text!r} is not a duration of at least one second. Write 300s, 5min or 1h."
         )
     return seconds
-
-
-def _seconds(text: str) -> float:
-    """0 for what is no duration; every unit counts once, the largest first."""
-    if re.fullmatch(r"\d+(\.\d*)?", text):
-        return float(text)
-    place, total, last = 0, 0.0, float("inf")
-    while place < len(text):
-        found = _PART.match(text, place)
-        unit = _UNITS.get(found[2], 0.0) if found else 0.0
-        if not found or not 0 < unit < last:
-            return 0.0
-        place, total, last = found.end(), total + float(found[1]) * unit, unit
-    return total
