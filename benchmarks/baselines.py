@@ -28,7 +28,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask

@@ -19,7 +19,8 @@ import torch
 
 from benchmarks.control_scenes import paint_styles
 from benchmarks.shape_cost import make_plume
-from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -158,7 +159,7 @@ def half_out(
         By case: no camera; a camera from the side that sees all; the same with its film moved so
         that half of the smoke lies outside. The quickest of the runs counts.
     """
-    config = resolve_config(assignments=[*SETTINGS, "shape.iterations=[30, 25, 20]", *more])
+    config = resolve_config([*SETTINGS, "shape.iterations=[30, 25, 20]", *more])
     frame = make_frame(n)
     whole = camera_around(frame, 3.0, azimuth=60.0)
     half = without_half(whole, frame, config.views.camera_margin)
@@ -184,9 +185,7 @@ def near_eye(
     n: int = 48, distances: Sequence[float] = (0.6, 0.8, 1.5, 3.0), more: Sequence[str] = ()
 ) -> dict[float, dict[str, tuple[float, float]]]:
     """Seconds and error of parallel and of perspective views, by the eye's distance."""
-    config = resolve_config(
-        assignments=[*SETTINGS, "shape.iterations=[20, 15, 10]", "views.pool=8", *more]
-    )
+    config = resolve_config([*SETTINGS, "shape.iterations=[20, 15, 10]", "views.pool=8", *more])
     frame = make_frame(n)
     found: dict[float, dict[str, tuple[float, float]]] = {}
     for distance in distances:

@@ -84,13 +84,12 @@ def stop_early(shot: Shot, share: float) -> Shot:
     """The shot with a share of the iterations in every octave, at least one."""
     config = shot.config
     fewer = {
-        step: replace(
-            getattr(config, step),
+        step: getattr(config, step).replace(
             iterations=[max(1, round(share * n)) for n in getattr(config, step).iterations],
         )
         for step in config.optimize.steps
     }
-    return replace(shot, config=replace(config, **fewer))
+    return replace(shot, config=config.replace(**fewer))
 
 
 def error_at_equal_style(stopped: Sequence[Stopped], kind: str, distance: float) -> float:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.control_scenes import FRAMES_PER_SECOND, THINNEST, load_example, paint_styles
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coarse import CoarseStart, coarse_frames
@@ -90,7 +91,7 @@ def make_shot(
 ) -> Shot:
     """The frames with an example style; the scene is measured as a whole run measures it."""
     fixed = ["optimize.threads=1", "optimize.device=cpu"]
-    config = resolve_config(assignments=[*fixed, *settings])
+    config = resolve_config([*fixed, *settings])
     scene = measure_scene(
         [frames[0], frames[len(frames) // 2], frames[-1]],
         config.views,

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.control_scenes import fading_mask
 from benchmarks.display import encode_display
-from usdsmoke.base.config import resolve_config
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.style.losses import StyleTarget
@@ -132,7 +132,7 @@ class Studio:
         self, kind: str, style: str, settings: Sequence[str], masked: bool, guided: bool
     ) -> Look:
         frame = fading_mask(self.frames[kind]) if masked else self.frames[kind]
-        config = resolve_config(assignments=[*self._settings[kind], *settings])
+        config = resolve_config([*self._settings[kind], *settings])
         scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
         with _guidance(guided):
             (stylized,) = stylize_window([frame], [self.styles[style]], scene, config)

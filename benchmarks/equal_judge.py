@@ -14,7 +14,8 @@ from benchmarks.display import composite, mean_colour
 from benchmarks.held_out import Result, cover_box, draw_march, fit_view, held_out_angles
 from benchmarks.measures import score_views
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.smoke.srgb import encode_srgb, scale_style
 from usdsmoke.core.style.targets import StyleTargets

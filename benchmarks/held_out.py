@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdVol
 from benchmarks.display import composite, mean_colour
 from benchmarks.measures import score_views
 from benchmarks.raymarch import march_rays
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.render import render_fields

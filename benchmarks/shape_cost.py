@@ -18,8 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import smooth
 from usdsmoke.core.fields.sample import voxel_positions

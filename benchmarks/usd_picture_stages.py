@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 import usdsmoke
 from benchmarks.client_stages import author_overlay
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 

@@ -22,9 +22,9 @@ import torch
 from benchmarks.circumstances import circumstances
 from benchmarks.coherence_measures import style_distances
 from benchmarks.coherence_runs import Outcome, Run, Shot, make_shot, simulate_plume
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
@@ -57,7 +57,7 @@ def measure_step(shot: Shot, step: str, warm: Sequence[int], cold: Sequence[floa
         warm: iterations of the finest octave.
         cold: shares of the configured iterations.
     """
-    config = replace(shot.config, optimize=replace(shot.config.optimize, steps=[step]))
+    config = shot.config.replace(optimize=shot.config.optimize.replace(steps=[step]))
     shot = replace(shot, config=config)
     octaves = getattr(config, step).iterations
     rows = []
@@ -66,14 +66,14 @@ def measure_step(shot: Shot, step: str, warm: Sequence[int], cold: Sequence[floa
         alone = _with_iterations(config, step, plan)
         rows.append(_measure(shot, step, "cold", plan, alone))
     for n in warm:
-        windows = replace(config.windows, warm_iterations=n / octaves[-1])
-        rows.append(_measure(shot, step, "warm", (n,), replace(config, windows=windows)))
+        windows = config.windows.replace(warm_iterations=n / octaves[-1])
+        rows.append(_measure(shot, step, "warm", (n,), config.replace(windows=windows)))
     return rows
 
 
 def _with_iterations(config: Config, step: str, plan: Sequence[int]) -> Config:
-    section = replace(getattr(config, step), iterations=list(plan))
-    return replace(config, **{step: section})
+    section = getattr(config, step).replace(iterations=list(plan))
+    return config.replace(**{step: section})
 
 
 def _measure(shot: Shot, step: str, start: str, plan: tuple[int, ...], config: Config) -> Row:

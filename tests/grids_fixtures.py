@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.binding import find_binding
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file

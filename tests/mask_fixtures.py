@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.grids_fixtures import raw_grid, uniform, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
-from usdsmoke.base.config import resolve_config
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.make_plan import make_plan
@@ -22,7 +22,7 @@ PLACED = (
 
 def plan_of(stage: Path, *settings: str) -> Plan:
     """The plan of a stage with the mask called fade."""
-    config = resolve_config(assignments=["stage.mask=fade", *settings])
+    config = resolve_config(["stage.mask=fade", *settings])
     return make_plan(find_volumes(open_stage(stage), config.stage), config)
 
 

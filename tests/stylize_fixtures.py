@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.views.scene import Scene, measure_scene

@@ -11,7 +11,8 @@ import pytest
 
 from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes, write_text
-from usdsmoke.base.config import Config, config_to_dict, read_config, resolve_config
+from usdsmoke.base.resolve import read_settings, resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -185,9 +186,9 @@ def test_settings_prints_a_file_that_can_be_given_back(
 ) -> None:
     assert main(["settings"]) == 0
     config = write_text(tmp_path / "all.yaml", capsys.readouterr().out)
-    assert resolve_config(read_config(config)) == Config()
+    assert resolve_config(read_settings(config)) == Config()
     assert main(["settings", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == config_to_dict(Config())
+    assert json.loads(capsys.readouterr().out) == Config().model_dump()
 
 
 @pytest.mark.usefixtures("core")
@@ -241,7 +242,7 @@ def test_the_help_lists_every_section_and_every_setting(capsys: pytest.CaptureFi
         main(["stylize", "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    for section, settings in config_to_dict(Config()).items():
+    for section, settings in Config().model_dump().items():
         assert f"{section}: {', '.join(settings)}" in text
 
 

@@ -87,8 +87,8 @@ def test_a_note_is_made_of_fractional_timecodes(
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
-        ("[1, 2]", "style.weights holds 2 numbers for 1 style images; give one for each or none"),
-        ("[0]", "style.weights are all 0; wanted at least one above 0"),
+        ("[1, 2]", "style.weights has 2 numbers for 1 style images"),
+        ("[0]", "style.weights are 0"),
     ],
 )
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])

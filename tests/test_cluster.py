@@ -15,9 +15,9 @@ import pytest
 
 from tests.pipeline_fixtures import make_shot, run, values_of, write_nan
 from tests.test_farm import outcome
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError
 from usdsmoke.base.sections import OptimizeConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.farm.dask import stylize_on_cluster
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.progress import RunProgress

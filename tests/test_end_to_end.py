@@ -12,7 +12,7 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import Shot, make_shot
 from tests.usd_fixtures import file_hashes
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.read import GridRequest, read_grids
 

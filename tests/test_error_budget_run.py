@@ -12,7 +12,8 @@ from tests.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
 from usdsmoke.audit.records import find_records
-from usdsmoke.base.config import Config, GridsConfig
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import assemble, stylize
 from usdsmoke.runs.budget import make_budget
 from usdsmoke.runs.frame_records import budget_texts

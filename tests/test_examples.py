@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.config import read_config, resolve_config
+from usdsmoke.base.resolve import read_settings, resolve_config
 
 PROJECT = Path(__file__).resolve().parents[1]
 PLUME, STYLES = PROJECT / "examples" / "plume", PROJECT / "examples" / "styles"
@@ -165,7 +165,7 @@ def test_styles_are_painted_the_same_every_time_in_many_colours(tmp_path: Path) 
 
 
 def test_demo_settings_are_known_to_the_configuration() -> None:
-    assert resolve_config(read_config(PLUME / "config.yaml")).optimize.seed == 7
+    assert resolve_config(read_settings(PLUME / "config.yaml")).optimize.seed == 7
 
 
 EXAMPLES = PROJECT / "examples"

@@ -9,8 +9,9 @@ from pxr import Usd, UsdGeom
 
 from tests.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of
 from tests.usd_fixtures import density_prim, samples, volume_prim, world, write_vdb
-from usdsmoke.base.config import WindowsConfig, resolve_config
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import WindowsConfig
 from usdsmoke.planning.windows import split_windows
 
 QUICK = (
@@ -61,5 +62,5 @@ def test_a_window_longer_than_the_shot_holds_all_of_it(shot: Shot, core: FakeCor
 
 @pytest.mark.parametrize("name", ["gamma", "gamma_shape"])
 def test_no_extinction_is_refused_as_a_setting(name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"optics\.{name} is 0\.0; wanted > 0"):
+    with pytest.raises(ConfigError, match=rf"optics\.{name} is 0\.0 .*> 0"):
         resolve_config({"optics": {name: 0.0}})

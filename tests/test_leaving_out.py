@@ -16,7 +16,7 @@ import torch
 from tests.counters import Elements, count_calls, watch_calls
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.config import resolve_config
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.steps.move import PADDING
 from usdsmoke.core.style.definition import learned_layers, oriented_layers

@@ -17,7 +17,7 @@ from tests.client_fixtures import ALL, WINDOWS, dense, expected
 from tests.grids_fixtures import make_field, openvdb, raw_grid, rotated, write_raw
 from tests.other_openvdb import describe
 from tests.pipeline_fixtures import PROJECT, Shot, copied, run
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame

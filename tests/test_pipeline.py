@@ -23,8 +23,10 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
-from usdsmoke.base.config import Config, GridsConfig, resolve_config
 from usdsmoke.base.errors import ImageError
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import stylize
 from usdsmoke.runs.progress import RunProgress
 from usdsmoke.vdb.header import read_header

@@ -9,8 +9,8 @@ from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_text
 from usdsmoke import pipeline, resolve_config
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pipeline import Request, run_window, stylize
 from usdsmoke.vdb.read import GridRequest, read_grids
 

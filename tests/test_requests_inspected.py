@@ -13,9 +13,9 @@ from pxr import Sdf
 import usdsmoke
 from tests.pipeline_fixtures import PROJECT, make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
-from usdsmoke.base.config import resolve_config
-from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, REQUEST_PREFIX
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, REQUEST_PREFIX
 
 CODES = (1, 2, 3)
 
@@ -82,15 +82,14 @@ def test_every_value_comes_with_whose_word_it_is(
     assert request["styles"]["origin"] == "prim"
 
 
-@pytest.mark.parametrize("kind", ["mapping", "ready made", "file"])
+@pytest.mark.parametrize("kind", ["ready made", "file"])
 def test_a_configuration_counts_as_one_in_whatever_form_it_comes(stage: Path, kind: str) -> None:
     sections = {"windows": {"size": 3}, "optimize": {"seed": 1}}
     ways: dict[str, Any] = {
-        "mapping": sections,
         "ready made": resolve_config(sections),
         "file": write_text(stage.parent / "c.yaml", json.dumps(sections)),
     }
-    found = usdsmoke.inspect(stage, config=ways[kind], settings=["style.size=2"])
+    found = usdsmoke.inspect(stage, settings=[ways[kind], "style.size=2"])
     settings = found["volumes"][0]["request"]["settings"]
     origins = {name: settings[name]["origin"] for name in ("windows.size", "optimize.seed")}
     assert origins == {"windows.size": "config", "optimize.seed": "prim"}
@@ -158,7 +157,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 from usdsmoke.ui.cli.main import main
-from usdsmoke.base.config import resolve_config
+from usdsmoke.base.resolve import resolve_config
 main([{command!r}, {str(stage)!r}])
 """
     done = subprocess.run(

@@ -1,7 +1,6 @@
 """A run with a tolerance: its settings, its calibration in the output folder, what is told."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +114,8 @@ def test_a_plan_alone_takes_a_calibration_that_is_there(
     found = pipeline.plan(
         Request(shot.stage, shot.style, shot.output, ["optimize.target_error=0.3"])
     )
-    optimize = replace(found.config.optimize, threads=ran.config.optimize.threads, device="cpu")
-    assert replace(found.config, optimize=optimize) == ran.config
+    optimize = found.config.optimize.replace(threads=ran.config.optimize.threads, device="cpu")
+    assert found.config.replace(optimize=optimize) == ran.config
     assert choice_notes(found) == choice_notes(ran)
     assert len(measurements) == 1
     assert "BEFORE the choice" in dry_plan(shot, "shape.reach=0.1")  # other inputs

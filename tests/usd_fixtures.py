@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 
-from usdsmoke.base.config import LayerConfig, StageConfig
 from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.usd.look import LookFiles, StylizedVolume, author_look
 from usdsmoke.usd.stage import find_volumes, open_stage

@@ -1,9 +1,10 @@
-"""Make the plug-in's files in usdsmoke/plugin from schemas/usdSmoke/schema.usda.
+"""Make the schema and the plug-in's files from the settings and schemas/usdSmoke/schema.usda.
 
     python tools/generate_schema.py [--out FOLDER]
 
-Runs USD's own usdGenSchema on the schema, which is codeless, and fills in the paths that a build of
-C++ would have filled in.
+First writes the attributes of UsdSmokeStyleAPI that stand for settings into schema.usda. Then runs
+USD's own usdGenSchema on the schema, which is codeless, and fills in the paths that a build of C++
+would have filled in.
 """
 
 import argparse
@@ -13,7 +14,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["generate", "main"]
+from pydantic.fields import FieldInfo
+
+from usdsmoke.base.setting_model import ValueType, allowed_values, extra_of, limits_of, range_text
+from usdsmoke.base.settings import declared_settings
+
+__all__ = ["generate", "main", "schema_text"]
 
 PROJECT = Path(__file__).resolve().parent.parent
 SCHEMA = PROJECT / "schemas" / "usdSmoke" / "schema.usda"
@@ -27,43 +33,76 @@ PLACEHOLDERS = {
 }
 
 
-def run_generator(out_folder: Path) -> None:
+MARK = "    # The rest is written by tools/generate_schema.py from usdsmoke/base/sections.py.\n"
+
+
+def schema_text() -> str:
+    """The schema with an attribute for every setting that a Volume may request."""
+    head, mark, _ = SCHEMA.read_text(encoding="utf-8").partition(MARK)
+    settings = declared_settings().values()
+    attributes = [_attribute(field) for field in settings if "request" in extra_of(field)]
+    return f"{head}{mark}\n{chr(10).join(attributes)}}}\n"
+
+
+def _attribute(field: FieldInfo) -> str:
+    value, extra, limits = ValueType.of(field), extra_of(field), limits_of(field)
+    kind = {int: "int", float: "double", str: "token"}[value.element]
+    if limits.get("le", 0) >= 2**31:
+        kind = "int64"
+    text = str(field.description)
+    about = [f"{text[0].upper()}{text[1:]}."]
+    about += ["May be animated."] if "control" in extra else []
+    about += [f"Units: {extra.get('unit', 'none')}.", f"Range: {range_text(field) or 'any'}."]
+    variability = "" if "control" in extra else "uniform "
+    words = ", ".join(f'"{word}"' for word in allowed_values(field))
+    return (
+        f"    {variability}{kind}{'[]' * value.is_list} usdSmoke:request:{extra['request']} (\n"
+        + (f"        allowedTokens = [{words}]\n" if words else "")
+        + "        customData = {\n"
+        + f'            string userDocBrief = "{" ".join(about)}"\n        }}\n    )\n'
+    )
+
+
+def run_generator(schema: Path, out_folder: Path) -> None:
     """Run usdGenSchema, which comes with usd-core, on the schema."""
     usd = importlib.util.find_spec("pxr.Usd")
     if usd is None or usd.origin is None:
         sys.exit("usd-core is not installed; run 'make env'")
     script = Path(usd.origin).parent / "usdGenSchema.py"
     done = subprocess.run(
-        [sys.executable, str(script), str(SCHEMA), str(out_folder)], capture_output=True, text=True
+        [sys.executable, str(script), str(schema), str(out_folder)], capture_output=True, text=True
     )
     if done.returncode != 0:
-        sys.exit(f"usdGenSchema refused {SCHEMA}:\n{done.stdout}{done.stderr}")
+        sys.exit(f"usdGenSchema refused {schema}:\n{done.stdout}{done.stderr}")
 
 
-def generate(plugin_folder: Path) -> list[Path]:
-    """Write plugInfo.json and generatedSchema.usda below ``plugin_folder``; their files."""
+def generate(plugin_folder: Path, schema: Path) -> list[Path]:
+    """Write the schema, and plugInfo.json and generatedSchema.usda below ``plugin_folder``."""
+    schema.write_text(schema_text(), encoding="utf-8")
     with tempfile.TemporaryDirectory() as scratch:
-        run_generator(Path(scratch))
+        run_generator(schema, Path(scratch))
         plug_info = (Path(scratch) / "plugInfo.json").read_text(encoding="utf-8")
-        schema = (Path(scratch) / "generatedSchema.usda").read_text(encoding="utf-8")
+        generated = (Path(scratch) / "generatedSchema.usda").read_text(encoding="utf-8")
     for placeholder, value in PLACEHOLDERS.items():
         plug_info = plug_info.replace(placeholder, value)
     contents = {
         plugin_folder / "plugInfo.json": plug_info,
-        plugin_folder / RESOURCES / "generatedSchema.usda": schema,
+        plugin_folder / RESOURCES / "generatedSchema.usda": generated,
     }
     for file_path, text in contents.items():
         file_path.parent.mkdir(parents=True, exist_ok=True)
         lines = [line.rstrip() for line in text.rstrip().splitlines()]
         file_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return list(contents)
+    return [schema, *contents]
 
 
 def main() -> None:
     """Read the command line, generate, and print what was written."""
-    parser = argparse.ArgumentParser(description="Make the schema plug-in's files.")
-    parser.add_argument("--out", type=Path, default=PLUGIN_FOLDER, help="the plug-in's folder")
-    for file_path in generate(parser.parse_args().out):
+    parser = argparse.ArgumentParser(description="Make the schema and the plug-in's files.")
+    parser.add_argument("--out", type=Path, help="a folder for all files, not the usual places")
+    folder = parser.parse_args().out
+    schema = folder / "schema.usda" if folder else SCHEMA
+    for file_path in generate(folder or PLUGIN_FOLDER, schema):
         print(file_path)
 
 

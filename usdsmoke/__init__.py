@@ -10,6 +10,7 @@
     usdsmoke.validate("look/look.usda")                               is the result sound
     usdsmoke.verify("look/look.usda")                                 what has changed since
     usdsmoke.rerun("look/look.usda", output="again")                  the same once more
+    usdsmoke.settings()                                               every setting, explained
 
 Importing this package loads nothing heavy: each public name is looked up when it is first used.
 It tells USD where its schemas are, so that stages opened afterwards know UsdSmokeStyleAPI.
@@ -23,8 +24,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from usdsmoke.audit.rerun import rerun
     from usdsmoke.audit.verify import verify
-    from usdsmoke.base.config import Config, resolve_config
     from usdsmoke.base.errors import UsdSmokeError
+    from usdsmoke.base.resolve import resolve_config, settings
+    from usdsmoke.base.settings import Config
     from usdsmoke.farm.dask import stylize_on_cluster
     from usdsmoke.farm.openjd import submit
     from usdsmoke.pictures.preview import preview
@@ -44,6 +46,7 @@ __all__ = [
     "resolve_config",
     "run_coarse",
     "run_window",
+    "settings",
     "stylize",
     "stylize_on_cluster",
     "submit",
@@ -54,16 +57,17 @@ __all__ = [
 __version__ = "0.1.0"
 
 _HOME = {
-    "Config": "usdsmoke.base.config",
+    "Config": "usdsmoke.base.settings",
     "Request": "usdsmoke.pipeline",
     "UsdSmokeError": "usdsmoke.base.errors",
     "assemble": "usdsmoke.pipeline",
     "inspect": "usdsmoke.usd.inspect",
     "preview": "usdsmoke.pictures.preview",
     "rerun": "usdsmoke.audit.rerun",
-    "resolve_config": "usdsmoke.base.config",
+    "resolve_config": "usdsmoke.base.resolve",
     "run_coarse": "usdsmoke.pipeline",
     "run_window": "usdsmoke.pipeline",
+    "settings": "usdsmoke.base.resolve",
     "stylize": "usdsmoke.pipeline",
     "stylize_on_cluster": "usdsmoke.farm.dask",
     "submit": "usdsmoke.farm.openjd",

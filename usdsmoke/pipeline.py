@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
 from usdsmoke.base.machine import prepare_torch_environment
+from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.output_folder import settle_output
 from usdsmoke.planning.plan import Plan
@@ -66,7 +66,7 @@ def stylize(
     stage: StageOrFile,
     style: Styles = None,
     output: FilePath = "look",
-    settings: RunSettings = None,
+    settings: Settings = None,
     *,
     force: bool = False,
     progress: RunProgressCallback | None = None,
@@ -83,9 +83,10 @@ def stylize(
         stage: a .usda, .usdc or .usd file, or an open stage without unsaved edits.
         style: one image file or several; None where every Volume's prim brings its own.
         output: the folder of the result; made if missing.
-        settings: a YAML file or a Config, which a Volume's own settings override; a mapping or
-            texts such as ``windows.size=3``, which override a Volume's own; or a list of these,
-            the strongest last. None takes the defaults.
+        settings: a YAML file, which a Volume's own settings override; a mapping such as
+            ``{"windows.size": 3}`` or texts such as ``windows.size=3``, which override a Volume's
+            own; a Config, which knows what is explicit; or a list of these, the strongest last.
+            None takes the defaults.
         force: replace an earlier result, which stays whole until the new one is complete.
         progress: called often, with how far the run is.
         planned: called once with the plan, before anything heavy is loaded.

@@ -106,8 +106,8 @@ def _steps(finest: float) -> list[float]:
 def _middle_view(case: Case) -> "View":
     from usdsmoke.core.views.scene import frame_views
 
-    views = replace(case.config.views, pool=1, sampling="fixed")
-    config = replace(case.config, views=views)
+    views = case.config.views.replace(pool=1, sampling="fixed")
+    config = case.config.replace(views=views)
     (view,) = frame_views(case.small_smoke, config.views, case.small_scene, 0)
     return view
 

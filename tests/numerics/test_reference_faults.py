@@ -15,8 +15,9 @@ from pxr import Sdf
 from tests.pipeline_fixtures import Shot, run
 from tests.smoke_fixtures import frame_of, puff, smoke_of
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
-from usdsmoke.base.config import ViewsConfig, resolve_config
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.views.cameras import View, orbit_view, sample_angles

@@ -15,8 +15,9 @@ import torch
 from tests.counters import Elements
 from tests.smoke_fixtures import frame_of, random_style
 from tests.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.config import Config, config_to_dict, resolve_config
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.sequence.calibrate import calibrate
@@ -89,7 +90,7 @@ def choice_of(name: str, target: float) -> Choice:
 
 
 def chosen(name: str, target: float) -> Config:
-    return resolve_config(config_to_dict(start_config()), choice_of(name, target).settings)
+    return resolve_config(start_config().model_dump(), choice_of(name, target).settings)
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def picture_error(name: str, found: Ran) -> float:
     Those still have a quarter of the error that whole voxels have.
     """
     link = found.link
-    views = replace(link.config.views, pool=1)
+    views = link.config.views.replace(pool=1)
     view = fit_blocks(frame_views(link.smoke, views, link.scene, 0)[0])
     exact, first = displaced(name, link, 2)
     matrix = np.diag([0.5, 0.5, 0.5, 1.0])
@@ -209,7 +210,7 @@ def test_the_run_keeps_what_the_plan_did_not_doubt(name: str, target: float) -> 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_optimiser_leaves_less_than_the_tolerance(name: str, step: str, target: float) -> None:
     """Against the same with four times the iterations."""
-    frame, settings = scene_frame(name), config_to_dict(chosen(name, target))
+    frame, settings = scene_frame(name), chosen(name, target).model_dump()
     scene = scene_of([frame], resolve_config({}, settings), "Y")
     settings["optimize"] |= {"steps": [step], "error_budget": False}
     few, ends = settings[step]["iterations"], []

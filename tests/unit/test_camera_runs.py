@@ -9,8 +9,9 @@ from tests.grids_fixtures import raw_grid, uniform, write_raw
 from tests.pipeline_fixtures import Shot, make_style, run, shown_files
 from tests.smoke_fixtures import puff
 from tests.usd_fixtures import HEADER, density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.base.config import GridsConfig, resolve_config
 from usdsmoke.base.errors import StageError
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
@@ -74,7 +75,7 @@ def shot(tmp_path: Path) -> Shot:
 
 
 def job_of(shot: Shot, *settings: str) -> Job:
-    config = resolve_config(assignments=[f"views.camera={PATH}", *settings])
+    config = resolve_config([f"views.camera={PATH}", *settings])
     return prepare_job(Request(shot.stage, shot.style, shot.output, config))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from usdsmoke.base import machine
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.runs import sheet as pipeline_pictures
 

@@ -141,16 +141,16 @@ def test_time_samples_are_interpolated_into_a_control_for_each_frame(tmp_path: P
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("double @@reach = 0.7", r"</smoke\.usdSmoke:request:reach> is 0\.7; wanted <= 0\.5"),
-        ('token @@displacement = "swirl"', "displacement> is 'swirl'; wanted one of stream"),
-        ('string @@seed = "one"', "seed> is 'one', of type str; wanted int"),
-        ("int[] @@shapeIterations = []", "shapeIterations> has 0 elements; wanted at least 1"),
-        ("double @@stength = 1", "did you mean 'usdSmoke:request:strength'"),
+        ("double @@reach = 0.7", r"is 0\.7 \(from </smoke\.usdSmoke:request:reach>\).* <= 0\.5"),
+        ('token @@displacement = "swirl"', "is 'swirl' .*displacement>.* stream"),
+        ('string @@seed = "one"', "is 'one' .*seed>"),
+        ("int[] @@shapeIterations = []", r"is \[\] .*shapeIterations>.* at least one"),
+        ("double @@stength = 1", "'usdSmoke:request:strength'"),
         ("double @@camera = 1", "camera> is of the wrong kind; wanted a relationship"),
         ("int64 @@seed.timeSamples = { 1: 1, 2: 2 }", "seed> at timeCode 2 has another value"),
         (
             "double @@strength.timeSamples = { 1: 1, 2: 2 }",
-            r"strength> at timeCode 2 is 2\.0; wanted <= 1\.0",
+            r"is 2\.0 \(from .*strength> at timeCode 2\).* 0 to 1",
         ),
     ],
 )

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Literal
 
 from usdsmoke.audit.records import LookRecord
-from usdsmoke.base.config import Config, config_to_dict, resolve_config
 from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
-from usdsmoke.base.given_settings import settle_files
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.resolve import recorded_settings
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader, hash_sources
@@ -55,7 +55,8 @@ def recorded_config(record: LookRecord) -> Config:
     Raises:
         ConfigError: this version of usdsmoke knows other settings.
     """
-    return settle_files(resolve_config(record.parsed("config")), record.folder)
+    sections = {"config": record.parsed("config"), "explicit": record.request().get("explicit", ())}
+    return recorded_settings(sections, record.folder)
 
 
 def check_inputs(record: LookRecord) -> list[Change]:
@@ -81,7 +82,7 @@ def check_inputs(record: LookRecord) -> list[Change]:
 
 def _job(record: LookRecord, config: Config) -> Job | None:
     """The run's job with the inputs as they are now; None where that is impossible."""
-    request = {**record.request(), "config": config_to_dict(config)}
+    request = {**record.request(), "config": config.model_dump()}
     try:
         return prepare_job(recorded_request(record.folder, request), fits=False)
     except UsdSmokeError:
@@ -142,10 +143,11 @@ def _check_stage(
 def _source(record: LookRecord, stage: Path, config: Config) -> StageSource:
     """What the stage says, without the images that a job needs too."""
     request = record.request()
-    explicit = {*request.get("explicit", ()), *(["style.weights"] if request["styles"] else [])}
+    if request["styles"]:
+        config = config.with_explicit({*config.explicit, "style.weights"})
     opened, _ = open_source(stage, config.stage.restylize)
-    found = find_volumes(opened, config.stage, {*explicit, "style"})
-    resolved = resolve_volumes(found, config, (), explicit, bare=True)
+    found = find_volumes(opened, config.stage, with_styles=False)
+    resolved = resolve_volumes(found, config, bare=True)
     cameras = [own.config.views.camera for own in resolved.volumes]
     return seen_through(opened, resolved.source, cameras)
 

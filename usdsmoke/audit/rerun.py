@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from usdsmoke.audit.inputs import recorded_config, shown
 from usdsmoke.audit.records import LookRecord, find_records
 from usdsmoke.audit.verify import verify_inputs
 from usdsmoke.base.errors import LayerError
-from usdsmoke.base.given_settings import explicit_values
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.plan import Plan
@@ -67,12 +66,12 @@ def rerun(
         _refuse_changes(record)
     config = recorded_config(record)
     # what a tolerance came to stands in the record, and is not chosen again
-    config = replace(config, optimize=replace(config.optimize, target_error=None))
+    config = config.replace(optimize=config.optimize.replace(target_error=None))
     result = stylize(
         _place(record, request["stage"]),
         [_place(record, name) for name in request["styles"]],
         output,
-        [config, explicit_values(config, frozenset(request.get("explicit", ())))],
+        config,
         force=force,
         progress=progress,
         planned=planned,

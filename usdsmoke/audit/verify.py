@@ -15,9 +15,9 @@ from pathlib import Path
 from usdsmoke import __version__
 from usdsmoke.audit.inputs import Change, check_inputs, recorded_config, shown
 from usdsmoke.audit.records import LookRecord, find_records
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import BindingMissing, ConfigError, UsdSmokeError
 from usdsmoke.base.machine import package_versions, platform_name
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.look import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header

@@ -1,28 +1,17 @@
-"""Every setting, its default, its limits and its meaning, in one place.
+"""Every setting: its default, limits, unit and meaning. One frozen model per section.
 
-One frozen dataclass per step; a section is named like the module that uses it. ``None`` means "let
-the scene decide", and the plan says what was decided. Those that decide the look stand in
-``look_sections``. ``usdsmoke.base.config`` reads all of them from YAML and from the command
-line; import them from there.
+``None`` means that the run chooses, and the plan says what it chose. A setting with ``request`` can
+also be requested by a Volume on the stage, one with ``control`` for each frame.
 """
 
-from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-from usdsmoke.base.look_sections import (
-    ColourConfig,
-    FeaturesConfig,
-    LossesConfig,
-    OpticsConfig,
-    OptimizeConfig,
-    ShapeConfig,
-    StyleConfig,
-    ViewsConfig,
-)
-from usdsmoke.base.setting_checks import setting
+from pydantic import Field
+
+from usdsmoke.base.setting_model import Section, setting
 
 __all__ = [
     "ColourConfig",
-    "Config",
     "FeaturesConfig",
     "GridsConfig",
     "LayerConfig",
@@ -36,155 +25,259 @@ __all__ = [
     "WindowsConfig",
 ]
 
+Weights = list[Annotated[float, Field(ge=0)]]
+Iterations = list[Annotated[int, Field(ge=0)]]
+_PER_VOXEL = "1/(voxel of the source grid) per unit of density"
 
-@dataclass(frozen=True)
-class StageConfig:
+
+# A table to read: a setting takes two or three lines.
+# fmt: off
+class StageConfig(Section):
     """What is read from the stage."""
 
-    prims: list[str] = setting(
-        [], "Volume prim paths; empty means every Volume on the stage", distinct=True
-    )
-    frames: str = setting("", "timeCodes such as 1-24, 1,5,9 or 1-24x2; empty means all")
+    prims: list[str] = setting([], "Volume prim paths; empty: every Volume", distinct=True)
+    frames: str = setting("", "timeCodes such as 1-24, 1,5,9 or 1-24x2; empty: all")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
-        "", "relationship or grid name of the velocity; empty means the usual names"
-    )
-    velocity_unit: str = setting(
-        "second",
-        "grid-world units per second, or per frame of the simulation, which is one timeCode "
-        "whatever framesPerSecond says",
-        choices=("second", "frame"),
-    )
-    motion: str = setting(
-        "velocity",
-        "what results are carried along by: the velocity that is there, or one estimated from the "
-        "densities of neighbouring frames",
-        choices=("velocity", "estimate"),
-    )
+        "", "relationship or grid name of the velocity field; empty: the usual names")
+    velocity_unit: Literal["second", "frame"] = setting(
+        "second", "time unit of the velocity: grid-world units per second, or per frame of the "
+        "simulation (one timeCode, whatever framesPerSecond is)")
+    motion: Literal["velocity", "estimate"] = setting(
+        "velocity", "what carries results from frame to frame: the velocity field, or a velocity "
+        "estimated from the densities of neighbouring frames")
     mask: str = setting(
-        "",
-        "relationship or grid name of a scalar field in [0, 1] that scales the effect in space; "
-        "empty means none",
-    )
+        "", "relationship or grid name of a scalar field in [0, 1] that scales the effect in "
+        "space; empty: none")
     restylize: bool = setting(
-        False,
-        "take smoke that usdsmoke has stylized before as the source; otherwise a result starts "
-        "from the original",
-    )
+        False, "use smoke that usdsmoke has already stylized as the source, not the original")
 
 
-@dataclass(frozen=True)
-class GridsConfig:
+class GridsConfig(Section):
     """How VDB files are read and written."""
 
     half: bool = setting(False, "write 16-bit floats")
     repair_nan: float | None = setting(
-        None, "value that replaces NaN and infinity; unset refuses them"
-    )
-    refine: int = setting(
-        1, "subdivide every voxel this many times along each axis", low=1, high=16
-    )
-    prune: float = setting(0.0, "density at or below which a voxel is left inactive", low=0.0)
+        None, "value that replaces NaN and infinity; unset: they are refused")
+    refine: int = setting(1, "parts that every voxel is divided into along each axis", ge=1, le=16)
+    prune: float = setting(0.0, "density at or below which a voxel becomes inactive", ge=0)
     memory_limit_gib: float = setting(
-        8.0, "address space of the process that opens a VDB file", above=0.0
-    )
+        8.0, "address space of the process that opens a VDB file", gt=0, unit="GiB")
     time_limit_s: float = setting(
-        120.0,
-        "seconds of the processor, or ten times as many by the clock, after which opening a VDB "
-        "file is given up",
-        above=0.0,
-    )
+        120.0, "CPU time after which opening a VDB file is given up; the limit of wall-clock time "
+        "is ten times as long", gt=0, unit="seconds")
 
 
-@dataclass(frozen=True)
-class WindowsConfig:
-    """How a sequence is cut into frame windows."""
+class WindowsConfig(Section):
+    """How a sequence is divided into frame windows."""
 
     size: int = setting(
-        8, "frames in one window; within it a frame starts from its neighbour's result", low=1
-    )
+        8, "frames in one window; inside a window each frame starts from its neighbour's result",
+        ge=1, unit="frames", request="windowSize")
     overlap: int = setting(
-        4, "frames that a window goes on into the next one, where both are blended; 0: none", low=0
-    )
+        4, "frames by which a window continues into the next one; both results are blended there",
+        ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
-        0.4,
-        "share of the iterations that a frame needs that starts from its neighbour",
-        above=0.0,
-        high=1.0,
-    )
+        0.4, "share of the iterations for a frame that starts from its neighbour", gt=0, le=1)
     shared_octaves: int = setting(
-        2, "octaves, the coarsest ones, that are done once for the whole shot", low=0
-    )
+        2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
     pattern_speed: float = setting(
-        1.0, "how fast the pattern moves, as a multiple of the smoke's velocity", low=-8.0, high=8.0
-    )
+        1.0, "speed of the pattern, as a multiple of the smoke's velocity",
+        ge=-8, le=8, request="patternSpeed", control="pattern_speed")
 
 
-@dataclass(frozen=True)
-class LayerConfig:
+class ViewsConfig(Section):
+    """The directions that the smoke is rendered from while it is stylized."""
+
+    count: int = setting(
+        1, "views rendered in every iteration; the paper uses 9", ge=1, le=64, request="viewCount")
+    pool: int = setting(
+        16, "number of different views that are drawn from", ge=1, le=512, request="viewPool")
+    sampling: Literal["fixed", "uniform", "poisson"] = setting(
+        "poisson", "how the views are spread over the ranges of azimuth and elevation",
+        request="viewSampling")
+    azimuth: float = setting(
+        12.0, "half the range of views around the up axis, or around the camera's direction",
+        ge=0, le=180, unit="degrees", request="azimuth")
+    elevation: float = setting(
+        6.0, "half the range of views above and below",
+        ge=0, le=90, unit="degrees", request="elevation")
+    centre_azimuth: float = setting(
+        0.0, "middle of the azimuth range; 0 looks along -Z (Y-up), +Y (Z-up) or as the camera "
+        "does", unit="degrees", request="centreAzimuth")
+    centre_elevation: float = setting(
+        0.0, "middle of the elevation range",
+        ge=-90, le=90, unit="degrees", request="centreElevation")
+    image_size: int = setting(
+        192, "longer side of the images that are optimised",
+        ge=16, le=2048, unit="pixels", request="imageSize")
+    camera: str = setting(
+        "", "path of the shot's Camera prim: views are around its direction, and only what it sees "
+        "is stylized; empty: views around the up axis")
+    camera_width: int = setting(
+        1920, "width of the shot's image; finer detail is not optimised",
+        ge=1, le=65536, unit="pixels")
+    camera_margin: float = setting(
+        0.05, "width of the zone beyond the camera's image in which the effect fades out, as a "
+        "share of the image width", gt=0, le=1)
+
+
+class OpticsConfig(Section):
+    """How opaque the smoke is."""
+
+    gamma: float | None = setting(
+        None, "extinction of the colour step; unset: chosen by depth; the paper shows 0.001, 0.1, "
+        "0.5, 1", gt=0, unit=_PER_VOXEL, request="gamma", control="gamma")
+    gamma_shape: float | None = setting(
+        None, "extinction of the shape step's grey images; unset: chosen by depth_shape",
+        gt=0, unit=_PER_VOXEL, request="gammaShape")
+    depth: float = setting(
+        4.0, "optical depth of the thick columns, from which an unset gamma is chosen", gt=0)
+    depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
+    percentile: float = setting(
+        90.0, "percentile of the columns' depth that is taken as thick", gt=0, le=100)
+
+
+class StyleConfig(Section):
+    """How the style images are prepared."""
+
+    tiling: int = setting(
+        1, "repetitions of the style image along each side", ge=1, le=16, request="styleTiling")
+    size: float = setting(
+        1.0, "size of the style relative to the rendered image", gt=0, le=8, request="styleSize")
+    weights: Weights = setting(
+        [], "one weight for each style image, relative to their sum; empty: equal weights",
+        request="styleWeights", control="style_weights")
+
+
+class FeaturesConfig(Section):
+    """The network whose features are compared."""
+
+    network: Literal["embedded", "vgg19"] = setting(
+        "embedded", "feature network", request="network")
+    layers: list[str] = setting(
+        [], "style layers of the network; empty: its default layers", request="featureLayers")
+    weights: Weights = setting(
+        [], "one weight for each style layer; empty: all 1", request="featureWeights")
+    content_layers: list[str] = setting(
+        [], "layers that losses.content compares; empty: the deepest style layer", distinct=True)
+    vgg19_file: str = setting(
+        "", "parameters of VGG-19, a torchvision state dict or safetensors file; empty: search")
+
+
+class LossesConfig(Section):
+    """What is minimised."""
+
+    style: float = setting(
+        1.0, "weight of the style; 0 returns the source, whatever the other weights are", ge=0)
+    statistic: Literal["gram", "sliced_wasserstein"] = setting(
+        "gram", "how feature maps are compared: by their Gram matrices or by their distributions",
+        request="statistic")
+    histogram: float = setting(
+        0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
+    content: float = setting(
+        0.0, "weight that keeps the features of the smoke's own grey image", ge=0)
+    laplacian: float = setting(
+        0.0, "weight that keeps the edges of the smoke's own grey image", ge=0)
+    photorealism: float = setting(
+        0.0, "weight that keeps the image locally affine in the smoke's own grey image", ge=0)
+    total_variation: float = setting(0.0, "weight of the rendered image's total variation", ge=0)
+    keep: float = setting(
+        20.0, "weight that keeps the shape step's smoke inside its silhouette", ge=0)
+
+
+class ShapeConfig(Section):
+    """The shape step, which moves density."""
+
+    displacement: Literal["stream", "potential", "mixed"] = setting(
+        "stream", "how density moves: divergence-free (stream), irrotational (potential), or both",
+        request="displacement")
+    reach: float = setting(
+        0.04, "largest displacement",
+        gt=0, le=0.5, unit="share of the smoke's longest side", request="reach")
+    interpolation: Literal["linear", "cubic"] = setting(
+        "cubic", "scheme of the final transport")
+    mass_correction: bool = setting(True, "scale the moved density to the source's mass")
+    learning_rate: float = setting(0.06, "Adam's step for the displacement potential", gt=0)
+    iterations: Iterations = setting(
+        [60, 50, 40], "iterations per octave, coarse to fine; 0 skips an octave",
+        min_length=1, unit="iterations", request="shapeIterations")
+    warm_rate: float = setting(
+        0.12, "share of the learning rate for a frame that starts from its neighbour's result",
+        gt=0, le=1)
+    smoothing: float = setting(
+        0.5, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)
+
+
+class ColourConfig(Section):
+    """The colour step, which finds RGB on fixed density."""
+
+    init: Literal["noise", "density"] = setting(
+        "noise", "first colours: density times white noise, or plain density", request="colourInit")
+    learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)
+    iterations: Iterations = setting(
+        [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
+        min_length=1, unit="iterations", request="colourIterations")
+    warm_rate: float = setting(
+        0.35, "share of the learning rate for a frame that starts from its neighbour's result",
+        gt=0, le=1)
+    smoothing: float = setting(
+        0.25, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)
+
+
+class OptimizeConfig(Section):
+    """The run as a whole."""
+
+    steps: list[Literal["shape", "colour"]] = setting(
+        ["shape", "colour"], "steps to run: shape moves density, colour finds its colour",
+        min_length=1, distinct=True, request="steps")
+    iterations: int | None = setting(
+        None, "total iterations of each step; scales its lists per octave; unset: the lists as "
+        "they are", ge=1, unit="iterations", request="iterations")
+    tolerance: float = setting(
+        2e-3, "an octave stops when its loss falls by less than this share; 0: never", ge=0)
+    target_error: float | None = setting(
+        None, "tolerance from which image size, views, iterations, transport and storage are "
+        "chosen, unless they are set; unset: nothing is chosen", gt=0, le=1)
+    strength: float = setting(
+        1.0, "share of the effect that is kept; 0 returns the source",
+        ge=0, le=1, request="strength", control="strength")
+    error_budget: bool = setting(
+        True, "estimate the remaining errors from a few images of every finished frame")
+    seed: int = setting(0, "seed of every random draw", ge=0, le=2**63 - 1, request="seed")
+    device: str = setting("auto", "auto, cpu or cuda")
+    threads: int = setting(
+        0, "CPU threads of the whole run; 0: all that are there when the run starts", ge=0)
+    memory_limit_gib: float | None = setting(
+        None, "memory that a run may need; unset: the machine's memory", gt=0, unit="GiB")
+
+
+class LayerConfig(Section):
     """What is written."""
 
-    mode: str = setting(
-        "sublayer",
-        "how the result is put on the stage: a root stage with the look over the source, an asset "
-        "that references the source and has a variant for each look, or the look layer alone",
-        choices=("sublayer", "reference", "layer"),
-    )
+    mode: Literal["sublayer", "reference", "layer"] = setting(
+        "sublayer", "form of the result: a root stage with the look over the source (sublayer), an "
+        "asset with a variant for each look that references the source (reference), or the look "
+        "layer alone (layer)")
     look: str = setting(
-        "stylized",
-        "name of the look, and of its variant; different looks stand side by side in one folder",
-        pattern=r"(?!original$)[A-Za-z_][A-Za-z0-9_]*",
-        wanted="letters, digits and _, no digit first, and not original",
-    )
+        "stylized", "name of the look and of its variant; a folder can hold several looks",
+        pattern="(?!original$)[A-Za-z_][A-Za-z0-9_]*",
+        wanted="letters, digits and _, not starting with a digit, not 'original'")
     name: str = setting(
-        "",
-        "stem of the VDB files (letters, digits, _ - .); empty means the Volume prim's name",
-        pattern=r"(?!\.)[\w.-]*",
-        wanted="letters, digits, _ - . only, not starting with a dot",
-    )
-    format: str = setting("usda", "file format of the look layer", choices=("usda", "usdc"))
+        "", "stem of the VDB files; empty: the Volume prim's name",
+        pattern=r"(?!\.)[\w.-]*", wanted="letters, digits, _ - . only, not starting with a dot")
+    format: Literal["usda", "usdc"] = setting("usda", "file format of the look layer")
     copy_velocity: bool | None = setting(
-        None,
-        "write the velocity into the result's files; unset: when the Volume has a field for it",
-    )
-    emission_mode: str = setting(
-        "absolute",
-        "what the emission holds: radiance per stage unit, or that divided by density",
-        choices=("absolute", "perDensity"),
-    )
-    scatter_colour: list[str] = setting(
-        [],
-        "names under which the painted colour is written as a scattering colour too",
-        choices=("Cd", "color"),
-        distinct=True,
-    )
+        None, "write the velocity into the result's files; unset: if the Volume has a field for it")
+    emission_mode: Literal["absolute", "perDensity"] = setting(
+        "absolute", "meaning of the emission field: radiance per stage unit, or that divided by "
+        "density, for renderers that multiply emission by density")
+    scatter_colour: list[Literal["Cd", "color"]] = setting(
+        [], "names under which the colour is also written as a scattering colour", distinct=True)
     split_rgb: bool = setting(
-        False, "write red, green and blue of every colour as grids of floats too"
-    )
-    digital_source_type: str = setting(
+        False, "also write red, green and blue of every colour as grids of floats")
+    digital_source_type: Literal[
         "algorithmicallyEnhanced",
-        "IPTC term of the authorship record",
-        choices=(
-            "algorithmicallyEnhanced",
-            "compositeWithTrainedAlgorithmicMedia",
-            "trainedAlgorithmicMedia",
-        ),
-    )
-
-
-@dataclass(frozen=True)
-class Config:
-    """All sections."""
-
-    stage: StageConfig = field(default_factory=StageConfig)
-    grids: GridsConfig = field(default_factory=GridsConfig)
-    windows: WindowsConfig = field(default_factory=WindowsConfig)
-    views: ViewsConfig = field(default_factory=ViewsConfig)
-    optics: OpticsConfig = field(default_factory=OpticsConfig)
-    style: StyleConfig = field(default_factory=StyleConfig)
-    features: FeaturesConfig = field(default_factory=FeaturesConfig)
-    losses: LossesConfig = field(default_factory=LossesConfig)
-    shape: ShapeConfig = field(default_factory=ShapeConfig)
-    colour: ColourConfig = field(default_factory=ColourConfig)
-    optimize: OptimizeConfig = field(default_factory=OptimizeConfig)
-    layer: LayerConfig = field(default_factory=LayerConfig)
+        "compositeWithTrainedAlgorithmicMedia",
+        "trainedAlgorithmicMedia",
+    ] = setting("algorithmicallyEnhanced", "IPTC term of the authorship record")

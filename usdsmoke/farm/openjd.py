@@ -1,13 +1,13 @@
 """A run handed to a render queue: a folder with a job template and what belongs to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from usdsmoke.base.config import Config, config_to_yaml
 from usdsmoke.base.errors import ConfigError, OutputExists
-from usdsmoke.base.given_settings import FilePath
 from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.base.resolve import FilePath, settings_yaml
+from usdsmoke.base.settings import Config
 from usdsmoke.farm.openjd_template import (
     FIRST_LINE,
     asset_references,
@@ -70,8 +70,8 @@ def submit(
     memory, layer = job.plan.estimate.memory_gib, job.config.layer
     assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
-        beside["settings"]: f"{FIRST_LINE}\n{config_to_yaml(request.config, comments=False)}",
-        beside["overrides"]: bundle_text(request.explicit),
+        beside["settings"]: f"{FIRST_LINE}\n{settings_yaml(request.config, comments=False)}",
+        beside["overrides"]: bundle_text(request.config.explicit_values()),
         beside["parameter_values"]: bundle_text(parameter_values(parameters)),
         beside["asset_references"]: bundle_text(
             asset_references([str(file_path) for file_path in job.files], str(folder))
@@ -98,7 +98,7 @@ def _with_network_file(config: Config) -> Config:
     if not config.features.vgg19_file:
         return config
     found = str(Path(config.features.vgg19_file).absolute())
-    return replace(config, features=replace(config.features, vgg19_file=found))
+    return config.replace(features=config.features.replace(vgg19_file=found))
 
 
 def _read_stage(given: Path, plan: Plan) -> Path:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.base.config import ViewsConfig
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import frame_file_names
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_cells

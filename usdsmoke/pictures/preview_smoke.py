@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pxr import Usd
 
-from usdsmoke.base.config import Config, StageConfig
 from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError
 from usdsmoke.base.machine import GIB, available_memory_gib
+from usdsmoke.base.sections import StageConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import (
     DenseField,
@@ -239,7 +240,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
             layer without its source.
     """
     everything = StageConfig(prims=list(prims))
-    selected = _find(stage, replace(everything, frames=frames))
+    selected = _find(stage, everything.replace(frames=frames))
     try:
         whole = _find(stage, everything) if frames else selected
     except AssetNotResolved:

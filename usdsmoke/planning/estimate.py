@@ -27,10 +27,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from usdsmoke.base.config import Config, ViewsConfig
 from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
-from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.sections import LayerConfig, ViewsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 from usdsmoke.vdb.header import GridHeader
@@ -131,7 +131,7 @@ def written_bytes(
 ) -> int:
     """Bytes of files: the result's frames, parts (one window's versions of frames that two windows
     compute), and starts that the coarse step writes."""
-    plain = replace(config, grids=replace(config.grids, half=False), layer=LayerConfig())
+    plain = config.replace(grids=config.grids.replace(half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     return (
         sum(_frame_bytes(frame, config) for frame in frames)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
 from usdsmoke.vdb.header import FileHeader, GridHeader

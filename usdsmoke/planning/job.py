@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 
 from usdsmoke.base.asset_paths import relative_asset_path
-from usdsmoke.base.config import Config, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.given_settings import (
-    FilePath,
-    RunSettings,
-    Styles,
-    explicit_values,
-    portable_settings,
-    read_settings,
-    settle_files,
-    style_paths,
-)
 from usdsmoke.base.machine import check_packages
 from usdsmoke.base.naming import colour_names, run_record_files
+from usdsmoke.base.resolve import (
+    FilePath,
+    Settings,
+    Styles,
+    recorded_settings,
+    resolve_settings,
+    settings_record,
+    style_paths,
+)
+from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures.contact_sheet import sheet_files
 from usdsmoke.pictures.png import StyleImage, read_style_image
@@ -58,7 +57,7 @@ class Request:
     stage: StageOrFile  # a file, or an open stage without unsaved edits
     style: Styles = None  # image files; None where every Volume's prim brings its own
     output: FilePath = "look"  # the folder of the result
-    settings: RunSettings = None  # see ``read_settings``
+    settings: Settings = None  # see ``resolve_settings``
     force: bool = False  # replace a result, and give up an unfinished run of other settings
 
     @property
@@ -68,12 +67,7 @@ class Request:
         Raises:
             ConfigError: the settings are wrong.
         """
-        return read_settings(self.settings)[0]
-
-    @property
-    def explicit(self) -> dict[str, dict[str, Any]]:
-        """The settings that are stronger than a Volume's own, by section and key."""
-        return explicit_values(*read_settings(self.settings))
+        return resolve_settings(self.settings)
 
     def settled(self) -> "Request":
         """The same with absolute paths and one Config, and nothing left open to a working folder.
@@ -87,13 +81,12 @@ class Request:
             stage=str(stage_file(self.stage)),
             style=tuple(str(Path(image).absolute()) for image in style_paths(self.style)),
             output=str(Path(self.output).absolute()),
-            settings=(self.config, self.explicit),
+            settings=self.config,
         )
 
     def with_config(self, config: Config) -> "Request":
-        """The same with other settings; those that were explicit stay explicit."""
-        explicit = explicit_values(config, read_settings(self.settings)[1])
-        return dataclasses.replace(self, settings=(config, explicit))
+        """The same with other settings."""
+        return dataclasses.replace(self, settings=config)
 
 
 @dataclass(frozen=True)
@@ -109,7 +102,6 @@ class Job:
     targets: LookFiles
     earlier: EarlierLooks  # looks that the stage has already
     files: tuple[Path, ...]  # everything that the run reads: layers, VDB files, style images
-    explicit: frozenset[str] = frozenset()  # settings that are stronger than a Volume's own
     fits: bool = True  # the machine was checked: see ``prepare_job``
     digests: dict[str, str] = dataclasses.field(default_factory=dict, compare=False)  # of files
 
@@ -147,17 +139,17 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         check_packages("torch")
         check_bindings()
     request = request.settled()
-    config, explicit = read_settings(request.settings)
+    config = request.config
     output = settle_output(request.output)
     style_files = tuple(Path(image) for image in style_paths(request.style))
     if style_files:  # then no Volume's own images or weights count
         style_shares(config.style, len(style_files))
     # The stage: Volumes, their own settings, cameras.
     stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
-    found = find_volumes(stage, config.stage, {*explicit, *(["style"] if style_files else [])})
+    found = find_volumes(stage, config.stage, with_styles=not style_files)
     if not config.stage.restylize:
         check_originals(stage, found)
-    resolved = resolve_volumes(found, config, style_files, explicit)
+    resolved = resolve_volumes(found, config, style_files)
     cameras = [own.config.views.camera for own in resolved.volumes]
     source = seen_through(stage, resolved.source, cameras)
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
@@ -175,9 +167,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     check_output_folder(output, config.layer.look, inputs, written)
     if fits:  # of a run that has begun, ``check_room`` looks at what is still to be written
         check_plan(plan, None if any(run_record_files(output)) else output)
-    return Job(
-        request, stage, plan, styles, style_files, output, targets, earlier, files, explicit, fits
-    )
+    return Job(request, stage, plan, styles, style_files, output, targets, earlier, files, fits)
 
 
 def describe_request(job: Job) -> dict[str, Any]:
@@ -187,8 +177,7 @@ def describe_request(job: Job) -> dict[str, Any]:
     return {
         "stage": stage,
         "styles": styles,
-        "config": portable_settings(job.config, job.output),
-        "explicit": sorted(job.explicit),
+        **settings_record(job.config, job.output),
     }
 
 
@@ -205,10 +194,8 @@ def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None =
     """
     names = (record["stage"], *record["styles"])
     stage, *styles = [os.path.normpath(output / name) for name in names]
-    other = {"layer": {"mode": mode}} if mode else {}
-    config = settle_files(resolve_config(record["config"], other), output)
-    explicit = explicit_values(config, frozenset(record.get("explicit", ())))
-    return Request(stage, styles, output, (config, explicit))
+    other = {"layer.mode": mode} if mode else {}
+    return Request(stage, styles, output, recorded_settings(record, output).with_values(other))
 
 
 def _plan(

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, volume_stems
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
 from usdsmoke.planning.estimate import Estimate, FrameSize, add_estimates, estimate_run, grid_size

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.naming import colour_names
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.core.sequence.controls import SETTINGS, in_effect

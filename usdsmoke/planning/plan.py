@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.planning.estimate import Estimate, FrameSize
 from usdsmoke.planning.frames import MaskSource, VelocitySource

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
 from usdsmoke.planning.plan import FramePlan, VolumePlan

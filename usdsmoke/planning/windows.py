@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from usdsmoke.base.config import WindowsConfig
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.sections import WindowsConfig
 
 __all__ = ["Window", "coarse_runs", "find_cuts", "split_windows"]
 

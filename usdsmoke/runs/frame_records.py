@@ -12,11 +12,11 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.asset_paths import relative_asset_path
-from usdsmoke.base.config import GridsConfig, merge_settings
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.given_settings import portable_settings
 from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.record_format import Provenance, RunFacts, build_provenance
+from usdsmoke.base.resolve import settings_record
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
@@ -55,7 +55,10 @@ def frame_metadata(
     described = run.description
     nothing: dict[str, Any] = {"settings": {}, "styles": []}
     asked = described.get("requests", {}).get(volume.source.prim_path, nothing)
-    settings = merge_settings(described["settings"], asked["settings"])
+    settings = {
+        section: {**values, **asked["settings"].get(section, {})}
+        for section, values in described["settings"].items()
+    }
     packages = sorted(_versions(config).items())
     return {
         "creator": f"usdsmoke {__version__}",
@@ -103,7 +106,7 @@ def make_provenance(
     facts = RunFacts(
         version=__version__,
         seed=config.optimize.seed,
-        config=portable_settings(config, run.output),
+        config=settings_record(config, run.output)["config"],
         inputs=_inputs(run, plan),
         styles={f"{n}/{style.name}": style.sha256 for n, style in enumerate(styles)},
         features=", ".join(

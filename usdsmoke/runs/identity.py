@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.base.config import Config, config_to_dict
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures.png import StyleImage
 from usdsmoke.planning.features import features_hashes
@@ -20,6 +19,7 @@ from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
 from usdsmoke.runs.machine import machine_of
 from usdsmoke.runs.run import Run
+from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 
 __all__ = ["Identity", "describe_run", "list_changes", "requested_values"]
 
@@ -163,7 +163,7 @@ def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
 
 
 def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
-    settings = config_to_dict(config)
+    settings = config.model_dump()
     for section, keys in _NEUTRAL.items():
         for key in keys:
             del settings[section][key]

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.machine import usable_cpus
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.run import Run, find_runs
@@ -54,7 +54,7 @@ def settle_threads(output: Path, config: Config, force: bool) -> Config:
         runs = [run for run in runs if not (force and run.complete)]
         begun = min(runs, key=lambda run: run.complete, default=None)
         threads = _optimize(begun).get("threads", 0) if begun is not None else 0
-    return replace(config, optimize=replace(config.optimize, threads=threads or usable_cpus()))
+    return config.replace(optimize=config.optimize.replace(threads=threads or usable_cpus()))
 
 
 def with_settled(job: Job, run: Run) -> Job:
@@ -63,12 +63,11 @@ def with_settled(job: Job, run: Run) -> Job:
 
     def settle(config: Config) -> Config:
         device, wanted = config.optimize.device, settled.get("device", config.optimize.device)
-        optimize = replace(
-            config.optimize,
+        optimize = config.optimize.replace(
             threads=settled.get("threads", config.optimize.threads),
             device=device if device.partition(":")[0] == wanted else wanted,  # one of several GPUs
         )
-        return replace(config, optimize=optimize)
+        return config.replace(optimize=optimize)
 
     volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)

@@ -1,6 +1,5 @@
 """Which run a call belongs to: begun, continued, joined by several processes, or done again."""
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -68,8 +67,8 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
         if not (run.complete and run.run_id in published and run.look == look):
             continue
         if selected and frames != selected:
-            stage = dataclasses.replace(job.config.stage, frames=frames)
-            whole = job.with_config(dataclasses.replace(job.config, stage=stage))
+            stage = job.config.stage.replace(frames=frames)
+            whole = job.with_config(job.config.replace(stage=stage))
             if numbers := _windows_of(whole.plan, job.plan):
                 if changes := Identity(whole).changes(run):
                     raise OutputExists(_other_result(run.output, changes))

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke import __version__
-from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.naming import EMISSION, colour_names
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.pictures.png import StyleImage

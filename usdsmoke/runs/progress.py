@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
 __all__ = ["WAITING", "RunProgress", "RunProgressCallback", "WorkMeter"]
@@ -89,7 +89,7 @@ class WorkMeter:
 
 def _frame_iterations(config: Config, is_warm: bool) -> dict[str, list[int]]:
     """A frame's iterations by step, octave by octave."""
-    cold = {
+    cold: dict[str, list[int]] = {
         step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
         for step in config.optimize.steps
     }

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.controls import frame_config

@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config, config_to_dict, resolve_config
 from usdsmoke.base.publish import make_folders, publish_new
+from usdsmoke.base.settings import Config
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan, VolumePlan
-from usdsmoke.runs.budget.choice import choose_settings, user_values
+from usdsmoke.runs.budget.choice import choose_settings
 from usdsmoke.runs.identity import describe_run
 from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.sheet import sample_frames
@@ -70,11 +70,9 @@ def foresee_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
 def _settled(job: Job, prepare: Callable[[Config], Job], measured: Mapping[str, Any]) -> Job:
     config, target = job.config, job.config.optimize.target_error
     assert target is not None  # callers have looked
-    settings = config_to_dict(config)
-    set_by_user = user_values(settings, config_to_dict(Config()), job.explicit)
     planned = {"shape": config.shape.iterations, "colour": config.colour.iterations}
-    choice = choose_settings(measured, target, planned, set_by_user)
-    settled = prepare(resolve_config(settings, choice.settings))
+    choice = choose_settings(measured, target, planned, config.given_values())
+    settled = prepare(config.with_values(choice.settings))
     return _with_notes(settled, f"{_HEADING} {target:g}", *choice.notes)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pxr import Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
-from usdsmoke.base.given_settings import Settings, Styles
+from usdsmoke.base.resolve import Settings, Styles
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
 from usdsmoke.usd.inspection_requests import GivenSettings, describe_requests
 from usdsmoke.usd.schema import STYLE_API, late_note
@@ -26,8 +26,7 @@ def inspect(
     prims: list[str] | None = None,
     frames: str = "",
     style: Styles = None,
-    config: Settings = None,
-    settings: Mapping[str, Any] | Sequence[str] = (),
+    settings: Settings = None,
 ) -> dict[str, Any]:
     """What usdsmoke sees on a stage, as plain values; no voxel is read and torch is not loaded.
 
@@ -38,18 +37,17 @@ def inspect(
             unsaved edits.
         prims: Volume prim paths; None means all.
         frames: timeCodes such as ``1-24``; empty means all.
-        style, config, settings: as in ``stylize``; they decide the settings of each Volume.
+        style, settings: as in ``stylize``; they decide the settings of each Volume.
 
     Raises:
         StageError: the stage cannot be opened, or its Volumes not be followed to their files.
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
     stage = open_stage(stage)
-    given = GivenSettings.of(style, config, settings)
+    given = GivenSettings.of(style, settings)
     own = given.config.stage
-    own = replace(own, prims=prims or own.prims, frames=frames or own.frames)
-    images = {"style"} if given.styles else set()
-    source = find_volumes(stage, own, given.explicit | images)
+    own = own.replace(prims=prims or own.prims, frames=frames or own.frames)
+    source = find_volumes(stage, own, with_styles=not given.styles)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
     return {

@@ -8,10 +8,16 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.base.config import Config, config_to_dict, explicit_names, merge_settings, read_config
-from usdsmoke.base.given_settings import Settings, Styles, resolve_settings, style_paths
-from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES
+from usdsmoke.base.resolve import (
+    Settings,
+    Styles,
+    read_settings,
+    resolve_settings,
+    style_paths,
+)
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import StageSource, VolumeSource
+from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 from usdsmoke.usd.volume_requests import has_request, request_origins
 from usdsmoke.usd.volume_settings import ResolvedVolumes, VolumeSettings, resolve_volumes
 
@@ -24,33 +30,15 @@ _SETTINGS = ("stage.mask", "views.camera", *(row.setting for row in REQUEST_ATTR
 class GivenSettings:
     """What a run would be called with."""
 
-    config: Config  # resolved, explicit settings among them
-    configured: frozenset[str] = frozenset()  # dotted names that the configuration sets
-    explicit: frozenset[str] = frozenset()  # dotted names that are stronger than a prim's
+    config: Config  # of the run, explicit settings among them
     styles: Sequence[Path] = ()  # absolute; none: Volumes bring theirs
+    named: frozenset[str] = frozenset()  # dotted names of all settings that are given
 
     @classmethod
-    def of(
-        cls, style: Styles, config: Settings, settings: Mapping[str, Any] | Sequence[str]
-    ) -> "GivenSettings":
+    def of(cls, style: Styles, settings: Settings) -> "GivenSettings":
         """From the arguments of ``stylize``."""
-        resolved, explicit = resolve_settings(config, settings)
-        configured = explicit_names(_configured(config))
         styles = [Path(image).absolute() for image in style_paths(style)]
-        return cls(resolved, configured, explicit, styles)
-
-
-def _configured(config: Settings) -> dict[str, dict[str, Any]]:
-    """The settings that a configuration names; of one that is ready made, those it changes."""
-    if config is None or isinstance(config, Mapping):
-        return merge_settings(config or {})
-    if not isinstance(config, Config):
-        return merge_settings(read_config(Path(config)))
-    defaults = config_to_dict(Config())
-    return {
-        section: {key: value for key, value in keys.items() if value != defaults[section][key]}
-        for section, keys in config_to_dict(config).items()
-    }
+        return cls(resolve_settings(settings), styles, frozenset(read_settings(settings)))
 
 
 def describe_requests(
@@ -71,8 +59,7 @@ def describe_requests(
     Raises:
         ConfigError: a Volume's settings contradict each other.
     """
-    styles = [Path(style) for style in given.styles]
-    resolved = resolve_volumes(source, given.config, styles, given.explicit, bare=True)
+    resolved = resolve_volumes(source, given.config, given.styles, bare=True)
     return [
         _describe(stage.GetPrimAtPath(volume.prim_path), volume, own, resolved, given)
         for volume, own in zip(resolved.source.volumes, resolved.volumes, strict=True)
@@ -87,7 +74,7 @@ def _describe(
     given: GivenSettings,
 ) -> dict[str, Any]:
     origins = request_origins(prim)
-    values = config_to_dict(own.config)
+    values = own.config.model_dump()
     settings = {}
     for name in _SETTINGS:
         section, _, key = name.partition(".")
@@ -116,11 +103,11 @@ def _origin(
 ) -> dict[str, str]:
     if asked:
         return {"origin": "prim", **origins.get(name, {})}
-    if name in given.explicit:
+    if name in given.config.explicit:
         return {"origin": "option"}
-    configured: Collection[str] = given.configured
-    if own_images:  # they do not take the configuration's weights
-        configured = given.configured - {"style.weights"}
+    configured: Collection[str] = given.named
+    if own_images:  # they do not take the weights of a file
+        configured = given.named - {"style.weights"}
     return {"origin": "config" if name in configured else "default"}
 
 

@@ -1,18 +1,26 @@
-"""A property's composed values as plain ones: over time, of images, of targets, and whose they are.
+"""The attributes of UsdSmokeStyleAPI, and composed values of properties as plain ones.
 
-Composition is USD's; nothing here knows what is asked for.
+Which attribute stands for which setting is declared with the setting, in ``base.sections``.
 """
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd
 
-from usdsmoke.usd.values import authored_path, value_at
+from usdsmoke.base.setting_model import extra_of
+from usdsmoke.base.settings import declared_settings
 
 __all__ = [
+    "CAMERA",
+    "MASK",
+    "REQUEST_ATTRIBUTES",
+    "REQUEST_PREFIX",
+    "STYLE_IMAGES",
+    "RequestAttribute",
     "authoring_layer",
     "forwarded_targets",
     "image_paths",
@@ -21,14 +29,36 @@ __all__ = [
     "values_at",
 ]
 
+REQUEST_PREFIX = "usdSmoke:request:"
+
+STYLE_IMAGES = f"{REQUEST_PREFIX}styleImages"  # asset[]; not a setting, but what --style gives
+CAMERA = f"{REQUEST_PREFIX}camera"  # relationship
+MASK = f"{REQUEST_PREFIX}mask"  # relationship
+
+
+@dataclass(frozen=True)
+class RequestAttribute:
+    """An attribute of UsdSmokeStyleAPI that stands for a setting."""
+
+    name: str  # with the prefix
+    setting: str  # the setting's dotted name
+    control: str = ""  # field of FrameControls; "" for what may not change over time
+
+
+REQUEST_ATTRIBUTES = tuple(
+    RequestAttribute(f"{REQUEST_PREFIX}{extra['request']}", name, extra.get("control", ""))
+    for name, field in declared_settings().items()
+    if "request" in (extra := extra_of(field))
+)
+
 
 def values_at(
     attribute: Usd.Attribute, time_codes: Sequence[float], plain: Callable[[Any], Any]
 ) -> list[Any]:
     """An attribute's value at each timeCode, interpolated as USD does, made plain by ``plain``."""
     if not attribute.ValueMightBeTimeVarying():
-        return [plain(value_at(attribute, time_codes[0]))] * len(time_codes)
-    return [plain(value_at(attribute, code)) for code in time_codes]
+        return [plain(attribute.Get(time_codes[0]))] * len(time_codes)
+    return [plain(attribute.Get(code)) for code in time_codes]
 
 
 def plain_value(value: Any) -> Any:
@@ -41,7 +71,7 @@ def image_paths(value: Any) -> list[tuple[str, str]] | None:
     if value is None:
         return None
     assets = [value] if isinstance(value, Sdf.AssetPath) else value
-    return [(str(asset.resolvedPath), authored_path(asset)) for asset in assets]
+    return [(str(asset.resolvedPath), str(asset.authoredPath)) for asset in assets]
 
 
 def image_problem(authored: str, resolved: str) -> str:

@@ -12,21 +12,19 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.config import check_value
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
-from usdsmoke.base.request_attributes import (
+from usdsmoke.base.setting_model import nearest
+from usdsmoke.base.settings import check_setting
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import FrameControls, StyleRequest
+from usdsmoke.usd.relationships import field_prim, field_targets
+from usdsmoke.usd.request_values import (
     CAMERA,
     MASK,
     REQUEST_ATTRIBUTES,
     REQUEST_PREFIX,
     STYLE_IMAGES,
     RequestAttribute,
-)
-from usdsmoke.base.setting_checks import nearest
-from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import FrameControls, StyleRequest
-from usdsmoke.usd.relationships import field_prim, field_targets
-from usdsmoke.usd.request_values import (
     authoring_layer,
     forwarded_targets,
     image_paths,
@@ -35,7 +33,6 @@ from usdsmoke.usd.request_values import (
     values_at,
 )
 from usdsmoke.usd.schema import STYLE_API
-from usdsmoke.usd.values import value_at
 
 __all__ = [
     "has_request",
@@ -91,7 +88,8 @@ def read_request(
         if not known:
             continue  # its time samples are blocked
         chosen = max(known) if row.control == "strength" else known[0]
-        settings.setdefault(row.section, {})[row.key] = chosen
+        section, _, key = row.setting.partition(".")
+        settings.setdefault(section, {})[key] = chosen
         if any(value != values[0] for value in values):
             changes = [tuple(v) if isinstance(v, list) else v for v in values]
             controls = [
@@ -207,7 +205,7 @@ def _refuse_unknown(volume: Usd.Prim) -> None:
 def _check_known(volume: Usd.Prim, name: str) -> None:
     if name not in _NAMES:
         raise ConfigError(
-            f"<{volume.GetPath()}> asks for {name}, which {STYLE_API} does not know"
+            f"unknown attribute {name} on <{volume.GetPath()}>: {STYLE_API} has none of that name. "
             f"{nearest(name, _NAMES)}"
         )
     is_relationship = bool(forwarded_targets(volume.GetRelationship(name)))
@@ -226,7 +224,7 @@ def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[f
         place = f"{where} at timeCode {format_time_code(code)}" if changes else where
         if changes and not row.control:
             raise ConfigError(_may_not_change(place))
-        checked.append(None if value is None else check_value(row.section, row.key, value, place))
+        checked.append(None if value is None else check_setting(row.setting, value, place))
     return checked
 
 
@@ -244,7 +242,7 @@ def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ..
     if not attribute.HasAuthoredValue():
         return ()
     where = f"<{volume.GetPath()}.{STYLE_IMAGES}>"
-    value = value_at(attribute, time_codes[0])
+    value = attribute.Get(time_codes[0])
     if value is not None and not isinstance(value, (Sdf.AssetPath, Sdf.AssetPathArray)):
         raise ConfigError(f"{where} is {value!r}; wanted images as asset[], as in [@./fire.png@]")
     found = values_at(attribute, time_codes, image_paths)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError, ImageError
-from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StageSource, StyleRequest, VolumeSource
+from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
 
 __all__ = ["ResolvedVolumes", "VolumeSettings", "resolve_volumes"]
 
@@ -40,7 +40,6 @@ def resolve_volumes(
     source: StageSource,
     config: Config,
     styles: Sequence[Path] = (),
-    explicit: Collection[str] = (),
     bare: bool = False,
 ) -> ResolvedVolumes:
     """The settings of every Volume; its own request counts where nothing stronger was said.
@@ -53,7 +52,6 @@ def resolve_volumes(
         config: the run's settings, explicit ones among them.
         styles: absolute paths of the images that were given for the run; they are stronger than a
             Volume's own.
-        explicit: dotted names of the settings that are stronger than a Volume's own.
         bare: whether Volumes may be without images.
 
     Raises:
@@ -62,7 +60,7 @@ def resolve_volumes(
     """
     if not bare:
         _refuse_without_images(source, styles)
-    given = frozenset(explicit) | ({"style.weights"} if styles else set())
+    given = config.explicit | ({"style.weights"} if styles else set())
     volumes = [_effective(volume, given, bool(styles)) for volume in source.volumes]
     files: dict[Path, int] = {}
     resolved = []
@@ -121,12 +119,12 @@ def _resolve(
     volume: VolumeSource, config: Config, own: Mapping[str, Mapping[str, Any]], n_styles: int
 ) -> Config:
     try:
-        resolved = resolve_config(config_to_dict(config), own) if own else config
+        resolved = config.with_values(own)
         if n_styles:
             style_shares(resolved.style, n_styles)
         for frame in volume.frames if n_styles else ():
             if (weights := frame.controls.style_weights) is not None:
-                style = dataclasses.replace(resolved.style, weights=list(weights))
+                style = resolved.style.replace(weights=list(weights))
                 _check_shares(style, n_styles, frame.time_code)
     except ConfigError as error:
         if not (volume.request.settings or volume.request.styles):

@@ -29,7 +29,7 @@ from typing import IO, Any
 import numpy as np
 
 from usdsmoke.base import errors
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 
 __all__ = ["ChildFailure", "end_worker", "run_child"]
 

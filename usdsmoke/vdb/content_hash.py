@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.base.config import GridsConfig
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.active_box import active_mask, crop_to_active
 from usdsmoke.vdb.header import read_header

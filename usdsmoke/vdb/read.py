@@ -1,6 +1,5 @@
 """VDB grids as dense arrays: found by name and index, refused by their header, checked."""
 
-import dataclasses
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import (
     BindingMissing,
     DamagedFile,
@@ -18,6 +16,7 @@ from usdsmoke.base.errors import (
     NonFiniteError,
     UnsupportedGrid,
 )
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb import child
 from usdsmoke.vdb.child import ChildFailure
@@ -190,7 +189,7 @@ def _open(
         "names": [_binding_name(header, grid) for grid in grids],
         "dense_limit_bytes": _dense_limit(config),
     }
-    limited = dataclasses.replace(config, time_limit_s=_time_limit(header, config))
+    limited = config.replace(time_limit_s=_time_limit(header, config))
     try:
         return child.run_child(request, [], limited)
     except ChildFailure as failure:

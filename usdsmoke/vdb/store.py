@@ -10,8 +10,8 @@ from typing import IO
 
 import numpy as np
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.machine import free_disk_bytes
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.read import GridRequest, read_grids
 

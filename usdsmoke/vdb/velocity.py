@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import UnsupportedGrid
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import GridError, NonFiniteError, WriteFailed
 from usdsmoke.base.publish import publish_file
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb import child
 from usdsmoke.vdb.active_box import crop_to_active
@@ -70,7 +70,7 @@ def write_frame(
             system refused, or the file came back different.
         BindingMissing: OpenVDB's bindings are missing or do not fit the installed NumPy.
     """
-    config = dataclasses.replace(config or GridsConfig(), repair_nan=None)
+    config = (config or GridsConfig()).replace(repair_nan=None)
     target = Path(os.path.abspath(file_path))
     _check_names(target, fields)
     stored = [crop_to_active(_as_stored(target, field, half)) for field in fields]

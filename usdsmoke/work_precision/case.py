@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import PlanError
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.frames import find_frame_velocity, read_frame

@@ -1,6 +1,5 @@
 """The sweep over feature networks: embedded features against VGG-19, measured by neither."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FeatureError
@@ -83,8 +82,8 @@ def _plan(case: Case) -> Plan:
             chosen = case.config.features.network
             own = case.config.features
             if network != chosen:  # its layers would mean nothing to the other network
-                own = replace(own, network=network, layers=[], weights=[], content_layers=[])
-            setting = Setting(scaled(base, share), replace(case.config, features=own))
+                own = own.replace(network=network, layers=[], weights=[], content_layers=[])
+            setting = Setting(scaled(base, share), case.config.replace(features=own))
             label = f"{network}, {sum(setting.per_octave)} iterations"
             configured = share == 1.0 and network == chosen
             tasks.append(trial.task(network, label, setting, configured, share, error))

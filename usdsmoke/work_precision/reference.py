@@ -1,6 +1,6 @@
 """What trials are measured against: two runs that do much more than any trial."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut
@@ -75,7 +75,7 @@ def reference_of(case: Case, step: str) -> Reference:
     """
     if ("reference", step) not in case.cache:
         base, config = base_iterations(case, step), case.config
-        most = untiring(replace(config, views=replace(config.views, pool=_POOL)))
+        most = untiring(config.replace(views=config.views.replace(pool=_POOL)))
         setting = Setting(scaled(base, _SHARE), most)
         trial = Trial(case, step, config)
         trial.prepare(setting)

@@ -15,9 +15,9 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.errors import Interrupted, OutputExists, WriteFailed
-from usdsmoke.base.given_settings import FilePath, RunSettings, Styles
 from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
+from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
@@ -64,7 +64,7 @@ def make_report(
     stage: StageOrFile,
     style: Styles,
     output: FilePath,
-    settings: RunSettings = None,
+    settings: Settings = None,
     seconds: float = 300.0,
     progress: Tell | None = None,
     sweeps: Sequence[Sweep] = SWEEPS,

@@ -1,7 +1,6 @@
 """Sweeps over one step's own settings: iterations, views, octaves and resolution."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 from usdsmoke.work_precision.case import Case
@@ -74,7 +73,7 @@ def _iterations(step: str, case: Case) -> Plan:
         return "iterations", label, Setting(per_octave, config), share
 
     def by_rule(value: float) -> Choice:
-        own = replace(config, optimize=replace(config.optimize, tolerance=value))
+        own = config.replace(optimize=config.optimize.replace(tolerance=value))
         label = f"optimize.tolerance={value:g}" if value else "no rule (optimize.tolerance=0)"
         return "stopping rule", label, Setting(base, own), 1.0
 
@@ -95,7 +94,7 @@ def _views(case: Case) -> Plan:
     trial = Trial(case, step, config)
     tasks: list[Task] = []
     for n in (pool, *(n for n in _POOLS if n != pool)):
-        own = config if n == pool else replace(config, views=replace(config.views, pool=n))
+        own = config if n == pool else config.replace(views=config.views.replace(pool=n))
         setting, label, error = Setting(base, own), f"views.pool={n}", trial.unseen.gap
         tasks.append(trial.task("views in the pool", label, setting, n == pool, 1.0, error))
     return Plan(
@@ -128,7 +127,7 @@ def _views_count(case: Case) -> Plan:
         else:
             fewer = scaled(base, views.count / count)
             label = f"views.count={count}, {sum(fewer)} iterations: as many pictures"
-            setting = Setting(fewer, replace(case.config, views=replace(views, count=count)))
+            setting = Setting(fewer, case.config.replace(views=views.replace(count=count)))
         return "views per iteration", label, setting, 1.0
 
     counts = dict.fromkeys((views.count, 1, *_COUNTS))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut, Task
 from usdsmoke.work_precision.unseen_loss import Outcome, UnseenLoss
@@ -81,7 +81,7 @@ def scaled(per_octave: Sequence[int], share: float) -> tuple[int, ...]:
 
 def untiring(config: Config) -> Config:
     """The settings without the rule that stops an octave early."""
-    return replace(config, optimize=replace(config.optimize, tolerance=0.0))
+    return config.replace(optimize=config.optimize.replace(tolerance=0.0))
 
 
 def trial_seconds(case: Case, step: str) -> float:
@@ -195,7 +195,7 @@ class Trial:
         from usdsmoke.core.steps.colour import run_colour_step
 
         config, per_octave = setting.config, setting.per_octave
-        config = replace(config, optimize=replace(config.optimize, seed=config.optimize.seed + run))
+        config = config.replace(optimize=config.optimize.replace(seed=config.optimize.seed + run))
         scene = self._scene_of(setting)
         smoke, targets = self._smoke_of(setting), self._targets_of(setting)
         if self._step == "colour":

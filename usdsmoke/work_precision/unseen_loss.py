@@ -1,12 +1,12 @@
 """How good the result of a trial is: its loss over views that no trial uses."""
 
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.work_precision.case import Case
 
 if TYPE_CHECKING:
@@ -179,5 +179,5 @@ class UnseenLoss:
     def _angles(self, smoke: "ActiveSmoke") -> Sequence["View"]:
         from usdsmoke.core.views.scene import frame_views
 
-        views = replace(self._config.views, pool=_N_VIEWS, sampling="poisson")
+        views = self._config.views.replace(pool=_N_VIEWS, sampling="poisson")
         return frame_views(smoke, views, self._scene, _SEED)

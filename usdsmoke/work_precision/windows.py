@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
@@ -95,7 +95,7 @@ class _Shot:
         from usdsmoke.core.sequence.stylize import stylize_window
 
         case, seed = self.case, self.config.optimize.seed + run
-        config = replace(self.config, optimize=replace(self.config.optimize, seed=seed))
+        config = self.config.replace(optimize=self.config.optimize.replace(seed=seed))
         found: list[StylizedFrame] = []
         for first in range(0, len(self.frames), size):
             window = self.frames[first : first + size]
@@ -218,12 +218,12 @@ def _frames(case: Case, n_frames: int) -> list[VolumeFrame]:
 
 def _config(case: Case) -> Config:
     """The settings with the main step alone; motion is that of the frames."""
-    config = replace(case.config, grids=replace(case.config.grids, refine=1))
-    config = replace(config, stage=replace(config.stage, motion="velocity"))
+    config = case.config.replace(grids=case.config.grids.replace(refine=1))
+    config = config.replace(stage=config.stage.replace(motion="velocity"))
     step = main_step(case)
-    optimize = replace(config.optimize, iterations=None, steps=[step], error_budget=False)
-    own = replace(getattr(config, step), iterations=list(base_iterations(case, step)))
-    return replace(config, optimize=optimize, **{step: own})
+    optimize = config.optimize.replace(iterations=None, steps=[step], error_budget=False)
+    own = getattr(config, step).replace(iterations=list(base_iterations(case, step)))
+    return config.replace(optimize=optimize, **{step: own})
 
 
 def _temporal_error(shot: _Shot, found: Sequence["StylizedFrame"]) -> float:

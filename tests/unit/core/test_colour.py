@@ -6,7 +6,8 @@ import torch
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.stylize_fixtures import scene_of
-from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, scale_style
 from usdsmoke.core.steps.colour import (

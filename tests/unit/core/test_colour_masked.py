@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import puff, random_style, smoke_of
-from usdsmoke.base.config import Config, resolve_config
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
 from usdsmoke.core.style.targets import StyleTargets

@@ -1,7 +1,5 @@
 """A frame's controls as settings: what they replace, what is refused, which frames are computed."""
 
-import dataclasses
-
 import pytest
 
 from tests.stylize_fixtures import quick_config
@@ -19,14 +17,14 @@ def test_a_frame_without_controls_has_the_settings_of_the_run():
 def test_controls_take_the_place_of_their_settings_and_of_no_others():
     controls = FrameControls(0.25, -2.0, 0.75, (1.0, 0.0))
     own = frame_config(CONFIG, controls, 1.0, n_styles=2)
-    assert own.optimize == dataclasses.replace(CONFIG.optimize, strength=0.25)
-    assert own.windows == dataclasses.replace(CONFIG.windows, pattern_speed=-2.0)
-    assert own.optics == dataclasses.replace(CONFIG.optics, gamma=0.75)
-    assert own.style == dataclasses.replace(CONFIG.style, weights=[1.0, 0.0])
+    assert own.optimize == CONFIG.optimize.replace(strength=0.25)
+    assert own.windows == CONFIG.windows.replace(pattern_speed=-2.0)
+    assert own.optics == CONFIG.optics.replace(gamma=0.75)
+    assert own.style == CONFIG.style.replace(weights=[1.0, 0.0])
     others = {"optimize", "windows", "optics", "style"}
-    for section in dataclasses.fields(CONFIG):
-        if section.name not in others:
-            assert getattr(own, section.name) == getattr(CONFIG, section.name)
+    for section in type(CONFIG).model_fields:
+        if section not in others:
+            assert getattr(own, section) == getattr(CONFIG, section)
 
 
 def test_what_is_not_said_stays_the_runs():
@@ -38,13 +36,16 @@ def test_what_is_not_said_stays_the_runs():
 @pytest.mark.parametrize(
     ("controls", "text"),
     [
-        (FrameControls(strength=1.5), "optimize.strength is 1.5; wanted <= 1"),
-        (FrameControls(strength=float("nan")), "optimize.strength is nan; wanted a finite"),
-        (FrameControls(gamma=0.0), "optics.gamma is 0.0; wanted > 0"),
-        (FrameControls(pattern_speed=9.0), "windows.pattern_speed is 9.0; wanted <= 8"),
-        (FrameControls(style_weights=(1.0, -1.0)), "style.weights[1] is -1.0; wanted >= 0"),
-        (FrameControls(style_weights=(1.0,)), "style.weights holds 1 numbers for 2 style images"),
-        (FrameControls(style_weights=(0.0, 0.0)), "style.weights are all 0"),
+        (FrameControls(strength=1.5), "optimize.strength is 1.5. Set it to a number from 0 to 1"),
+        (FrameControls(strength=float("nan")), "optimize.strength is nan. Set it to a number"),
+        (FrameControls(gamma=0.0), "optics.gamma is 0.0. Set it to null or a number > 0"),
+        (
+            FrameControls(pattern_speed=9.0),
+            "windows.pattern_speed is 9.0. Set it to a number from -8 to 8",
+        ),
+        (FrameControls(style_weights=(1.0, -1.0)), "style.weights[1] is -1.0. Set it"),
+        (FrameControls(style_weights=(1.0,)), "style.weights has 1 numbers for 2 style images"),
+        (FrameControls(style_weights=(0.0, 0.0)), "all style.weights are 0"),
     ],
 )
 def test_controls_out_of_range_are_refused_with_volume_and_time_code(controls, text):

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from usdsmoke.base.config import OptimizeConfig
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import OptimizeConfig
 from usdsmoke.core.smoke.device import choose_device
 
 

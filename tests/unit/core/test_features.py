@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.config import FeaturesConfig, StyleConfig
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import FeaturesConfig, StyleConfig
 from usdsmoke.core.smoke.srgb import match_grey, scale_style
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import EmbeddedFeatures, build_network

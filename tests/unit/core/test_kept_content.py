@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.stylize_fixtures import scene_of
-from usdsmoke.base.config import resolve_config
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.steps.colour import ColourView, prepare_views, run_colour_step
 from usdsmoke.core.style.content import photorealism_distance

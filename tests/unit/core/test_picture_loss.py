@@ -10,7 +10,9 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.config import Config, LossesConfig, resolve_config
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import LossesConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.optimize import minimize
 from usdsmoke.core.style import losses, picture_loss

@@ -5,7 +5,9 @@ import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.stylize_fixtures import scene_of
-from usdsmoke.base.config import Config, OpticsConfig, ViewsConfig, resolve_config
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import OpticsConfig, ViewsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.config import StyleConfig
+from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import SMALLEST, decode_srgb, encode_srgb, match_grey, scale_style
 
 LIKE = torch.zeros(())

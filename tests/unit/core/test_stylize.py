@@ -5,10 +5,10 @@ import pytest
 
 from tests.smoke_fixtures import affine, frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
-from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.scene import Scene

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.config import FeaturesConfig
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.vgg19 import Vgg19Features

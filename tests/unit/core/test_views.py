@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.camera_fixtures import camera_picture
-from usdsmoke.base.config import ViewsConfig
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import (
     View,

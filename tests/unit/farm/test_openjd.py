@@ -10,8 +10,8 @@ import yaml
 
 from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes
-from usdsmoke.base.config import read_config, resolve_config
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
+from usdsmoke.base.resolve import read_settings, resolve_config
 from usdsmoke.farm.openjd import JobBundle, submit
 from usdsmoke.farm.openjd_template import bundle_text, job_parameters, job_template
 from usdsmoke.pipeline import Request
@@ -170,8 +170,8 @@ def test_the_bundle_holds_all_settings_and_lists_every_file_that_is_read(shot: S
     )
     settings, overrides, values, references = bundle.files
     assert read(overrides) == {"optimize": {"seed": 5}}
-    expected = resolve_config(config, assignments=["optimize.seed=5"])
-    assert resolve_config(read_config(settings)) == expected
+    expected = resolve_config(config, ["optimize.seed=5"])
+    assert resolve_config(read_settings(settings)) == expected
     pairs = {pair["name"]: pair["value"] for pair in read(values)["parameterValues"]}
     assert pairs == bundle.parameters
     assert pairs["Stage"] == str(shot.stage) and pairs["Output"] == str(shot.output)

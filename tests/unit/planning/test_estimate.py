@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.planning.estimate import START, Estimate, FrameSize, estimate_run
 
@@ -16,7 +17,7 @@ FRAME = FrameSize(90_000, (51, 49, 96))
 
 def estimate(*settings: str, frames: int = 1, n_styles: int = 1) -> Estimate:
     sizes = [FRAME] * frames
-    return estimate_run(sizes, resolve_config(assignments=settings), n_styles, threads=2)
+    return estimate_run(sizes, resolve_config(settings), n_styles, threads=2)
 
 
 def test_time_and_bytes_add_up_over_frames_but_memory_does_not() -> None:
@@ -112,7 +113,7 @@ def test_times_that_were_measured_are_met_within_a_factor_of_two(
     size: FrameSize, settings: list[str], measured: float
 ) -> None:
     """Wall-clock seconds of one cold frame on two threads of a server."""
-    found = estimate_run([size], resolve_config(assignments=settings), threads=2)
+    found = estimate_run([size], resolve_config(settings), threads=2)
     assert measured / 2 < found.seconds < measured * 2
 
 
@@ -123,7 +124,7 @@ def test_memory_is_above_what_was_measured_but_not_twice() -> None:
 
 def test_a_slab_is_refined_in_its_plane_only() -> None:
     slab = FrameSize(10_000, (100, 100, 1))
-    fine = resolve_config(assignments=["grids.refine=4"])
+    fine = resolve_config(["grids.refine=4"])
     once, refined = (estimate_run([slab], c).bytes_written - 60_000 for c in (Config(), fine))
     assert refined == pytest.approx(16 * once)
 
@@ -147,7 +148,7 @@ def test_a_frame_in_two_windows_costs_its_time_again_and_two_more_files() -> Non
     again = estimate_run([warm], config, 1, 2).seconds - START
     assert twice.seconds - plain.seconds == pytest.approx(again)
     assert twice.bytes_written == 3 * plain.bytes_written
-    half = resolve_config(assignments=["grids.half=true"])
+    half = resolve_config(["grids.half=true"])
     plain_half, twice_half = (estimate_run([FRAME], half, 1, 2, t, ()) for t in ((), [FRAME]))
     assert twice_half.bytes_written - plain_half.bytes_written == 2 * plain.bytes_written
 

@@ -7,8 +7,9 @@ import pytest
 
 from tests.grids_fixtures import make_field, raw_grid, uniform, write_raw
 from tests.usd_fixtures import density_prim, volume_prim, world, write_text, write_vdb
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, VolumeSource
 from usdsmoke.planning.frames import (
     VelocitySource,
@@ -83,7 +84,7 @@ def test_a_velocity_field_of_the_volume_comes_before_one_in_the_file(tmp_path: P
 def test_velocity_arrives_per_second_whatever_the_file_holds(
     tmp_path: Path, quick_grids: None, unit: str, expected: float
 ) -> None:
-    config = resolve_config(assignments=[f"stage.velocity_unit={unit}"])
+    config = resolve_config([f"stage.velocity_unit={unit}"])
     stage = make_stage(tmp_path, "vel")
     volume, frame = only_frame(stage, config)
     read = read_frame(volume, frame, config, velocity_of(stage, config), 25.0)
@@ -120,7 +121,7 @@ def test_the_messages_say_which_field_at_which_timecode(tmp_path: Path) -> None:
 
 
 def test_a_velocity_that_was_named_has_to_be_there(tmp_path: Path) -> None:
-    config = resolve_config(assignments=["stage.velocity=speed"])
+    config = resolve_config(["stage.velocity=speed"])
     with pytest.raises(GridNotFound, match=r'no grid "speed" .*velocity.*the file has: density'):
         velocity_of(make_stage(tmp_path, "vel"), config)
 

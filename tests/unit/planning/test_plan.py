@@ -15,8 +15,8 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import PlanError, UnsupportedGrid
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.planning import make_plan as plan_module
 from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.plan import Plan
@@ -25,7 +25,7 @@ from usdsmoke.vdb.binding import find_binding
 
 
 def plan_of(stage: Path, *settings: str) -> Plan:
-    config = resolve_config(assignments=settings)
+    config = resolve_config(settings)
     return make_plan(find_volumes(open_stage(stage), config.stage), config)
 
 

@@ -9,8 +9,8 @@ from pxr import Sdf
 
 from tests.mask_fixtures import make_stage, write_mask
 from tests.pipeline_fixtures import Shot, run, values_of
-from usdsmoke.base.config import resolve_config
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.make_plan import make_plan
@@ -22,7 +22,7 @@ from usdsmoke.usd.volume_settings import VolumeSettings
 
 def plan_of(stage: Path, *assignments: str, n_styles: int = 1, **values: list[Any]) -> Plan:
     """The plan of the stage's Volume, with one value of each control per frame."""
-    config = resolve_config(assignments=assignments)
+    config = resolve_config(assignments)
     source = find_volumes(open_stage(stage), config.stage)
     (volume,) = source.volumes
     frames = tuple(
@@ -86,7 +86,7 @@ def test_the_plan_tells_of_the_settings_that_frames_have_of_their_own(shot: Shot
 
 
 def test_weights_that_do_not_fit_the_images_end_the_plan(shot: Shot) -> None:
-    with pytest.raises(ConfigError, match=r"/World/smoke>: at timeCode 2: style.weights holds 1"):
+    with pytest.raises(ConfigError, match=r"/World/smoke>: at timeCode 2: style.weights has 1"):
         plan_of(shot.stage, n_styles=2, style_weights=[None, (1.0,), None])
 
 

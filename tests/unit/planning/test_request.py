@@ -6,9 +6,9 @@ import pytest
 from pxr import Sdf, Usd
 
 from tests.usd_fixtures import plume_stage, write_text
-from usdsmoke import Request, resolve_config
-from usdsmoke.base.config import Config
+from usdsmoke import Request
 from usdsmoke.base.errors import ConfigError, StageError
+from usdsmoke.base.settings import Config
 
 
 def test_an_open_stage_stands_for_its_file(tmp_path: Path) -> None:
@@ -51,20 +51,20 @@ def test_settings_come_in_every_form_and_the_last_one_is_the_strongest(tmp_path:
     file_path = write_text(tmp_path / "s.yaml", "windows: {size: 2}\noptimize: {seed: 4}\n")
     assert Request("s.usda").config == Config()
     assert Request("s.usda", settings=file_path).config.windows.size == 2
-    assert Request("s.usda", settings=str(file_path)).explicit == {}
+    assert Request("s.usda", settings=str(file_path)).config.explicit == frozenset()
     for settings in ({"windows.size": 3}, {"windows": {"size": 3}}, "windows.size=3"):
         request = Request("s.usda", settings=[file_path, settings])
         assert (request.config.windows.size, request.config.optimize.seed) == (3, 4)
-        assert request.explicit == {"windows": {"size": 3}}
+        assert request.config.explicit == {"windows.size"}
     request = Request("s.usda", settings=["windows.size=3", file_path])
-    assert (request.config.windows.size, request.explicit) == (2, {})
+    assert (request.config.windows.size, len(request.config.explicit)) == (2, 0)
 
 
-def test_other_settings_keep_what_was_explicit(tmp_path: Path) -> None:
+def test_other_settings_keep_what_was_explicit() -> None:
     request = Request("s.usda", settings=["windows.size=3", "optimize.seed=1"])
-    other = request.with_config(resolve_config({"windows": {"size": 5}}))
-    assert other.config.windows.size == 5
-    assert other.explicit == {"windows": {"size": 5}, "optimize": {"seed": 0}}
+    other = request.with_config(request.config.with_values({"windows.size": 5, "views.count": 2}))
+    assert (other.config.windows.size, other.config.views.count) == (5, 2)
+    assert other.config.explicit == {"windows.size", "optimize.seed"}
 
 
 @pytest.mark.parametrize("settings", [{"windows.sice": 3}, "none.yaml", ["windows=3"]])

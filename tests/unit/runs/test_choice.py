@@ -5,12 +5,11 @@ from typing import Any
 
 import pytest
 
-from usdsmoke.base.config import Config, config_to_dict, resolve_config
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.runs.budget.choice import (
     USUAL_HALF,
     Choice,
     choose_settings,
-    user_values,
 )
 from usdsmoke.runs.budget.rows import PICTURE_SAFETY, SAFETY
 
@@ -148,12 +147,6 @@ def test_errors_that_no_setting_brings_down_are_told() -> None:
 def test_nothing_is_chosen_where_nothing_is_done() -> None:
     choice = choose_settings({}, 0.1, PLANNED, {})
     assert not choice.settings and "nothing to stylize" in choice.notes[0]
-
-
-def test_named_settings_and_those_that_are_no_defaults_are_the_user_s() -> None:
-    given = config_to_dict(resolve_config({"views": {"pool": 5}, "grids": {"half": False}}))
-    found = user_values(given, config_to_dict(Config()), {"grids.half"})
-    assert found == {"views.pool": 5, "grids.half": False}
 
 
 def test_choices_are_settings_that_exist() -> None:

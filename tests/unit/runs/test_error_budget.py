@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.frame_report import (
     Estimate,
     FrameErrors,
@@ -16,6 +15,7 @@ from usdsmoke.base.frame_report import (
     TemporalErrors,
     TransportReport,
 )
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget

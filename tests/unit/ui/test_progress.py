@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from usdsmoke.base.config import Config, resolve_config
 from usdsmoke.base.progress import Progress
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 from usdsmoke.runs.progress import RunProgress, WorkMeter
 from usdsmoke.ui.cli.progress_bar import ConsoleProgress, format_seconds

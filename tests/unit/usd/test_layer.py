@@ -18,9 +18,9 @@ from tests.usd_fixtures import (
     write_text,
 )
 from usdsmoke.base.asset_paths import relative_asset_path
-from usdsmoke.base.config import LayerConfig, StageConfig
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.asset_paths import anchored_asset
 from usdsmoke.usd.look import StylizedVolume, author_look, look_files

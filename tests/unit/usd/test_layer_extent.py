@@ -16,8 +16,8 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.config import LayerConfig, StageConfig
 from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.stage import find_volumes, open_stage
 

@@ -17,8 +17,8 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.base.config import StageConfig
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.usd.stage import find_volumes, open_stage
 
 DEFAULT = "asset filePath = @./cache/smoke.0001.vdb@"

@@ -32,8 +32,8 @@ def test_a_sound_request_finds_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("request_text", "place", "message"),
     [
-        ("double @@strength = 2", "strength", "is 2.0; wanted <= 1.0"),
-        ("double @@gama = 2", "gama", "did you mean 'usdSmoke:request:gamma'"),
+        ("double @@strength = 2", "strength", "is 2.0"),
+        ("double @@gama = 2", "gama", "'usdSmoke:request:gamma'"),
         ("asset[] @@styleImages = [@./no.png@]", "styleImages", "no file is found there"),
         ("rel @@camera = [</a>, </b>]", "camera", "has 2 targets"),
         ("rel @@camera = </World/none>", "camera", "where there is no prim; wanted a prim of type"),

@@ -1,6 +1,5 @@
 """The command that the menu copies: parsed back by usdsmoke's own parser."""
 
-import dataclasses
 import json
 import shlex
 from pathlib import Path
@@ -19,11 +18,11 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.base.config import config_to_dict, resolve_config
-from usdsmoke.base.request_attributes import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.runs.run import Run
 from usdsmoke.ui.cli.arguments import build_parser, given_settings
 from usdsmoke.usd.look import LookFiles
+from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
 
 
 @pytest.fixture
@@ -83,9 +82,8 @@ def change_record(look_layer: Path, **values: str) -> None:
 def result(tmp_path: Path) -> LookFiles:
     """The look of a plume, made with settings of its own, as its layer alone tells."""
     files = make_look(plume_stage(tmp_path), tmp_path / "out")
-    config = config_to_dict(
-        resolve_config(assignments=["windows.size=3", "stage.frames=1-2", "style.weights=[3, 1]"])
-    )
+    given = ["windows.size=3", "stage.frames=1-2", "style.weights=[3, 1]"]
+    config = resolve_config(given).model_dump()
     change_record(files.look_layer, config=json.dumps(config))
     return files
 
@@ -104,7 +102,7 @@ def test_the_command_of_a_look_stylizes_its_source_with_its_styles_and_settings(
     assert command["stage"] == str(tmp_path / "shot.usda")
     assert command["style"] == styles
     assert command["set"] == ["windows.size=3", "style.weights=[3.0, 1.0]"]
-    assert resolve_config(assignments=command["set"]).style.weights == [3, 1]
+    assert resolve_config(command["set"]).style.weights == [3, 1]
     assert command["frames"] == "1-4"
     assert window.texts == []
 
@@ -167,8 +165,8 @@ def test_the_command_of_a_finished_run_asks_for_the_same_run_again(shot: Shot) -
     assert (arguments.stage, arguments.style) == (str(shot.stage), [str(shot.style)])
     asked = resolve_config(*given_settings(arguments))
     made = result.plan.config
-    named = dataclasses.replace(made.stage, prims=["/World/smoke"], frames="1-3")
-    assert asked == dataclasses.replace(made, stage=named)
+    named = made.stage.replace(prims=["/World/smoke"], frames="1-3")
+    assert asked == made.replace(stage=named)
 
 
 def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run(
@@ -179,7 +177,7 @@ def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run
     volume.AddAppliedSchema("UsdSmokeStyleAPI")
     (row,) = (row for row in REQUEST_ATTRIBUTES if row.setting == "optimize.seed")
     volume.CreateAttribute(row.name, Sdf.ValueTypeNames.Int64).Set(8)
-    config = config_to_dict(resolve_config(assignments=["optimize.seed=5", "windows.size=3"]))
+    config = resolve_config(["optimize.seed=5", "windows.size=3"]).model_dump()
     change_record(result.look_layer, config=json.dumps(config), request=json.dumps(REQUEST))
     assert parsed(do("copy_all", api).copied[0])["set"] == ["windows.size=3"]
     request = json.dumps({**REQUEST, "explicit": ["optimize.seed", "grids.half"]})
@@ -190,7 +188,7 @@ def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run
 
 def test_a_parameter_file_is_named_where_it_is(result: LookFiles) -> None:
     given = ["features.vgg19_file=../in/weights.pth"]
-    config = json.dumps(config_to_dict(resolve_config(assignments=given)))
+    config = json.dumps(resolve_config(given).model_dump())
     change_record(result.look_layer, config=config, request=json.dumps(REQUEST))
     api, _ = open_in_usdview(result.root_stage)
     place = result.look_layer.parent.parent / "in/weights.pth"

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, uniform
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import BindingMissing, DamagedFile, UsdSmokeError, WriteFailed
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.child import ChildFailure, end_worker, run_child
 from usdsmoke.vdb.read import GridRequest, read_binding_version, read_grids
@@ -118,7 +118,7 @@ def test_every_end_of_the_process_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, words: str
 ) -> None:
     stand_in(tmp_path, monkeypatch, code)
-    config = dataclasses.replace(TIGHT, time_limit_s=0.1 if "sleep" in code else 20.0)
+    config = TIGHT.replace(time_limit_s=0.1 if "sleep" in code else 20.0)
     with pytest.raises(ChildFailure, match=words):
         run_child({"action": "describe"}, [], config)
 
@@ -297,7 +297,7 @@ def test_the_worker_and_its_folders_go_with_the_parent(
     temporary.mkdir()
     code = (
         "import sys, time\nfrom usdsmoke.vdb import child\n"
-        "from usdsmoke.vdb.read import *\nfrom usdsmoke.base.config import GridsConfig\n"
+        "from usdsmoke.vdb.read import *\nfrom usdsmoke.base.sections import GridsConfig\n"
         "read_grids(sys.argv[1], [GridRequest('density')], GridsConfig())\n"
         "print(child._worker.process.pid, flush=True)\n"
         "sys.stdin.read()\n"

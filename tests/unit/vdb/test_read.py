@@ -186,7 +186,7 @@ def test_nan_and_infinite_voxels_are_counted_and_placed(tmp_path: Path) -> None:
         read_grids(file_path, [GridRequest("density", where=WHERE)], TIGHT)
     for part in ("[11, 2, 0]", WHERE, "a.vdb", "--repair nan=0"):
         assert part in str(caught.value)
-    repaired = dataclasses.replace(TIGHT, repair_nan=0.25)
+    repaired = TIGHT.replace(repair_nan=0.25)
     (field,) = read_grids(file_path, [GridRequest("density")], repaired)
     assert field.values[1, 2, 0] == field.values[2, 0, 0] == 0.25
     assert int((field.values == 1.0).sum()) == 25

@@ -8,8 +8,8 @@ import pytest
 
 from tests.counters import Reads
 from tests.grids_fixtures import TIGHT, make_field, make_vectors, raw_grid, write_raw
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import NonFiniteError, UnsupportedGrid
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.store import GridStore
 from usdsmoke.vdb.write import write_frame

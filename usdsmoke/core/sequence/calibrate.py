@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config, GridsConfig
 from usdsmoke.base.frame_report import FrameReport, StepReport
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, warp
@@ -89,15 +90,15 @@ def calibrate(
 
 def _pilot_config(config: Config) -> Config:
     """All octaves with some of the iterations, and what tells most about them."""
-    shape = replace(
-        config.shape, iterations=_pilot_iterations(config.shape.iterations), interpolation="cubic"
+    shape = config.shape.replace(
+        iterations=_pilot_iterations(config.shape.iterations), interpolation="cubic"
     )
-    colour = replace(config.colour, iterations=_pilot_iterations(config.colour.iterations))
-    optimize = replace(
-        config.optimize, iterations=None, tolerance=0.0, strength=1.0, error_budget=True
+    colour = config.colour.replace(iterations=_pilot_iterations(config.colour.iterations))
+    optimize = config.optimize.replace(
+        iterations=None, tolerance=0.0, strength=1.0, error_budget=True
     )
-    stage = replace(config.stage, motion="velocity")
-    return replace(config, shape=shape, colour=colour, optimize=optimize, stage=stage)
+    stage = config.stage.replace(motion="velocity")
+    return config.replace(shape=shape, colour=colour, optimize=optimize, stage=stage)
 
 
 def _pilot_iterations(per_octave: Sequence[int]) -> list[int]:
@@ -113,7 +114,7 @@ def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
     painted, smoke = painted_frame(link), link.smoke
     gamma_w = link.scene.gamma_w_shape if painted.colours is None else link.scene.gamma_w
     longest, found = scene.image_size * scene.pixel_size, []
-    views = replace(config.views, pool=1)
+    views = config.views.replace(pool=1)
     per_voxel = MOST_VOXELS
     while per_voxel >= 1:
         pixel = per_voxel * smoke.voxel_size

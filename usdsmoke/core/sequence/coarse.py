@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.progress import ProgressCallback
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
@@ -182,8 +182,8 @@ def _open_coarse(frame: VolumeFrame, job: Job, factor: int) -> Link:
     if fine.left_out:
         return fine
     coarse = dataclasses.replace(frame, density=coarsen_field(fine.density, factor))
-    once = dataclasses.replace(job.config.grids, refine=1)
-    config = dataclasses.replace(job.config, grids=once)
+    once = job.config.grids.replace(refine=1)
+    config = job.config.replace(grids=once)
     link = open_frame(coarse, dataclasses.replace(job, config=config))
     link.report = fine.report
     return link
@@ -201,8 +201,7 @@ def _coarse_config(config: Config, factor: int) -> Config:
     """Only the octaves that are as coarse as the coarse voxels, or coarser."""
     n_fine = factor.bit_length() - 1
     shape, colour = config.shape, config.colour
-    return dataclasses.replace(
-        config,
-        shape=dataclasses.replace(shape, iterations=shape.iterations[: -n_fine or None]),
-        colour=dataclasses.replace(colour, iterations=colour.iterations[: -n_fine or None]),
+    return config.replace(
+        shape=shape.replace(iterations=shape.iterations[: -n_fine or None]),
+        colour=colour.replace(iterations=colour.iterations[: -n_fine or None]),
     )

@@ -4,10 +4,9 @@ No torch here, because the plan uses it.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
-from usdsmoke.base.config import Config, config_to_dict, resolve_config, style_shares
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
@@ -43,15 +42,15 @@ def frame_config(
         ConfigError: a value out of the setting's range, or not one weight for each style image, or
             none above 0; the message names the timeCode.
     """
-    sections: dict[str, dict[str, Any]] = {}
-    for name, (section, key) in SETTINGS.items():
-        value = getattr(controls, name)
-        if value is not None:
-            sections.setdefault(section, {})[key] = value
-    if not sections:
+    values = {
+        f"{section}.{key}": value
+        for name, (section, key) in SETTINGS.items()
+        if (value := getattr(controls, name)) is not None
+    }
+    if not values:
         return config
     try:
-        own = resolve_config(config_to_dict(config), sections)
+        own = config.with_values(values)
         if n_styles is not None and controls.style_weights is not None:
             style_shares(own.style, n_styles)
     except ConfigError as error:

@@ -8,7 +8,6 @@ the reports of the steps.
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -106,7 +105,7 @@ def _share(link: Link) -> Tensor | None:
 def _views(link: Link, pool: int, seed: int, sampling: str | None = None) -> list[View]:
     """A pool of views of the finished smoke."""
     views = link.config.views
-    views = replace(views, pool=pool, sampling=sampling or views.sampling)
+    views = views.replace(pool=pool, sampling=sampling or views.sampling)
     return frame_views(link.smoke, views, link.scene, seed)
 
 

@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.displacement import clamp_displacement
 from usdsmoke.core.fields.potential import Displacement

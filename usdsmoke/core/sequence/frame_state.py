@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.start import Carried, CoarseStart

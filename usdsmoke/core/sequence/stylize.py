@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from torch import Tensor
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress, ProgressCallback
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.controls import frame_config

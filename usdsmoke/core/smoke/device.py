@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from usdsmoke.base.config import OptimizeConfig
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import OptimizeConfig
 
 __all__ = ["Machine", "choose_device", "describe_machine"]
 

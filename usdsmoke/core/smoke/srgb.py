@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.config import StyleConfig
+from usdsmoke.base.sections import StyleConfig
 
 __all__ = ["decode_srgb", "encode_srgb", "luminance", "match_grey", "scale_style"]
 

@@ -14,7 +14,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.smoke.noise import white_noise

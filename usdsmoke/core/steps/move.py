@@ -2,19 +2,18 @@
 
 import time
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.frame_report import Estimate, TransportReport
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice, field_from_box
 from usdsmoke.core.fields.potential import Displacement, border_mask
 from usdsmoke.core.fields.richardson import warp_error
-from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
+from usdsmoke.core.fields.transport import correct_mass, warp
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.visibility import EffectMask
 
@@ -63,8 +62,7 @@ def move_density(
     u = lattice.from_stage(displacement.values).mul_(config.optimize.strength)
     report = TransportReport(largest_displacement=float(u.norm(dim=-1).max()))
     u.div_(sides)
-    scheme = cast(Scheme, config.shape.interpolation)
-    moved = warp(box, u, scheme=scheme).clamp_min(0)
+    moved = warp(box, u, scheme=config.shape.interpolation).clamp_min(0)
     # round-off of the spline is no smoke: it would fill the box with active voxels
     moved = torch.where(moved > LEAST_SHARE * box.max(), moved, torch.zeros_like(moved))
     if config.shape.interpolation != "linear":
@@ -73,7 +71,7 @@ def move_density(
         difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
         report = replace(report, linear_difference=float(difference))
     started = time.perf_counter()
-    error = warp_error(box, u, moved, scheme)
+    error = warp_error(box, u, moved, config.shape.interpolation)
     # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
     linear = report.linear_difference
     value = error.value if linear is None else min(error.value, linear)

@@ -25,8 +25,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.settings import Config
 from usdsmoke.core.fields.displacement import SparseDisplacement, clamp_displacement
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
 from usdsmoke.core.fields.potential import (

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from usdsmoke.base.config import FeaturesConfig
+from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.learned import LearnedFeatures
 from usdsmoke.core.style.oriented import OrientedFeatures
 from usdsmoke.core.style.vgg19 import Vgg19Features

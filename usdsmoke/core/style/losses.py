@@ -22,7 +22,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.config import LossesConfig
+from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.style.content import content_distance
 from usdsmoke.core.style.features import Network
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions

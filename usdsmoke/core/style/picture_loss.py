@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from usdsmoke.base.config import LossesConfig
+from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.smoke.srgb import luminance
 from usdsmoke.core.style.content import laplacian_distance, photorealism_distance
 from usdsmoke.core.style.losses import StyleTarget, total_variation

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.config import Config, StyleConfig, style_shares
+from usdsmoke.base.sections import StyleConfig
+from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance, match_grey, scale_style
 from usdsmoke.core.style.features import Network, build_network
 from usdsmoke.core.style.layers import content_layers, style_layers

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from usdsmoke.base.config import ViewsConfig
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
 
 __all__ = [

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from usdsmoke.base.config import OpticsConfig, ViewsConfig
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles

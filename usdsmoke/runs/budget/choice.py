@@ -6,7 +6,7 @@ cannot be made, has a sentence in the plan.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from usdsmoke.runs.budget.rows import (
     VIEW_SAMPLING,
 )
 
-__all__ = ["Choice", "choose_settings", "user_values"]
+__all__ = ["Choice", "choose_settings"]
 
 FEWEST_VIEWS, MOST_VIEWS = 4, 64
 FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
@@ -210,17 +210,3 @@ def _judged(what: str, error: float, part: float, safety: float = SAFETY) -> str
         f"cannot be kept: {what}: the estimated error {error:.2g} exceeds its limit of {part:.2g} "
         f"{most_accurate}"
     )
-
-
-def user_values(
-    given: Mapping[str, Mapping[str, Any]],
-    defaults: Mapping[str, Mapping[str, Any]],
-    explicit: Collection[str],
-) -> dict[str, Any]:
-    """Settings by dotted name that are not the defaults, or that were named."""
-    return {
-        f"{section}.{key}": value
-        for section, values in given.items()
-        for key, value in values.items()
-        if value != defaults[section][key] or f"{section}.{key}" in explicit
-    }

@@ -1,17 +1,35 @@
 """The arguments of each command. Defaults and limits of settings come from the settings."""
 
 import argparse
-from dataclasses import fields
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.base.config import Config, LayerConfig, config_to_dict, merge_settings, read_config
+from usdsmoke.base.resolve import GivenSettings, read_settings
+from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.setting_model import allowed_values
+from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.record_arguments import add_record_commands
 from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 
 __all__ = ["build_parser", "given_settings"]
 
+_OPTIONS = {  # that stand for a setting
+    "--prim": "stage.prims",
+    "--frames": "stage.frames",
+    "--restylize": "stage.restylize",
+    "--half": "grids.half",
+    "--repair": "grids.repair_nan",
+    "--camera": "views.camera",
+    "--seed": "optimize.seed",
+    "--tolerance": "optimize.target_error",
+    "--mode": "layer.mode",
+    "--look": "layer.look",
+    "--emission-mode": "layer.emission_mode",
+    "--alias-cd": "layer.scatter_colour",
+    "--split-rgb": "layer.split_rgb",
+}
 _EXIT_CODES = "exit codes: 0 ok, 1 a named error, 2 wrong usage, 130 stopped by Ctrl-C"
 
 
@@ -44,42 +62,23 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def given_settings(arguments: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The sections of the configuration, and those of all options that stand for settings.
+def given_settings(arguments: argparse.Namespace) -> list[Path | GivenSettings]:
+    """The file of ``--config``, and the settings of all other options; the strongest last.
 
     Raises:
-        ConfigError: a file or an option cannot be read.
+        ConfigError: the file of ``--overrides`` or an option cannot be read.
     """
-    config = read_config(arguments.config) if arguments.config else {}
-    overrides = read_config(arguments.overrides) if arguments.overrides else {}
-    options = _options_as_sections(arguments)
-    return config, merge_settings(overrides, options, assignments=arguments.set)
-
-
-def _options_as_sections(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Of commands that have some of them only, these."""
-    given = vars(arguments)
+    config = [Path(arguments.config)] if arguments.config else []
+    overrides = read_settings(Path(arguments.overrides) if arguments.overrides else None)
     options = {
-        "stage": {
-            "prims": given.get("prim"),
-            "frames": given.get("frames"),
-            "restylize": given.get("restylize"),
-        },
-        "grids": {"half": given.get("half"), "repair_nan": given.get("repair")},
-        "views": {"camera": given.get("camera")},
-        "optimize": {"seed": given.get("seed"), "target_error": given.get("tolerance")},
-        "layer": {
-            "mode": given.get("mode"),
-            "look": given.get("look"),
-            "emission_mode": given.get("emission_mode"),
-            "scatter_colour": given.get("alias_cd"),
-            "split_rgb": given.get("split_rgb"),
-        },
+        option: vars(arguments).get(option.strip("-").replace("-", "_")) for option in _OPTIONS
     }
-    return {
-        section: {key: value for key, value in settings.items() if value is not None}
-        for section, settings in options.items()
+    given = {
+        name: options[option] for option, name in _OPTIONS.items() if options[option] is not None
     }
+    sources = {name: option for option, name in _OPTIONS.items()}
+    texts = read_settings(arguments.set, "--set")
+    return [*config, read_settings([overrides, GivenSettings(given, sources), texts])]
 
 
 def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
@@ -104,10 +103,9 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_layer(parser: argparse.ArgumentParser) -> None:
-    limits = {item.name: item.metadata for item in fields(LayerConfig)}
     parser.add_argument(
         "--mode",
-        choices=limits["mode"]["choices"],
+        choices=allowed_values(LayerConfig.model_fields["mode"]),
         help="what to write: sublayer: a root stage with the look over the source (default); "
         "reference: an asset with a variant for each look; layer: only the look layer",
     )
@@ -312,6 +310,6 @@ def _add_client_options(parser: argparse.ArgumentParser) -> None:
 
 def _settings_summary() -> str:
     lines = ["settings for --set and --config (explained by 'usdsmoke settings'):"]
-    for section, settings in config_to_dict(Config()).items():
+    for section, settings in Config().model_dump().items():
         lines.append(f"  {section}: {', '.join(settings)}")
     return "\n".join(lines)

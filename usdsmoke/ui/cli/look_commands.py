@@ -4,11 +4,8 @@ import argparse
 import os
 from dataclasses import asdict
 
-from usdsmoke.base.config import (
-    Config,
-    config_to_dict,
-    config_to_yaml,
-)
+from usdsmoke.base.resolve import settings_yaml
+from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.arguments import given_settings
 from usdsmoke.ui.cli.text import inspection_text, print_json, validation_text
 
@@ -19,9 +16,9 @@ def run_inspect(arguments: argparse.Namespace) -> int:
     """``usdsmoke inspect``; the exit code, 1 where there are problems."""
     from usdsmoke.usd.inspect import inspect
 
-    config, settings = given_settings(arguments)
+    settings = given_settings(arguments)
     prims, frames = arguments.prim, arguments.frames or ""
-    found = inspect(arguments.stage, prims, frames, arguments.style, config, settings)
+    found = inspect(arguments.stage, prims, frames, arguments.style, settings)
     if arguments.json:
         print_json(found)
     else:
@@ -58,7 +55,7 @@ def run_plugin_path(arguments: argparse.Namespace) -> int:
 def run_settings(arguments: argparse.Namespace) -> int:
     """``usdsmoke settings``; the exit code."""
     if arguments.json:
-        print_json(config_to_dict(Config()))
+        print_json(Config().model_dump())
     else:
-        print(config_to_yaml(Config()), end="")
+        print(settings_yaml(Config()), end="")
     return 0

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _with_hash(name: Any, digest: Any) -> str:
 
 def _other_settings(config: Mapping[str, Any]) -> Iterable[str]:
     """Settings that are not the defaults of this version."""
-    defaults = config_to_dict(Config())
+    defaults = Config().model_dump()
     for section, settings in config.items():
         for key, value in settings.items():
             if value != defaults.get(section, {}).get(key, value):

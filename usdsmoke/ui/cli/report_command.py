@@ -25,14 +25,14 @@ def run_report(arguments: argparse.Namespace) -> int:
 
     from usdsmoke.work_precision import make_report
 
-    config, settings = given_settings(arguments)
+    settings = given_settings(arguments)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         result = make_report(
             arguments.stage,
             arguments.style,
             arguments.output,
-            [config, settings],
+            settings,
             arguments.budget,
             _Teller(console, bar),
         )

@@ -2,10 +2,8 @@
 
 import argparse
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from usdsmoke.base.config import config_to_dict
 from usdsmoke.ui.cli.arguments import given_settings
 from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.text import job_text, plan_text, print_json, result_text, step_text
@@ -27,7 +25,7 @@ def run_stylize(arguments: argparse.Namespace) -> int:
 
         plan = make_plan(_request(arguments))
         if arguments.json:
-            print_json(plan.to_dict() | {"config": config_to_dict(plan.config)})
+            print_json(plan.to_dict() | {"config": plan.config.model_dump()})
         else:
             print(plan_text(plan))
         return 0
@@ -80,10 +78,8 @@ def _request(arguments: argparse.Namespace) -> "Request":
     """What the options ask for; those beside ``--config`` are stronger than a Volume's own."""
     from usdsmoke.pipeline import Request
 
-    options = given_settings(arguments)[1]
-    settings: list[Any] = [Path(arguments.config)] if arguments.config else []
-    force = bool(getattr(arguments, "force", False))
-    return Request(arguments.stage, arguments.style, arguments.output, [*settings, options], force)
+    force, settings = bool(getattr(arguments, "force", False)), given_settings(arguments)
+    return Request(arguments.stage, arguments.style, arguments.output, settings, force)
 
 
 def _run_whole(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
-from usdsmoke.base.config import StageConfig
 from usdsmoke.base.errors import StageError
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VolumeSource
 from usdsmoke.ui.usdview.look_request import LookRequest, read_look_request

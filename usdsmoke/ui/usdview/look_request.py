@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.config import Config, config_to_dict
+from usdsmoke.base.settings import Config
 from usdsmoke.runs.run import find_runs
 from usdsmoke.ui.usdview.looks import Look
 
@@ -72,7 +72,7 @@ def changed_settings(config: Mapping[str, Any], explicit: Collection[str] = ()) 
     """
     return {
         f"{section}.{key}": config[section][key]
-        for section, defaults in config_to_dict(Config()).items()
+        for section, defaults in Config().model_dump().items()
         if isinstance(config.get(section), Mapping)
         for key, default in defaults.items()
         if key in config[section]

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 from pxr import Gf, Sdf, Usd
 
-from usdsmoke.base.config import GridsConfig
 from usdsmoke.base.errors import BindingMissing, GridError, StageError
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.rules.facts import collect_fields, header_of
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file

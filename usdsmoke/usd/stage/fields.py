@@ -9,13 +9,12 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
-from usdsmoke.base.request_attributes import MASK
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VELOCITY_NAMES, FieldSource
 from usdsmoke.usd.asset_paths import vdb_problem
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.relationships import FIELD_PREFIX, field_prim, field_targets
-from usdsmoke.usd.values import value_at
+from usdsmoke.usd.request_values import MASK
 
 __all__ = [
     "VolumeFields",
@@ -181,8 +180,8 @@ def field_source(
         grid_name=sample.grid_name,
         grid_index=sample.grid_index,
         field_to_stage=np.array(xforms.GetLocalToWorldTransform(prim), dtype=np.float64),
-        data_type=value_at(prim.GetAttribute("fieldDataType"), time_code) or "",
-        field_class=value_at(prim.GetAttribute("fieldClass"), time_code) or "",
+        data_type=prim.GetAttribute("fieldDataType").Get(time_code) or "",
+        field_class=prim.GetAttribute("fieldClass").Get(time_code) or "",
     )
 
 

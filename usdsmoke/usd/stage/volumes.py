@@ -1,12 +1,12 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.config import StageConfig
 from usdsmoke.base.errors import AssetNotResolved, StageError, VolumeNotFound
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
     format_time_code,
@@ -53,8 +53,8 @@ class _Outline:
 def find_volumes(
     stage: Usd.Stage,
     config: StageConfig,
-    explicit: Collection[str] = (),
     with_requests: bool = True,
+    with_styles: bool = True,
 ) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
@@ -65,9 +65,8 @@ def find_volumes(
     Args:
         stage: from ``open_stage``.
         config: the section ``stage`` of the settings.
-        explicit: dotted names of the settings that are stronger than what a Volume asks for itself;
-            ``style`` among them where images were given, which stand in for the Volumes' own.
-        with_requests: whether to read what Volumes ask for; not for who only looks at the smoke.
+        with_requests: whether to read what Volumes request.
+        with_styles: whether to look for the images that they request; not where others are given.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
@@ -79,13 +78,13 @@ def find_volumes(
     """
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
-    own = [_own_config(prim, config, explicit) if with_requests else config for prim in prims]
+    own = [_own_config(prim, config) if with_requests else config for prim in prims]
     outlines = [_outline_volume(*pair) for pair in zip(prims, own, strict=True)]
     selections = _select_time_codes(outlines, ranges, config.frames)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         if selected:
-            volumes.append(_read_volume(outline, selected, with_requests, "style" not in explicit))
+            volumes.append(_read_volume(outline, selected, with_requests, with_styles))
             continue
         reason = (
             f"none of its timeCodes {format_time_codes(outline.existing)} is in {config.frames!r}"
@@ -169,10 +168,10 @@ def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd
     return prim
 
 
-def _own_config(prim: Usd.Prim, config: StageConfig, explicit: Collection[str]) -> StageConfig:
+def _own_config(prim: Usd.Prim, config: StageConfig) -> StageConfig:
     """The section ``stage`` with what a Volume asks for itself; of this section only the mask."""
-    mask = "" if "stage.mask" in explicit else requested_mask(prim)
-    return replace(config, mask=mask) if mask else config
+    mask = "" if "mask" in config.model_fields_set else requested_mask(prim)
+    return config.replace(mask=mask) if mask else config
 
 
 def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:

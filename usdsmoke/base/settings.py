@@ -1,0 +1,226 @@
+"""The settings of a run by section, and which of them the user gave explicitly."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import (
+    ColourConfig,
+    FeaturesConfig,
+    GridsConfig,
+    LayerConfig,
+    LossesConfig,
+    OpticsConfig,
+    OptimizeConfig,
+    ShapeConfig,
+    StageConfig,
+    StyleConfig,
+    ViewsConfig,
+    WindowsConfig,
+)
+from usdsmoke.base.setting_model import Section, nearest
+
+__all__ = [
+    "SECTIONS",
+    "Config",
+    "check_setting",
+    "declared_settings",
+    "flatten_settings",
+    "style_shares",
+]
+
+
+class Config(BaseModel):
+    """All settings, by section, and which of them the user gave explicitly."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stage: StageConfig = Field(default_factory=StageConfig)
+    grids: GridsConfig = Field(default_factory=GridsConfig)
+    windows: WindowsConfig = Field(default_factory=WindowsConfig)
+    views: ViewsConfig = Field(default_factory=ViewsConfig)
+    optics: OpticsConfig = Field(default_factory=OpticsConfig)
+    style: StyleConfig = Field(default_factory=StyleConfig)
+    features: FeaturesConfig = Field(default_factory=FeaturesConfig)
+    losses: LossesConfig = Field(default_factory=LossesConfig)
+    shape: ShapeConfig = Field(default_factory=ShapeConfig)
+    colour: ColourConfig = Field(default_factory=ColourConfig)
+    optimize: OptimizeConfig = Field(default_factory=OptimizeConfig)
+    layer: LayerConfig = Field(default_factory=LayerConfig)
+
+    def __init__(self, **sections: Any) -> None:
+        """Sections by name, each as its model or as a mapping of its settings.
+
+        Raises:
+            ConfigError: a setting is unknown, of a wrong type or out of range, or contradicts
+                another one.
+        """
+        try:
+            super().__init__(**sections)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            section, *rest = first["loc"]
+            if not rest:
+                raise ConfigError(_section_problem(section, first["input"])) from None
+            model = SECTIONS[str(section)]
+            text = model.explain(str(section), {**first, "loc": tuple(rest)}, {})
+            raise ConfigError(text) from None
+        n_weights, n_layers = len(self.features.weights), len(self.features.layers)
+        if n_weights not in (0, n_layers):
+            raise ConfigError(
+                f"features.weights has {n_weights} elements, but features.layers has {n_layers}. "
+                "Give one weight for each style layer, or none."
+            )
+
+    @property
+    def explicit(self) -> frozenset[str]:
+        """Dotted names of the settings that the user gave for this run.
+
+        They are stronger than what a Volume on the stage requests. Those of a configuration file
+        are weaker, and are not among them.
+        """
+        return frozenset(
+            f"{name}.{key}" for name in SECTIONS for key in getattr(self, name).model_fields_set
+        )
+
+    def explicit_values(self) -> dict[str, dict[str, Any]]:
+        """The explicit settings, by section and key."""
+        dumped = {name: getattr(self, name).model_dump(exclude_unset=True) for name in SECTIONS}
+        return {name: values for name, values in dumped.items() if values}
+
+    def given_values(self) -> dict[str, Any]:
+        """The settings that are explicit or not the default, by dotted name."""
+        defaults, explicit = flatten_settings(Config().model_dump()), self.explicit
+        return {
+            name: value
+            for name, value in flatten_settings(self.model_dump()).items()
+            if name in explicit or value != defaults[name]
+        }
+
+    def replace(self, **sections: Section) -> Self:
+        """The configuration with other sections, for code: nothing becomes explicit.
+
+        >>> config = Config()
+        >>> config.replace(views=config.views.replace(pool=1)).views.pool
+        1
+        """
+        return type(self)(**{name: getattr(self, name) for name in SECTIONS} | sections)
+
+    def with_values(
+        self,
+        values: Mapping[str, Any],
+        sources: Mapping[str, str] | None = None,
+        explicit: bool = False,
+    ) -> Self:
+        """The configuration with other values.
+
+        Args:
+            values: by section and key, or by dotted name.
+            sources: where values come from, by dotted name, for messages.
+            explicit: whether these become explicit; all others stay what they are.
+
+        Raises:
+            ConfigError: see ``Config``.
+        """
+        by_section: dict[str, dict[str, Any]] = {}
+        for name, value in flatten_settings(values).items():
+            section, _, key = name.partition(".")
+            by_section.setdefault(section, {})[key] = value
+        changed = {}
+        for name, new in by_section.items():
+            old = getattr(self, name)
+            checked = old.checked(name, {**old.__dict__, **new}, sources or {})
+            names = old.model_fields_set | (new.keys() if explicit else set())
+            changed[name] = checked.model_construct(set(names), **checked.__dict__)
+        return self.replace(**changed)
+
+    def with_explicit(self, names: Iterable[str] | None = None) -> Self:
+        """The configuration in which exactly these dotted names are explicit; None: no setting."""
+        known, names = set(declared_settings()), set(names or ())
+        sections = {}
+        for name in SECTIONS:
+            old = getattr(self, name)
+            keys = {full.partition(".")[2] for full in names & known if full.startswith(f"{name}.")}
+            sections[name] = old.model_construct(keys, **old.__dict__)
+        return self.replace(**sections)
+
+
+SECTIONS: dict[str, type[Section]] = {
+    name: field.annotation  # type: ignore[misc]
+    for name, field in Config.model_fields.items()
+}
+
+
+def declared_settings() -> dict[str, FieldInfo]:
+    """The declaration of every setting, by dotted name."""
+    return {
+        f"{name}.{key}": field
+        for name, model in SECTIONS.items()
+        for key, field in model.model_fields.items()
+    }
+
+
+def flatten_settings(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by dotted name.
+
+    >>> flatten_settings({"windows": {"size": 3}, "optimize.seed": 7})
+    {'windows.size': 3, 'optimize.seed': 7}
+
+    Args:
+        values: by section and key, or by dotted name; a section that is None is empty.
+
+    Raises:
+        ConfigError: an unknown section, or one that is not a mapping. Keys are not checked.
+    """
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        section, dot, _ = str(name).partition(".")
+        if section not in SECTIONS or not (dot or value is None or isinstance(value, Mapping)):
+            raise ConfigError(_section_problem(section, value))
+        flat |= {name: value} if dot else {f"{name}.{key}": value[key] for key in value or ()}
+    return flat
+
+
+def check_setting(name: str, value: Any, source: str) -> Any:
+    """A value for one setting, checked, as the type that the setting has.
+
+    Args:
+        name: dotted.
+        value: as given.
+        source: where it comes from, for messages.
+
+    Raises:
+        ConfigError: see ``Section.checked``.
+    """
+    section, _, key = name.partition(".")
+    return getattr(SECTIONS[section].checked(section, {key: value}, {name: source}), key)
+
+
+def style_shares(config: StyleConfig, n_styles: int) -> list[float]:
+    """The share of each style image; they add up to 1.
+
+    >>> style_shares(StyleConfig(weights=[3, 1]), 2)
+    [0.75, 0.25]
+
+    Raises:
+        ConfigError: not one weight for each image, or none above 0.
+    """
+    weights = config.weights or [1.0] * n_styles
+    if len(weights) != n_styles:
+        raise ConfigError(
+            f"style.weights has {len(weights)} numbers for {n_styles} style images. Give one for "
+            "each image, or none."
+        )
+    if not max(weights) > 0:
+        raise ConfigError("all style.weights are 0. Set at least one above 0.")
+    relative = [weight / max(weights) for weight in weights]  # their sum cannot overflow
+    return [weight / sum(relative) for weight in relative]
+
+
+def _section_problem(section: object, value: object) -> str:
+    if section not in SECTIONS:
+        return f"unknown section {section!r} of settings. {nearest(section, list(SECTIONS))}"
+    return f"section {section} is {value!r}. Give a mapping of its settings."
