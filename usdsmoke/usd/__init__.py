@@ -5,6 +5,7 @@
 - `diagnostics`: OpenUSD's warnings and errors as messages
 - `relationships`: a Volume's field relationships
 - `field_samples`: the file and grid that a field shows at a time
+- `values`: attribute values, alike in every version of OpenUSD
 - `asset_paths`: asset paths checked, and rewritten for another layer
 - `volume_requests`, `request_values`: style requests on prims
 - `volume_settings`: the settings of each Volume

@@ -7,6 +7,7 @@ from pathlib import Path
 from pxr import Ar, Sdf, Usd
 
 from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.usd.values import value_at
 
 __all__ = ["anchored_asset", "asset_value", "vdb_problem"]
 
@@ -55,7 +56,7 @@ def asset_value(
         folder: of the layer that the value will stand in.
     """
     at = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
-    value = attribute.Get(at)
+    value = value_at(attribute, at)
     if value is None:
         return Sdf.ValueBlock()
     return anchored_asset(value, _authoring_layer(attribute, at), folder)
@@ -67,7 +68,7 @@ def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) 
     Addresses of a resolver's own (``asset:...``) stay as they are; a path that resolves to nothing
     keeps pointing to the place where its file should be. Expressions are replaced by their value.
     """
-    authored = str(value.evaluatedPath or value.authoredPath)
+    authored = str(value.path)
     if not authored or _SCHEME.match(authored):
         return Sdf.AssetPath(authored)
     resolved = str(value.resolvedPath)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from pxr import Gf, Usd
 
+from usdsmoke.usd.values import authored_path, value_at
+
 __all__ = ["FieldSample", "FieldSamples", "held_time_code", "usd_time"]
 
 
@@ -36,15 +38,15 @@ class FieldSamples:
     def at(self, time_code: float | None) -> FieldSample:
         """What is shown at any time; None asks for the default value."""
         code = usd_time(time_code)
-        asset = self._file.Get(code)
+        asset = value_at(self._file, code)
         return FieldSample(
             time_code=time_code,
-            authored_path=str(asset.authoredPath) if asset else "",
+            authored_path=authored_path(asset) if asset else "",
             file_path=str(asset.resolvedPath) if asset else "",
             has_path=asset is not None,
             blocked=asset is None and self._file.HasAuthoredValue(),
-            grid_name=self._grid[0].Get(code) or "",
-            grid_index=self._grid[1].Get(code),
+            grid_name=value_at(self._grid[0], code) or "",
+            grid_index=value_at(self._grid[1], code),
         )
 
     def changes(self) -> list[float]:
@@ -55,7 +57,7 @@ class FieldSamples:
         """
         file_codes = set(self._file.GetTimeSamples())
         grid_codes = sorted({code for item in self._grid for code in item.GetTimeSamples()})
-        grids = [tuple(item.Get(code) for item in self._grid) for code in grid_codes]
+        grids = [tuple(value_at(item, code) for item in self._grid) for code in grid_codes]
         if not file_codes and len(set(grids)) < 2:
             return []
         changes = {

@@ -13,6 +13,7 @@ from pxr import Ar, Sdf, Tf, Usd
 
 from usdsmoke.base.setting_model import extra_of
 from usdsmoke.base.settings import declared_settings
+from usdsmoke.usd.values import authored_path, value_at
 
 __all__ = [
     "CAMERA",
@@ -57,8 +58,8 @@ def values_at(
 ) -> list[Any]:
     """An attribute's value at each timeCode, interpolated as USD does, made plain by ``plain``."""
     if not attribute.ValueMightBeTimeVarying():
-        return [plain(attribute.Get(time_codes[0]))] * len(time_codes)
-    return [plain(attribute.Get(code)) for code in time_codes]
+        return [plain(value_at(attribute, time_codes[0]))] * len(time_codes)
+    return [plain(value_at(attribute, code)) for code in time_codes]
 
 
 def plain_value(value: Any) -> Any:
@@ -71,7 +72,7 @@ def image_paths(value: Any) -> list[tuple[str, str]] | None:
     if value is None:
         return None
     assets = [value] if isinstance(value, Sdf.AssetPath) else value
-    return [(str(asset.resolvedPath), str(asset.authoredPath)) for asset in assets]
+    return [(str(asset.resolvedPath), authored_path(asset)) for asset in assets]
 
 
 def image_problem(authored: str, resolved: str) -> str:

@@ -33,6 +33,7 @@ from usdsmoke.usd.request_values import (
     values_at,
 )
 from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.values import value_at
 
 __all__ = [
     "has_request",
@@ -242,7 +243,7 @@ def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ..
     if not attribute.HasAuthoredValue():
         return ()
     where = f"<{volume.GetPath()}.{STYLE_IMAGES}>"
-    value = attribute.Get(time_codes[0])
+    value = value_at(attribute, time_codes[0])
     if value is not None and not isinstance(value, (Sdf.AssetPath, Sdf.AssetPathArray)):
         raise ConfigError(f"{where} is {value!r}; wanted images as asset[], as in [@./fire.png@]")
     found = values_at(attribute, time_codes, image_paths)

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from pxr import UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
 from tests.usd_fixtures import (
     HEADER,
     density_prim,
     file_hashes,
+    make_look,
     plume_stage,
     sampled,
     sequence,
@@ -96,6 +97,35 @@ def test_a_blocked_sample_is_a_gap(tmp_path):
     volume = read_one(tmp_path, volume_prim(density_prim(sampled("asset filePath", values))))
     assert codes_of(volume) == [1.0, 4.0]
     assert volume.time_codes == (1.0, 2.0, 4.0)
+
+
+def test_a_gap_in_another_field_is_a_gap_in_every_version_of_usd(tmp_path, monkeypatch):
+    """OpenUSD before 26.03 returns the block itself between two blocked samples."""
+    get = Usd.Attribute.Get
+
+    def get_as_before(attribute, time_code=None):
+        value = get(attribute) if time_code is None else get(attribute, time_code)
+        blocked = value is None and time_code is not None and attribute.GetNumTimeSamples()
+        return Sdf.ValueBlock() if blocked else value
+
+    monkeypatch.setattr(Usd.Attribute, "Get", get_as_before)
+    for name in ("a.vdb", "b.vdb"):
+        write_vdb(tmp_path / name)
+    files = sampled("asset filePath", {1: "@./a.vdb@", 2.5: "@./b.vdb@", 4: "@./a.vdb@"})
+    others = sampled("asset filePath", {1: "@./a.vdb@", 2: "None", 3: "None", 4: "@./a.vdb@"})
+    names = sampled("token fieldName", {1: '"density"', 2: "None", 3: "None", 4: '"density"'})
+    relations = "rel field:density = </World/smoke/density>\nrel field:vel = </World/smoke/vel>"
+    body = volume_prim(
+        density_prim(files) + density_prim(others, "vel", grid=names), relations=relations
+    )
+    volume = read_one(tmp_path, body)
+    assert [sorted(frame.fields) for frame in volume.frames] == [
+        ["density", "vel"],
+        ["density"],
+        ["density", "vel"],
+    ]
+    made = make_look(tmp_path / "shot.usda", tmp_path / "out")
+    assert open_stage(made.root_stage).GetPrimAtPath("/World/smoke/vel")
 
 
 @pytest.mark.parametrize(

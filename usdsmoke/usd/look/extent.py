@@ -7,6 +7,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.look.records import StylizedVolume
+from usdsmoke.usd.values import value_at
 
 __all__ = ["Box", "author_extent", "volume_boxes"]
 
@@ -128,7 +129,7 @@ def _ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
 
 
 def _source_box(extent: Usd.Attribute, time_code: float) -> Box | None:
-    value = extent.Get(time_code)
+    value = value_at(extent, time_code)
     if value is None or len(value) != 2:
         return None
     corners = np.array(value, dtype=np.float64)

@@ -18,6 +18,7 @@ from usdsmoke.usd.asset_paths import asset_value
 from usdsmoke.usd.look.field_prims import FieldTarget
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.relationships import FIELD_PREFIX
+from usdsmoke.usd.values import value_at
 
 __all__ = ["author_field", "close_fields", "retarget"]
 
@@ -120,7 +121,7 @@ def _author_held(
     nothing = Sdf.ValueBlock() if name in ("fieldName", "fieldIndex") else ours
     values = []
     for code in codes:
-        theirs = composed.Get(code) if result.frame_at(code) is None else ours
+        theirs = value_at(composed, code) if result.frame_at(code) is None else ours
         values.append(nothing if theirs is None else theirs)
     if all(value == ours for value in values):
         return
@@ -150,5 +151,5 @@ def _copy_attribute(spec: Sdf.PrimSpec, composed: Usd.Attribute) -> None:
         copy.SetSpline(composed.GetSpline())
         return
     for code in composed.GetTimeSamples():
-        value = composed.Get(code)
+        value = value_at(composed, code)
         spec.layer.SetTimeSample(copy.path, code, Sdf.ValueBlock() if value is None else value)

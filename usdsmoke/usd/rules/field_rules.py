@@ -19,6 +19,7 @@ from usdsmoke.usd.rules.facts import (
     sample_grid,
 )
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
+from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.header import GridHeader
 from usdsmoke.vdb.read import GridRequest, find_grid
 
@@ -207,7 +208,7 @@ def _token(prim: Usd.Prim, name: str, time_code: float | None) -> str:
     attribute = prim.GetAttribute(name)
     if not attribute.HasAuthoredValue():
         return ""
-    return str(attribute.Get(usd_time(time_code)) or "")
+    return str(value_at(attribute, usd_time(time_code)) or "")
 
 
 def _holes(codes: Sequence[float]) -> list[tuple[float, float]]:

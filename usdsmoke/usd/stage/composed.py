@@ -12,6 +12,7 @@ from usdsmoke.base.volume import FieldSource, StageSource
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
 from usdsmoke.usd.stage.fields import check_assets, field_source
+from usdsmoke.usd.values import value_at
 
 __all__ = ["ComposedVolume", "composed_volumes"]
 
@@ -83,7 +84,7 @@ def _composed_field(
 def _authored(prim: Usd.Prim, name: str, time_code: float) -> Any:
     """An attribute's value; None for the schema's fallback, which says nothing about this smoke."""
     attribute = prim.GetAttribute(name)
-    return attribute.Get(time_code) if attribute and attribute.HasAuthoredValue() else None
+    return value_at(attribute, time_code) if attribute and attribute.HasAuthoredValue() else None
 
 
 def _extinction(prim: Usd.Prim, time_code: float) -> float | None:

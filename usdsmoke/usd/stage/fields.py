@@ -15,6 +15,7 @@ from usdsmoke.usd.asset_paths import vdb_problem
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.relationships import FIELD_PREFIX, field_prim, field_targets
 from usdsmoke.usd.request_values import MASK
+from usdsmoke.usd.values import value_at
 
 __all__ = [
     "VolumeFields",
@@ -180,8 +181,8 @@ def field_source(
         grid_name=sample.grid_name,
         grid_index=sample.grid_index,
         field_to_stage=np.array(xforms.GetLocalToWorldTransform(prim), dtype=np.float64),
-        data_type=prim.GetAttribute("fieldDataType").Get(time_code) or "",
-        field_class=prim.GetAttribute("fieldClass").Get(time_code) or "",
+        data_type=value_at(prim.GetAttribute("fieldDataType"), time_code) or "",
+        field_class=value_at(prim.GetAttribute("fieldClass"), time_code) or "",
     )
 
 
