@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.coherence_runs import Outcome, Run, Shot
+from benchmarks.splats import display_picture, render_fields
 from usdsmoke.core.views.cameras import View, orbit_view
-from usdsmoke.core.views.render import display_picture, render_fields
 from usdsmoke.core.views.scene import fit_view
 
 __all__ = ["draw_flicker", "draw_strip"]

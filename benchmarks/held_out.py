@@ -12,10 +12,10 @@ from pxr import Usd, UsdGeom, UsdVol
 from benchmarks.display import composite, mean_colour
 from benchmarks.measures import score_views
 from benchmarks.raymarch import march_rays
+from benchmarks.splats import render_fields
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.views.cameras import View, orbit_view
-from usdsmoke.core.views.render import render_fields
 from usdsmoke.usd.schema import EMISSION_ABSOLUTE, EMISSION_MODE
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import GridRequest, read_grids

@@ -180,14 +180,14 @@ class FakeCore:
         with np.load(file_path) as arrays:
             return FakeStart(*arrays["numbers"].tolist())
 
-    def render_view(self, density: DenseField, *_: Any) -> np.ndarray:
-        return np.full((8, 8, 4), min(float(density.values.max(initial=0.0)), 1.0), np.float32)
-
-    def display_picture(self, picture: np.ndarray, *_: Any) -> np.ndarray:
-        return picture[..., :3]
+    def march(self, media: Sequence[Any], view: Any) -> Any:
+        """A plain picture as opaque as the smoke is dense."""
+        level = max((min(float(item.values[..., 0].max()), 1.0) for item in media), default=0.0)
+        alpha = np.full((view.height, view.width), level, np.float32)
+        return types.SimpleNamespace(alpha=alpha, rgba=np.repeat(alpha[..., None], 4, axis=-1))
 
     # what the next frame takes from a start is all of it
-    grey_picture, load_carried = display_picture, load_start
+    load_carried = load_start
 
     def _stylize(
         self, frame: VolumeFrame, config: Any, carried: float, errors: dict[str, float] | None
@@ -221,7 +221,7 @@ class FakeCore:
             ),
             "usdsmoke.core.smoke.device": ("describe_machine",),
             "usdsmoke.core.views.scene": ("measure_scene",),
-            "usdsmoke.core.views.render": ("render_view", "display_picture", "grey_picture"),
+            "usdsmoke.core.views.march": ("march",),
         }
         modules = {}
         for home, names in homes.items():

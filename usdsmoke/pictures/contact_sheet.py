@@ -9,9 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.naming import DEFAULT_LOOK, look_suffix
 
-__all__ = ["BACKGROUND", "compose_cells", "compose_sheet", "sheet_files"]
-
-BACKGROUND = 0.03  # linear, behind the smoke; on black the style's dark colours would be lost
+__all__ = ["compose_cells", "compose_sheet", "sheet_files"]
 
 _CELL = 256  # pixels of a picture's cell along each side, at most
 _GAP = 8

@@ -1,33 +1,31 @@
-"""A stage's smoke as a picture, drawn by our own rays: what a result looks like without a client.
+"""Pictures of a stage's smoke, as PNG or OpenEXR; the stage does not change.
 
-Read voxels, march rays, write PNG or OpenEXR; nothing of the stage is changed. docs/look.md
-explains what is drawn and what is not.
+docs/look.md explains what is drawn and what is not.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import frame_file_names
-from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import CameraSource
-from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_cells
+from usdsmoke.pictures.contact_sheet import compose_cells
+from usdsmoke.pictures.drawing import BACKGROUND, display_picture, front_view
 from usdsmoke.pictures.exr import write_exr
 from usdsmoke.pictures.png import encode_srgb, write_png
 from usdsmoke.pictures.preview_request import (
-    BACKGROUNDS,
+    PreviewOptions,
     PreviewRequest,
     check_pixels,
-    make_request,
 )
 from usdsmoke.pictures.preview_smoke import Smoke, find_smoke
-from usdsmoke.usd.stage import open_original, open_stage, read_camera
+from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
@@ -56,42 +54,39 @@ class PreviewResult:
 
 
 def preview(
-    stage: str | PathLike[str],
+    stage: StageOrFile,
     output: str | PathLike[str],
-    camera: str = "",
-    frames: str = "",
-    compare: bool = False,
-    prims: Sequence[str] | None = None,
-    width: int | None = None,
-    size: tuple[int, int] | None = None,
-    background: str = BACKGROUNDS[0],
+    *,
     progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[PreviewOptions],
 ) -> PreviewResult:
-    """Draw a stage's Volumes, all of them in one picture, and write what was seen.
+    """Draw a stage's Volumes, all of them in one picture, and write the picture.
 
     Args:
-        stage: a USD file; for a look its root stage, ``NAME_look.usda``.
+        stage: a USD file, or an open stage, which is drawn with its unsaved edits; for a look its
+            root stage, ``NAME_look.usda``.
         output: ``.png`` for a screen, one picture or a contact sheet of several; ``.exr`` for
             scene-linear parts, one file a frame. An old file is replaced. The folder must exist.
-        camera: prim path of a Camera; empty takes a front view that just holds the smoke of all
-            frames.
-        frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last.
-        compare: draw the stage without its looks as well.
-        prims: Volume prim paths; None means all.
-        width: pixels; the height follows from the camera's film or the smoke.
-        size: width and height, pixels.
-        background: of a PNG: ``grey`` (dark), ``black`` or ``none`` (transparent; one picture only
-            and nothing to compare).
         progress: called with the number of pictures done and of all.
+        options: see ``PreviewRequest``.
+
+            - camera: prim path of a Camera; empty takes a front view that just holds the smoke of
+              all frames.
+            - frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last.
+            - compare: draw the stage without its looks as well.
+            - prims: Volume prim paths; None means all.
+            - width: pixels; the height follows from the camera's film or the smoke.
+            - size: width and height, pixels.
+            - background: of a PNG: ``grey`` (dark), ``black`` or ``none`` (transparent; one picture
+              only and nothing to compare).
 
     Raises:
-        ConfigError: the request cannot be fulfilled as it stands.
+        ConfigError: an option is wrong, or two contradict each other.
         StageError, GridError, NonFiniteError, ShapeError: stage or files cannot be used.
         PlanError: a frame does not fit the machine's memory.
         WriteFailed: the output could not be written.
     """
-    request = make_request(stage, output, camera, frames, compare, prims, width, size, background)
-    return _preview(request, progress)
+    return _preview(PreviewRequest(stage, Path(output), **options), progress)
 
 
 def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | None) -> PreviewResult:
@@ -111,8 +106,8 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
         check_pixels(view.width, view.height, n_pictures)
         if request.background == "none" and n_pictures > 1:
             raise ConfigError(
-                f"a contact sheet of {n_pictures} pictures has no transparent background; wanted "
-                "one frame (--frames 12) that is compared with nothing, or an .exr"
+                f"a contact sheet of {n_pictures} pictures has no transparent background. Draw one "
+                "frame (--frames 12) without a comparison, or write an .exr."
             )
         files = _write_picture(request, codes, drawn, n_pictures)
     look = smokes[_LOOK]
@@ -124,15 +119,15 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
 
 def _open(request: PreviewRequest) -> dict[str, Smoke]:
     """By label, in the order of drawing."""
-    look = find_smoke(open_stage(request.stage), request.prims, request.frames)
+    look = find_smoke(open_stage(request.stage), request.prims or (), request.frames)
     if not request.compare:
         return {_LOOK: look}
-    original = find_smoke(open_original(request.stage), request.prims, request.frames)
+    original = find_smoke(open_original(request.stage), request.prims or (), request.frames)
     return {_ORIGINAL: original, _LOOK: look}
 
 
 def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]) -> _Views:
-    from usdsmoke.core.views.cameras import frame_points, orbit_view, view_of_camera
+    from usdsmoke.core.views.cameras import frame_points, view_of_camera
 
     look = smokes[_LOOK]
     if request.camera:
@@ -144,16 +139,7 @@ def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[fl
                 height, width = request.pixels(_aspect(camera))
             views[code] = (view_of_camera(camera, height, width), camera.clipping_range)
         return views
-    settings = ViewsConfig()
-    direction = orbit_view(
-        settings.centre_azimuth,
-        settings.centre_elevation,
-        look.selected.up_axis,
-        np.zeros(3),
-        1,
-        1,
-        1.0,
-    )
+    direction = front_view(look.selected.up_axis)
     points = np.concatenate([smoke.points(codes) for smoke in smokes.values()])
     if len(points) == 0:
         look.notes["there is no smoke in any of these frames"] = None
@@ -203,7 +189,7 @@ def _write_layers(
             "density": ("Y", picture.depth),
         }
         facts = {
-            "usdsmoke:stage": Path(request.stage).name,
+            "usdsmoke:stage": request.stage_name,
             "usdsmoke:camera": request.camera or "front view",
             "usdsmoke:timeCode": format_time_code(code),
         }
@@ -218,11 +204,9 @@ def _write_picture(
     drawn: Iterator[tuple[str, float, "Picture"]],
     n_pictures: int,
 ) -> tuple[Path, ...]:
-    from usdsmoke.core.views.render import display_picture
-
     if request.background == "none":
         ((_, _, picture),) = drawn
-        write_png(request.output, _straight(picture.rgba))
+        write_png(request.output, _unpremultiplied(picture.rgba))
         return (request.output,)
     behind = BACKGROUND if request.background == "grey" else 0.0
     shown = {(label, code): display_picture(seen.rgba, behind) for label, code, seen in drawn}
@@ -240,14 +224,14 @@ def _write_picture(
                     for code in codes[start : start + _MOST_COLUMNS]
                 ]
             )
-    title = f"{Path(request.stage).name}, {request.camera or 'front view'}"
+    title = f"{request.stage_name}, {request.camera or 'front view'}"
     height, width = next(iter(shown.values())).shape[:2]
     write_png(request.output, compose_cells(title, rows, cell=(height, width)))
     return (request.output,)
 
 
-def _straight(rgba: np.ndarray) -> np.ndarray:
-    """[H W 4] as PNG wants it: display-encoded colour that alpha has not been multiplied into."""
+def _unpremultiplied(rgba: np.ndarray) -> np.ndarray:
+    """[H W 4] as PNG stores it: display-encoded colour, not premultiplied."""
     alpha = rgba[..., 3:]
     linear = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
     return np.concatenate([encode_srgb(np.clip(linear, 0.0, 1.0)), alpha], axis=-1)

@@ -1,15 +1,18 @@
-"""What a preview is asked to be: checked before anything is opened."""
+"""The request for a preview, checked before anything is opened."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
+
+from pxr import Usd
 
 from usdsmoke.base.errors import ConfigError, WriteFailed
 from usdsmoke.base.time_codes import parse_frames
+from usdsmoke.usd.stage import StageOrFile
 
-__all__ = ["BACKGROUNDS", "MOST_PIXELS", "PreviewRequest", "check_pixels", "make_request"]
+__all__ = ["BACKGROUNDS", "MOST_PIXELS", "PreviewOptions", "PreviewRequest", "check_pixels"]
 
 BACKGROUNDS = ("grey", "black", "none")
 MOST_PIXELS = 16_000_000  # of a picture: a minute or two of drawing
@@ -18,23 +21,74 @@ _LONGEST_SIDE = 512  # where no size is asked for
 _SUFFIXES = (".png", ".exr")
 
 
-@dataclass(frozen=True)
-class PreviewRequest:
-    """A checked request; see ``preview_stage.preview`` for the meanings."""
+class PreviewOptions(TypedDict, total=False):
+    """The options of ``usdsmoke.preview``; see ``PreviewRequest``."""
 
-    stage: str
-    output: Path
     camera: str
     frames: str
     compare: bool
-    prims: tuple[str, ...]
+    prims: Sequence[str] | None
     width: int | None
-    size: tuple[int, int] | None  # width and height
+    size: tuple[int, int] | None
     background: str
+
+
+@dataclass(frozen=True)
+class PreviewRequest:
+    """What to draw; checked as far as possible before anything is opened.
+
+    Raises:
+        ConfigError: the file type, the background, the size or the selection of frames is wrong.
+        WriteFailed: the output is a folder, or its folder does not exist.
+    """
+
+    stage: StageOrFile  # for a look its root stage, NAME_look.usda
+    output: Path  # .png or .exr
+    camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
+    frames: str = ""  # timeCodes such as 1-24; "" takes the first, the middle and the last
+    compare: bool = False  # draw the stage without its looks as well
+    prims: Sequence[str] | None = None  # Volume prim paths; None means all
+    width: int | None = None  # pixels; the height follows from the camera's film or the smoke
+    size: tuple[int, int] | None = None  # width and height, pixels
+    background: str = BACKGROUNDS[0]  # of a PNG; none is transparent, for one picture only
+
+    def __post_init__(self) -> None:
+        target = Path(self.output).absolute()
+        object.__setattr__(self, "output", target)
+        if target.suffix.lower() not in _SUFFIXES:
+            found = f"the suffix {target.suffix!r}" if target.suffix else "no suffix"
+            raise ConfigError(
+                f"the preview {target.name} has {found}. Use .png for a picture, or .exr for "
+                "scene-linear layers."
+            )
+        if self.background not in BACKGROUNDS:
+            raise ConfigError(
+                f"unknown background {self.background!r}. Use one of {', '.join(BACKGROUNDS)}."
+            )
+        if self.width is not None and self.size is not None:
+            raise ConfigError("both a width and a size were given. Give one of them.")
+        parse_frames(self.frames)
+        if self.width is not None:
+            check_pixels(self.width, 1)
+        if self.size is not None:
+            check_pixels(*self.size)
+        if target.is_dir():
+            raise WriteFailed(f"cannot write {target}: it is a folder. Choose another name.")
+        if not target.parent.is_dir():
+            raise WriteFailed(
+                f"cannot write {target.name}: there is no folder {target.parent}. Make it first."
+            )
+
+    @property
+    def stage_name(self) -> str:
+        """The file name of the stage."""
+        if isinstance(self.stage, Usd.Stage):
+            return str(self.stage.GetRootLayer().GetDisplayName())
+        return Path(self.stage).name
 
     @property
     def is_exr(self) -> bool:
-        """Whether scene-linear parts are wanted instead of a picture for a screen."""
+        """True for scene-linear layers, False for a picture for a screen."""
         return self.output.suffix.lower() == ".exr"
 
     def pixels(self, aspect: float) -> tuple[int, int]:
@@ -55,51 +109,6 @@ class PreviewRequest:
         return height, width
 
 
-def make_request(
-    stage: str | os.PathLike[str],
-    output: str | os.PathLike[str],
-    camera: str = "",
-    frames: str = "",
-    compare: bool = False,
-    prims: Sequence[str] | None = None,
-    width: int | None = None,
-    size: tuple[int, int] | None = None,
-    background: str = BACKGROUNDS[0],
-) -> PreviewRequest:
-    """The request, if it can be fulfilled as far as it tells by itself.
-
-    Raises:
-        ConfigError: another file type, background, size or selection of frames than there are.
-        WriteFailed: the output's folder does not exist, or the output is one.
-    """
-    target = Path(output)
-    if target.suffix.lower() not in _SUFFIXES:
-        found = f"the suffix {target.suffix!r}" if target.suffix else "no suffix"
-        raise ConfigError(
-            f"the preview {target} has {found}; wanted .png for a picture, or .exr for "
-            "scene-linear layers"
-        )
-    if background not in BACKGROUNDS:
-        raise ConfigError(f"no background {background!r}; wanted one of {', '.join(BACKGROUNDS)}")
-    if width is not None and size is not None:
-        raise ConfigError("both a width and a size were given; wanted one of them")
-    parse_frames(frames)
-    if width is not None:
-        check_pixels(width, 1)
-    if size is not None:
-        check_pixels(*size)
-    if target.is_dir():
-        raise WriteFailed(f"cannot write {target}: it is a folder; choose another name")
-    if not target.absolute().parent.is_dir():
-        raise WriteFailed(
-            f"cannot write {target.name}: there is no folder {target.parent}; make the folder first"
-        )
-    return PreviewRequest(
-        os.fspath(stage), target.absolute(), camera, frames, compare, tuple(prims or ()), width,
-        size, background,
-    )  # fmt: skip
-
-
 def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:
     """Refuse pictures of no pixels or too many.
 
@@ -112,18 +121,18 @@ def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:
     """
     if width < 1 or height < 1:
         raise ConfigError(
-            f"a preview of {width} x {height} pixels was asked for; wanted at least one each way"
+            f"a preview cannot have {width} x {height} pixels. Use at least one each way."
         )
     if width * height > MOST_PIXELS:
         raise ConfigError(
-            f"the preview would have {width} x {height} pixels; wanted at most "
-            f"{MOST_PIXELS // 1_000_000} million: lower --width or --size"
+            f"the preview would have {width} x {height} pixels, of at most "
+            f"{MOST_PIXELS // 1_000_000} million. Lower --width or --size."
         )
     if width * height * n_pictures > _MOST_SHEET_PIXELS:
         raise ConfigError(
-            f"the contact sheet would have {n_pictures} pictures of {width} x {height} pixels; "
-            f"wanted at most {_MOST_SHEET_PIXELS // 1_000_000} million pixels: select fewer frames "
-            "(--frames 1-100x10), lower --width, or write .exr, which is one file a frame"
+            f"the contact sheet would have {n_pictures} pictures of {width} x {height} pixels, of "
+            f"at most {_MOST_SHEET_PIXELS // 1_000_000} million pixels in all. Select fewer frames "
+            "(--frames 1-100x10), lower --width, or write .exr, which is one file a frame."
         )
 
 

@@ -21,6 +21,7 @@ from usdsmoke.base.volume import (
     VolumeFrame,
     VolumeSource,
 )
+from usdsmoke.pictures.drawing import GREY, box_corners
 from usdsmoke.usd.schema import EMISSION_PER_DENSITY
 from usdsmoke.usd.stage import ComposedVolume, composed_volumes, find_volumes
 from usdsmoke.vdb.colour_grids import absolute_emission
@@ -31,11 +32,10 @@ if TYPE_CHECKING:
     from usdsmoke.core.views.media import Medium
     from usdsmoke.core.views.scene import Scene
 
-__all__ = ["GREY", "Smoke", "find_smoke"]
+__all__ = ["Smoke", "find_smoke"]
 
 _BASE_GIB = 0.5  # of a process that draws; measured
 _BYTES = 60  # a voxel of the boxes, density and emission; measured
-GREY = 0.5  # scene-linear light of thick smoke that has no emission
 
 
 @dataclass
@@ -206,7 +206,7 @@ class Smoke:
             self._box(volume.density, may_read)
             for volume in composed_volumes(self.stage, self.whole, time_code)
         ]
-        return [_corners(*box) for box in boxes if box is not None]
+        return [box_corners(*box) for box in boxes if box is not None]
 
     def _box(
         self, source: FieldSource, may_read: bool
@@ -286,10 +286,3 @@ def _read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> V
     source = frame.fields[volume.density]
     (density,) = read_grids(source.file_path, [_request(source, 1)], config.grids)
     return VolumeFrame(frame.time_code, density, source.field_to_stage)
-
-
-def _corners(low: np.ndarray, high: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """[8 3] of a box of voxels, stage space; interpolated, smoke ends at the next ones' centres."""
-    choice = np.array(list(np.ndindex(2, 2, 2)), bool)
-    corners: np.ndarray = np.where(choice, high + 1, low - 1) @ matrix[:3, :3] + matrix[3, :3]
-    return corners

@@ -13,7 +13,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.controls import frame_config
-from usdsmoke.pictures.contact_sheet import BACKGROUND, compose_sheet
+from usdsmoke.pictures.contact_sheet import compose_sheet
 from usdsmoke.pictures.png import write_png
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
@@ -22,7 +22,7 @@ from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["sample_frames", "write_contact_sheet"]
 
-_PICTURE_SIZE = 300  # pixels of the longer side
+_PICTURE_SIZE = 256  # pixels of the longer side: that of a cell
 
 
 def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
@@ -117,16 +117,9 @@ def _picture(
     scene: Mapping[str, Any],
     config: Config,
 ) -> np.ndarray:
-    from usdsmoke.core.views.render import display_picture, grey_picture, render_view
+    from usdsmoke.pictures.drawing import display_picture, draw_fields, front_view, grey_picture
 
-    picture = render_view(
-        density,
-        emission,
-        to_stage,
-        scene["gamma_w_shape"] if emission is None else scene["gamma_w"],
-        scene["up_axis"],
-        config.views.centre_azimuth,
-        config.views.centre_elevation,
-        _PICTURE_SIZE,
-    )
-    return grey_picture(picture) if emission is None else display_picture(picture, BACKGROUND)
+    gamma_w = scene["gamma_w_shape"] if emission is None else scene["gamma_w"]
+    direction = front_view(scene["up_axis"], config.views)
+    picture = draw_fields(density, emission, to_stage, gamma_w, direction, _PICTURE_SIZE)
+    return grey_picture(picture.alpha) if emission is None else display_picture(picture.rgba)

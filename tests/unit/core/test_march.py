@@ -8,6 +8,7 @@ import torch
 from scipy.ndimage import map_coordinates
 
 from benchmarks.raymarch import march_rays
+from benchmarks.splats import render_fields
 from tests.smoke_fixtures import affine, puff
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
@@ -15,7 +16,6 @@ from usdsmoke.core.views.cameras import View, orbit_view, view_rays
 from usdsmoke.core.views.march import march
 from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.project import project_voxels
-from usdsmoke.core.views.render import render_fields
 from usdsmoke.pictures.png import encode_srgb
 
 EIGHT_BITS = 1 / 255

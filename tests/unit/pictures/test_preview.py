@@ -17,9 +17,9 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import StageError, WriteFailed
+from usdsmoke.pictures.drawing import GREY
 from usdsmoke.pictures.png import encode_srgb
 from usdsmoke.pictures.preview import preview
-from usdsmoke.pictures.preview_smoke import GREY
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, puff
-from usdsmoke.base.volume import DenseField
-from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.smoke.srgb import encode_srgb
-from usdsmoke.core.views.cameras import View, orbit_view
-from usdsmoke.core.views.render import (
+from benchmarks.splats import (
     MOST_PIXELS,
     display_picture,
     grey_picture,
     render_fields,
     render_view,
 )
+from tests.smoke_fixtures import affine, puff
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
 
 GAMMA_W = 0.4
@@ -105,7 +105,7 @@ def test_two_voxels_far_apart_are_drawn_without_the_emptiness_between(monkeypatc
         sizes.append(max(made.height, made.width))
         return made
 
-    monkeypatch.setattr("usdsmoke.core.views.render.fit_view", noted)
+    monkeypatch.setattr("benchmarks.splats.fit_view", noted)
     monkeypatch.setattr("usdsmoke.core.views.project.MOST_CELLS", 2**20)
     picture = render_view(field(density), None, np.eye(4), 1.0, "Y", 20.0, image_size=16)
     assert sizes[-1] <= 2 * MOST_PIXELS * 16 + 8
