@@ -28,8 +28,7 @@ DEBT = {
     "packages": set(),
     "parameters": {
         "optimize_colours", "run_colour_step", "run_shape_step",
-        "_optimize_octave", "_Octave.__init__", "render_view", "preview",
-        "make_request",
+        "_optimize_octave", "_Octave.__init__",
         "__init__",
     },
 }  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdsmoke.base.config import ViewsConfig
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.pictures.png import encode_srgb
 

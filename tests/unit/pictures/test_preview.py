@@ -76,7 +76,7 @@ def test_a_png_is_the_linear_picture_over_its_background_display_encoded(
 
 
 def test_a_transparent_png_has_straight_alpha(tmp_path: Path) -> None:
-    preview(plume_stage(tmp_path), tmp_path / "a.png", "", "2", size=(61, 41), background="none")
+    preview(plume_stage(tmp_path), tmp_path / "a.png", frames="2", size=(61, 41), background="none")
     found = pixels(tmp_path / "a.png")
     assert found.shape == (41, 61, 4) and found[0, 0, 3] == 0
     seen = found[..., 3] > 0.1
@@ -152,6 +152,26 @@ def test_all_volumes_are_in_one_picture_hidden_ones_are_not(tmp_path: Path) -> N
     assert parts(tmp_path / "b.exr")["alpha"][1].any(axis=0).mean() > 0.9  # fitted to it alone
 
 
+# An open stage
+
+
+def test_an_open_stage_is_drawn_with_its_unsaved_edits(look: Path, tmp_path: Path) -> None:
+    stage = Usd.Stage.Open(str(look))
+    extinction = stage.GetPrimAtPath("/World/smoke").GetAttribute("usdSmoke:extinctionPerDensity")
+    extinction.Set(0.25)
+    result = preview(stage, tmp_path / "open.exr", frames="2", width=20)
+    assert result.extinctions == {"/World/smoke": 0.25}
+
+
+def test_comparing_an_open_stage_mutes_nothing_on_it(look: Path, tmp_path: Path) -> None:
+    stage = Usd.Stage.Open(str(look))
+    result = preview(stage, tmp_path / "open.exr", frames="2", width=20, compare=True)
+    assert [path.name for path in result.files] == ["open.original.exr", "open.exr"]
+    assert stage.GetMutedLayers() == []
+    first, second = (parts(path)["emission"][1] for path in result.files)
+    assert not first.any() and second.any()
+
+
 # From where
 
 
@@ -160,7 +180,7 @@ def test_a_camera_of_the_stage_puts_smoke_on_the_pixels_it_should(
 ) -> None:
     film = {"focalLength": 50.0, "horizontalAperture": 20.0, "verticalAperture": 10.0}
     stage = add_camera(look, "/cameras/side", (0.25, -50.0, 1.25), **film)
-    result = preview(stage, tmp_path / "a.exr", "/cameras/side", "2", width=400)
+    result = preview(stage, tmp_path / "a.exr", camera="/cameras/side", frames="2", width=400)
     assert (result.width, result.height) == (400, 200)  # the film's shape
     alpha = parts(tmp_path / "a.exr")["alpha"][1]
     y, x = (np.average(grid, weights=alpha) for grid in np.mgrid[:200, :400])

@@ -29,14 +29,14 @@ def look(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"output": "a.tif"}, r"suffix '\.tif'; wanted \.png .* or \.exr"),
+        ({"output": "a.tif"}, r"\.tif.*\.png.*\.exr"),
         ({"output": "a"}, "no suffix"),
-        ({"background": "white"}, "wanted one of grey, black, none"),
-        ({"width": 0}, "wanted at least one each way"),
-        ({"width": 10, "size": (3, 4)}, "wanted one of them"),
-        ({"size": (40_000, 40_000)}, "at most 16 million: lower --width"),
-        ({"size": (3900, 3900), "compare": True}, "6 pictures .* select fewer frames"),
-        ({"background": "none"}, "wanted one frame"),
+        ({"background": "white"}, "white.*grey, black, none"),
+        ({"width": 0}, "0 x 1 pixels"),
+        ({"width": 10, "size": (3, 4)}, "width and a size"),
+        ({"size": (40_000, 40_000)}, "40000 x 40000.*16 million"),
+        ({"size": (3900, 3900), "compare": True}, "6 pictures of 3900 x 3900"),
+        ({"background": "none"}, "3 pictures.*transparent"),
         ({"frames": "1-"}, "cannot read '1-'"),
     ],
 )
@@ -66,7 +66,7 @@ def test_what_is_not_on_the_stage_is_said_with_what_is(look: Path, tmp_path: Pat
         preview(look.with_name("look.usda"), target)
     with pytest.raises(StageError, match="missing"):
         preview(tmp_path / "none.usda", target)
-    with pytest.raises(WriteFailed, match="make the folder first"):
+    with pytest.raises(WriteFailed, match=r"no folder .*none"):
         preview(look, tmp_path / "none/a.png")
     assert not target.exists()
 

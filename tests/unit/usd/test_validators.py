@@ -7,6 +7,7 @@ import sys
 import pytest
 from pxr import Usd, UsdValidation
 
+import usdsmoke
 from tests.usd_fixtures import (
     density_prim,
     plume_stage,
@@ -71,6 +72,15 @@ def test_any_program_can_run_them_through_usd(tmp_path):
     ]
     wanted = "timeCode 3: filePath is @./cache/smoke.0003.vdb@: nothing"
     assert errors[0].GetMessage().startswith(wanted)
+
+
+def test_an_older_openusd_is_named_with_the_version_that_is_needed(tmp_path, monkeypatch):
+    stage_file = plume_stage(tmp_path)
+    monkeypatch.setitem(sys.modules, "pxr.UsdValidation", None)
+    monkeypatch.delattr("pxr.UsdValidation", raising=False)
+    with pytest.raises(StageError, match=r"OpenUSD 26\.05"):
+        validate(stage_file)
+    assert usdsmoke.inspect(stage_file)["volumes"]
 
 
 def test_a_missing_extent_is_found(tmp_path):

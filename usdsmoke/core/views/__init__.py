@@ -8,5 +8,4 @@
 - ``media``: fields as rays read them
 - ``march``: pictures by ray marching
 - ``scene``: what all frames share: extinction, exposure, pixel size
-- ``render``: splatted pictures for the contact sheet
 """
