@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-import usdsmoke
 from benchmarks.client_stages import author_overlay
+from usdsmoke import pipeline
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
@@ -52,7 +52,7 @@ def make_cases(result: Path, shot: str, mode: str, first: int, last: int) -> lis
         UsdSmokeError: the result cannot be put together in this mode.
         ValueError: the mode makes no stage.
     """
-    root = usdsmoke.assemble(result, mode=mode).root_stage
+    root = pipeline.assemble(result, mode=mode).root_stage
     if root is None:
         raise ValueError(f"mode {mode!r} makes no stage to draw; wanted reference or sublayer")
     middle, off = (first + last) // 2, result.parent / f"{shot}_{mode}_off.usda"

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, make_shot, run
-from usdsmoke import run_window
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, run_window
 
 __all__ = ["OPTIONS", "WINDOWS", "Outcome", "farm", "outcome", "run_folder", "whole", "windows_in"]
 

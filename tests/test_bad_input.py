@@ -19,8 +19,8 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke import assemble
 from usdsmoke.base.errors import LayerError
+from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
 
 Spoil = Callable[[Shot], list[str]]  # makes a shot bad; further arguments of the command

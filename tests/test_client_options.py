@@ -23,9 +23,8 @@ from tests.client_fixtures import (
 )
 from tests.grids_fixtures import check_content, openvdb, raw_grid, write_raw
 from tests.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run
-from usdsmoke import assemble, run_window
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, assemble, run_window
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.content_hash import hash_vdb_file
 

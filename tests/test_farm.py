@@ -10,7 +10,7 @@ import pytest
 
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, copied, run, run_until, values_of
-from usdsmoke import assemble
+from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
 
 

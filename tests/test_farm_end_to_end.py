@@ -7,8 +7,8 @@ from tests.farm_fixtures import outcome
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import copied, make_shot, values_of
 from tests.test_end_to_end import QUICK, ball
-from usdsmoke import assemble, run_window, stylize
-from usdsmoke.pipeline import Request
+from usdsmoke import stylize
+from usdsmoke.pipeline import Request, assemble, run_window
 
 SETTINGS = [*QUICK, "optimize.iterations=3", "windows.size=2", "windows.overlap=1"]
 

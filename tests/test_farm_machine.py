@@ -16,12 +16,11 @@ from tests.farm_fixtures import WINDOWS, outcome, run_folder, windows_in
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, copied, make_shot, run
 from tests.test_farm import start
-from usdsmoke import assemble, run_coarse, run_window
 from usdsmoke.audit.records import find_records
 from usdsmoke.audit.rerun import rerun
 from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, assemble, run_coarse, run_window
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.ui.cli.main import main
 

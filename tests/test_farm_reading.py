@@ -11,9 +11,8 @@ from PIL import Image
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
 from tests.pipeline_fixtures import FakeCore, Shot, run
 from tests.usd_fixtures import write_vdb
-from usdsmoke import assemble, run_coarse
 from usdsmoke.base.errors import OutputExists, PlanError
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, assemble, run_coarse
 from usdsmoke.planning import frame_reader as pipeline_frames
 from usdsmoke.planning import make_plan as plan_module
 from usdsmoke.runs import identity as identity_module

@@ -10,10 +10,9 @@ import pytest
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
 from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, run, run_until
 from tests.usd_fixtures import write_vdb
-from usdsmoke import assemble, run_coarse, run_window
 from usdsmoke.base import locks
 from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, assemble, run_coarse, run_window
 from usdsmoke.ui.cli.main import main
 
 

@@ -19,11 +19,10 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import file_hashes
-from usdsmoke import assemble, run_window
 from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
 from usdsmoke.base.naming import DEFAULT_LOOK
 from usdsmoke.base.sections import LayerConfig
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, assemble, run_window
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.look import look_files
 from usdsmoke.usd.stage import find_volumes, open_stage

@@ -10,10 +10,11 @@ from pxr import Sdf, Usd, UsdMedia
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot, run
 from tests.usd_fixtures import write_text
-from usdsmoke import assemble, verify
+from usdsmoke import verify
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.core.style.definition import embedded_hash
+from usdsmoke.pipeline import assemble
 from usdsmoke.vdb.content_hash import hash_vdb_file
 from usdsmoke.vdb.header import read_header
 

@@ -13,8 +13,9 @@ from pxr import Sdf, Usd
 
 from tests.pipeline_fixtures import FakeCore, contents, make_style, values_of
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
-from usdsmoke import pipeline, resolve_config
+from usdsmoke import pipeline
 from usdsmoke.base.errors import ConfigError, ImageError, OutputExists
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls
 from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
@@ -60,7 +61,7 @@ def test_a_setting_is_the_strongest_of_default_config_prim_and_explicit(
     config = write_text(tmp_path / "c.yaml", "optimize: {seed: 1}\n" if strongest >= 1 else "")
     explicit = ["optimize.seed=3"] if strongest >= 3 else []
     if way == "python":
-        plan = pipeline.plan(Request(stage, style, tmp_path / "out", [config, explicit]))
+        plan = pipeline.plan_request(Request(stage, style, tmp_path / "out", [config, explicit]))
         found = plan.volumes[0].config.optimize.seed
     else:
         given = ["--config", str(config), *(part for text in explicit for part in ("--set", text))]
@@ -226,8 +227,8 @@ def test_volumes_without_images_are_named(tmp_path: Path) -> None:
     with pytest.raises(
         ImageError, match=r"for </World/bare>, </World/naked>; .*--style.*request:styleImages"
     ):
-        pipeline.plan(Request(stage, None, tmp_path / "out"))
-    own = pipeline.plan(
+        pipeline.plan_request(Request(stage, None, tmp_path / "out"))
+    own = pipeline.plan_request(
         Request(stage, None, tmp_path / "out", resolve_config({"stage": {"prims": ["/World/own"]}}))
     )
     assert own.volumes[0].styles == (0,)
@@ -238,7 +239,7 @@ def test_settings_that_contradict_each_other_name_the_volume(tmp_path: Path) -> 
     images = "asset[] @@styleImages = [@./style.png@]"
     stage = write_stage(tmp_path, smoke=f"{images}\ndouble[] @@styleWeights = [1, 2]", other=images)
     with pytest.raises(ConfigError, match=r"^Volume </World/smoke>: style\.weights has 2 numbers"):
-        pipeline.plan(
+        pipeline.plan_request(
             Request(
                 stage, None, tmp_path / "out", resolve_config({"style": {"weights": [1, 2, 3]}})
             )
@@ -251,7 +252,7 @@ def test_samples_reach_the_core_frame_by_frame_unless_something_stronger_is_said
     stage = write_stage(tmp_path, smoke="double @@strength.timeSamples = { 1: 0, 3: 1 }")
     style = make_style(tmp_path / "style.png")
     plans = [
-        pipeline.plan(
+        pipeline.plan_request(
             Request(
                 stage,
                 style,
@@ -286,7 +287,7 @@ def test_the_mask_of_a_request_is_read_from_its_own_field_prim(tmp_path: Path) -
     field = density_prim("asset filePath = @./cache/smoke.0001.vdb@", name="fade")
     stage = write_stage(tmp_path, smoke=f"rel @@mask = </World/smoke/fade>\n{field}", bare="")
     style = make_style(tmp_path / "style.png")
-    plan = pipeline.plan(Request(stage, style, tmp_path / "out"))
+    plan = pipeline.plan_request(Request(stage, style, tmp_path / "out"))
     masks = {
         volume.source.prim_path: [frame.mask is not None for frame in volume.frames]
         for volume in plan.volumes
@@ -298,14 +299,16 @@ def test_the_mask_of_a_request_is_read_from_its_own_field_prim(tmp_path: Path) -
 def test_requests_that_do_not_count_are_left_out_with_the_reason(tmp_path: Path) -> None:
     stage = write_stage(tmp_path, smoke="int64 @@seed = 4")
     stage.write_text(stage.read_text().replace('(prepend apiSchemas = ["UsdSmokeStyleAPI"])', ""))
-    plan = pipeline.plan(Request(stage, make_style(tmp_path / "style.png"), tmp_path / "out"))
+    plan = pipeline.plan_request(
+        Request(stage, make_style(tmp_path / "style.png"), tmp_path / "out")
+    )
     (reason,) = (item.reason for item in plan.omitted if "request:seed" in item.what)
     assert "UsdSmokeStyleAPI is not applied" in reason
     assert plan.volumes[0].config.optimize.seed == 0
 
 
 def test_sentences_tell_for_which_volumes_where_settings_differ(two: Path, tmp_path: Path) -> None:
-    plan = pipeline.plan(Request(two, None, tmp_path / "out"))
+    plan = pipeline.plan_request(Request(two, None, tmp_path / "out"))
     assert any(text.startswith("shape step") and "</World/calm>" in text for text in plan.needed)
     assert not any(text.startswith("shape step") and "/wild" in text for text in plan.needed)
     what = [omission.what for omission in plan.omitted]

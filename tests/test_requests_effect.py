@@ -8,8 +8,9 @@ import pytest
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import make_style
 from tests.usd_fixtures import density_prim, sequence, world, write_text
-from usdsmoke import pipeline, resolve_config
+from usdsmoke import pipeline
 from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pipeline import Request, run_window, stylize
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -93,7 +94,7 @@ def test_each_volume_is_seen_through_the_camera_it_asks_for(tmp_path: Path) -> N
     style = make_style(tmp_path / "style.png")
 
     def cameras(**settings: str) -> list[str]:
-        plan = pipeline.plan(Request(stage, style, tmp_path / "out", {"views": settings}))
+        plan = pipeline.plan_request(Request(stage, style, tmp_path / "out", {"views": settings}))
         sources = [volume.frames[0].source.camera for volume in plan.volumes]
         return [source.prim_path if source else "" for source in sources]
 

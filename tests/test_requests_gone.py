@@ -31,7 +31,7 @@ def test_an_image_that_is_gone_matters_only_to_who_would_take_it(tmp_path: Path)
     assert verify(look) == []
     kept = style.rename(tmp_path / "kept.png")
     assert [change.kind for change in verify(look)] == ["style-missing"]  # the stage is the same
-    plan = pipeline.plan(Request(stage, kept, tmp_path / "other"))
+    plan = pipeline.plan_request(Request(stage, kept, tmp_path / "other"))
     assert plan.volumes[0].config.optimize.strength == 0.5
     (volume,) = inspect(stage, style=kept)["volumes"]
     assert volume["request"]["styles"] == {"value": [str(kept)], "origin": "option"}

@@ -13,8 +13,8 @@ from tests.pipeline_fixtures import Shot, make_shot, run, shown_files, values_of
 from tests.shot_fixtures import PLUME, make_big_shot
 from tests.stage_reader import read_stage
 from tests.usd_fixtures import HEADER, file_hashes, write_text
-from usdsmoke import submit
 from usdsmoke.base.errors import LayerError, OutputExists, StageError
+from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, StylizeResult, stylize
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import open_source, open_stage

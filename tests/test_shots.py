@@ -13,8 +13,8 @@ from tests.pipeline_fixtures import values_of
 from tests.shot_fixtures import FOG, PLUME, BigShot, make_big_shot
 from tests.stage_reader import read_stage
 from tests.usd_fixtures import file_hashes
-from usdsmoke import submit
 from usdsmoke.base.errors import OutputExists, StageError
+from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, StylizeResult, assemble, stylize
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import open_stage

@@ -97,7 +97,9 @@ def test_a_rerun_has_the_settings_that_were_chosen(shot: Shot, measurements: lis
 
 def dry_plan(shot: Shot, *more: str) -> str:
     settings = ["optimize.target_error=0.3", *more]
-    return "\n".join(pipeline.plan(Request(shot.stage, shot.style, shot.output, settings)).needed)
+    return "\n".join(
+        pipeline.plan_request(Request(shot.stage, shot.style, shot.output, settings)).needed
+    )
 
 
 def test_a_plan_alone_says_that_the_choice_is_still_to_come(
@@ -111,7 +113,7 @@ def test_a_plan_alone_takes_a_calibration_that_is_there(
     shot: Shot, measurements: list[int]
 ) -> None:
     ran = run(shot, 0.3)
-    found = pipeline.plan(
+    found = pipeline.plan_request(
         Request(shot.stage, shot.style, shot.output, ["optimize.target_error=0.3"])
     )
     optimize = found.config.optimize.replace(threads=ran.config.optimize.threads, device="cpu")

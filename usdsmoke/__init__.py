@@ -5,12 +5,19 @@
     '0.1.0'
 
     usdsmoke.inspect("shot.usda")                                     what is on the stage
-    usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the main job
-    usdsmoke.preview("look/shot_look.usda", "look.png")               what it looks like
-    usdsmoke.validate("look/look.usda")                               is the result sound
+    usdsmoke.plan("shot.usda", style="fire.png")                      what a run would do and cost
+    usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the run
+    usdsmoke.preview("look/shot_look.usda", "look.png")               a picture of the result
+    usdsmoke.validate("look/shot_look.usda")                          whether the result is sound
+    usdsmoke.provenance("look/look.usda")                             how it was made
     usdsmoke.verify("look/look.usda")                                 what has changed since
-    usdsmoke.rerun("look/look.usda", output="again")                  the same once more
+    usdsmoke.rerun("look/look.usda", output="again")                  make it again
+    usdsmoke.report("shot.usda", "fire.png", "report")                what settings gain and cost
     usdsmoke.settings()                                               every setting, explained
+
+Stages are paths or open ``Usd.Stage`` objects. ``settings`` is a mapping such as
+``{"optimize.iterations": 3}`` or ``{"optimize": {"iterations": 3}}``, a YAML file, or a list of
+these. Errors derive from ``UsdSmokeError``.
 
 Importing this package loads nothing heavy: each public name is looked up when it is first used.
 It tells USD where its schemas are, so that stages opened afterwards know UsdSmokeStyleAPI.
@@ -22,64 +29,66 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from usdsmoke.audit.rerun import rerun
-    from usdsmoke.audit.verify import verify
-    from usdsmoke.base.errors import UsdSmokeError
-    from usdsmoke.base.resolve import resolve_config, settings
-    from usdsmoke.base.settings import Config
-    from usdsmoke.farm.dask import stylize_on_cluster
-    from usdsmoke.farm.openjd import submit
-    from usdsmoke.pictures.preview import preview
-    from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
-    from usdsmoke.usd.inspect import inspect
-    from usdsmoke.usd.rules import validate
+    from usdsmoke.audit import provenance as provenance
+    from usdsmoke.audit import rerun as rerun
+    from usdsmoke.audit import verify as verify
+    from usdsmoke.base.errors import UsdSmokeError as UsdSmokeError
+    from usdsmoke.base.resolve import settings as settings
+    from usdsmoke.base.settings import Config as Config
+    from usdsmoke.pictures.preview import preview as preview
+    from usdsmoke.pipeline import plan as plan
+    from usdsmoke.pipeline import stylize as stylize
+    from usdsmoke.usd.inspect import inspect as inspect
+    from usdsmoke.usd.rules import validate as validate
+    from usdsmoke.work_precision import make_report as report
 
 __all__ = [
     "Config",
-    "Request",
     "UsdSmokeError",
     "__version__",
-    "assemble",
     "inspect",
+    "plan",
     "preview",
+    "provenance",
+    "report",
     "rerun",
-    "resolve_config",
-    "run_coarse",
-    "run_window",
     "settings",
     "stylize",
-    "stylize_on_cluster",
-    "submit",
     "validate",
     "verify",
 ]
 
 __version__ = "0.1.0"
 
+# public name: module, name in it
 _HOME = {
-    "Config": "usdsmoke.base.settings",
-    "Request": "usdsmoke.pipeline",
-    "UsdSmokeError": "usdsmoke.base.errors",
-    "assemble": "usdsmoke.pipeline",
-    "inspect": "usdsmoke.usd.inspect",
-    "preview": "usdsmoke.pictures.preview",
-    "rerun": "usdsmoke.audit.rerun",
-    "resolve_config": "usdsmoke.base.resolve",
-    "run_coarse": "usdsmoke.pipeline",
-    "run_window": "usdsmoke.pipeline",
-    "settings": "usdsmoke.base.resolve",
-    "stylize": "usdsmoke.pipeline",
-    "stylize_on_cluster": "usdsmoke.farm.dask",
-    "submit": "usdsmoke.farm.openjd",
-    "validate": "usdsmoke.usd.rules",
-    "verify": "usdsmoke.audit.verify",
+    "Config": ("base.settings", "Config"),
+    "UsdSmokeError": ("base.errors", "UsdSmokeError"),
+    "inspect": ("usd.inspect", "inspect"),
+    "plan": ("pipeline", "plan"),
+    "preview": ("pictures.preview", "preview"),
+    "provenance": ("audit", "provenance"),
+    "report": ("work_precision", "make_report"),
+    "rerun": ("audit", "rerun"),
+    "settings": ("base.resolve", "settings"),
+    "stylize": ("pipeline", "stylize"),
+    "validate": ("usd.rules", "validate"),
+    "verify": ("audit", "verify"),
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    module, attribute = _HOME[name]
+    try:
+        return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith(__name__):
+            raise
+        from usdsmoke.base.machine import missing_package
+
+        raise missing_package(error.name) from None
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""The table of contents: a stage is planned, stylized window by window, and assembled."""
+"""The steps of a run in order: a stage is planned, stylized window by window, and assembled."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ __all__ = [
     "StylizeResult",
     "assemble",
     "plan",
+    "plan_request",
     "run_coarse",
     "run_window",
     "stylize",
@@ -45,19 +46,31 @@ class StepResult:
     warnings: tuple[str, ...] = ()
 
 
-def plan(request: Request, fits: bool = True) -> Plan:
-    """What ``stylize`` with the same arguments would do; no voxel is read, no file is written.
+def plan(
+    stage: StageOrFile,
+    style: Styles = None,
+    output: FilePath = "look",
+    settings: Settings = None,
+    *,
+    fits: bool = True,
+) -> Plan:
+    """What ``stylize`` with the same arguments would do. No voxel is read, no file is written.
 
-    With ``optimize.target_error`` a calibration in the output folder is used. Without one the
-    plan is that before the choice, and says so.
+    With ``optimize.target_error`` a calibration in the output folder is used. Without one, the plan
+    is the one before the choice and says so.
 
     Args:
-        request: what is asked for.
-        fits: whether memory and disk of this machine must be sufficient; not if others work.
+        stage, style, output, settings: as in ``stylize``.
+        fits: whether the memory and disk of this machine must be sufficient.
 
     Raises:
         UsdSmokeError: everything that can be known before voxels are read.
     """
+    return plan_request(Request(stage, style, output, settings), fits)
+
+
+def plan_request(request: Request, fits: bool = True) -> Plan:
+    """``plan`` of a request."""
     job = prepare_job(request, fits)
     return foresee_tolerance(job, job.with_config).plan
 

@@ -28,7 +28,7 @@ from usdsmoke.base.errors import (
     WriteFailed,
 )
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
-from usdsmoke.pipeline import Request, StylizeResult, assemble, plan, run_coarse, run_window
+from usdsmoke.pipeline import Request, StylizeResult, assemble, plan_request, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.machine import settle_threads
@@ -76,7 +76,7 @@ def stylize_on_cluster(
         UsdSmokeError: what ``stylize`` raises; a task's own error is raised here.
         Interrupted: by Ctrl-C; workers end the windows they are at.
     """
-    found = plan(request, fits=False)
+    found = plan_request(request, fits=False)
     if planned is not None:
         planned(found)
     request, whole, again = _whole_request(request.settled(), found)

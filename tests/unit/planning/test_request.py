@@ -6,9 +6,9 @@ import pytest
 from pxr import Sdf, Usd
 
 from tests.usd_fixtures import plume_stage, write_text
-from usdsmoke import Request
 from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.settings import Config
+from usdsmoke.pipeline import Request
 
 
 def test_an_open_stage_stands_for_its_file(tmp_path: Path) -> None:

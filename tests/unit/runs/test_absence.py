@@ -22,7 +22,7 @@ def budget_of(
 ) -> ErrorBudget:
     """Of a shot whose frames had these reports."""
     shot = make_shot(folder, n_frames)
-    plan = pipeline.plan(Request(shot.stage, shot.style, shot.output, list(settings)))
+    plan = pipeline.plan_request(Request(shot.stage, shot.style, shot.output, list(settings)))
     names = [frame.file_name for frame in plan.volumes[0].frames]
     return run_budget(plan, dict(zip(names, reports, strict=True)))
 

@@ -21,7 +21,7 @@ _Result = TypeVar("_Result")
 def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
     if arguments.dry_run:
-        from usdsmoke.pipeline import plan as make_plan
+        from usdsmoke.pipeline import plan_request as make_plan
 
         plan = make_plan(_request(arguments))
         if arguments.json:
