@@ -34,7 +34,7 @@ from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.optimize import minimize
-from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.cameras import draw_views, orbit_view, sample_angles
 from usdsmoke.core.views.scene import Scene
 

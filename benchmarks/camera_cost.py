@@ -26,7 +26,7 @@ from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps import colour, shape
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import PICTURE_MARGIN, Scene, frame_views, measure_scene
@@ -89,7 +89,7 @@ def picture_loss(
     image, alpha = colour_map(
         smoke.positions, smoke.density, 1.0, scene.gamma_w, view_of_camera(camera, side, side), 1.0
     )
-    targets, thin = StyleTargets([painted_waves()], scene, config, CPU), THIN / scene.exposure
+    targets, thin = make_targets([painted_waves()], scene, config, CPU), THIN / scene.exposure
     light = image.apply(colours) + thin * targets.background
     picture = encode_srgb(light / (alpha[..., None] + thin))
     return float(targets.at(FACTOR)(picture, alpha / (alpha + thin), None, 0))

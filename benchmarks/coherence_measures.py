@@ -18,9 +18,8 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.coherence import colour_error, displacement_error
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
-from usdsmoke.core.steps.colour import prepare_views
-from usdsmoke.core.steps.grey import look_at
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.pictures import grey_view, prepare_views
+from usdsmoke.core.steps.targets import StyleTargets, make_targets
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import fit_view
@@ -96,7 +95,7 @@ def painted_colours(outcome: Outcome, gamma_w: float) -> tuple[ActiveSmoke, Tens
 
 def style_distances(shot: Shot, run: Run, n_views: int = 4) -> Distances:
     """The judge's loss at full size, mean of views within the range that were never optimised."""
-    targets = StyleTargets([shot.style], shot.scene, shot.config, torch.device("cpu"))
+    targets = make_targets([shot.style], shot.scene, shot.config, torch.device("cpu"))
     views = shot.config.views
     angles = held_out_angles(n_views, views.azimuth, views.elevation)
     colour, grey = [], []
@@ -110,7 +109,7 @@ def style_distances(shot: Shot, run: Run, n_views: int = 4) -> Distances:
 
 def unmoved_distance(shot: Shot, run: Run, n_views: int = 4) -> float:
     """The grey distance of the sources themselves, mean of all frames: where moving begins."""
-    targets = StyleTargets([shot.style], shot.scene, shot.config, torch.device("cpu"))
+    targets = make_targets([shot.style], shot.scene, shot.config, torch.device("cpu"))
     views = shot.config.views
     angles = held_out_angles(n_views, views.azimuth, views.elevation)
     found = [
@@ -135,7 +134,7 @@ def _colour_distance(
     smoke, colours = painted_colours(outcome, shot.scene.gamma_w)
     looks = prepare_views(smoke, views, shot.scene.gamma_w, shot.scene.exposure)
     judge, linear = targets.at(1), decode_srgb(colours)
-    found = [judge(look.straight_picture(linear, targets.background), look.guide) for look in looks]
+    found = [judge(look.unpremultiplied(linear, targets.background), look.guide) for look in looks]
     return float(torch.stack(found).mean())
 
 
@@ -148,9 +147,9 @@ def _grey_distance(
     found = []
     for view in views:
         image = column_map(still.positions, still.voxel_volume, view)
-        look = look_at(image, still.density, None, scene.gamma_w_shape, scene.exposure_shape)
+        look = grey_view(image, still.density, None, scene.gamma_w_shape, scene.exposure_shape)
         look = replace(look, image=column_map(moved.positions, moved.voxel_volume, view))
-        picture = look.filled(look.picture(moved.density), scene.grey_mean)
+        picture = look.over_grey(look.picture(moved.density), scene.grey_mean)
         found.append(judge(picture, look.guide))
     return float(torch.stack(found).mean())
 

@@ -13,9 +13,9 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coarse import CoarseStart, coarse_frames
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.frame_state import Link
-from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
+from usdsmoke.core.sequence.stylize import stylized_frame
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.scene import Scene, measure_scene
 from usdsmoke.planning.windows import Window, coarse_runs, split_windows
@@ -143,12 +143,12 @@ def _chain(
     shot: Shot, frames: Iterable[VolumeFrame], starts: dict[float, CoarseStart]
 ) -> list[Outcome]:
     frames = list(frames)
-    job = make_job(
+    job = make_context(
         [shot.style], shot.scene, shot.config, None, _rate(), starts.get, len(frames)
     )  # fmt: skip
     outcomes = []
-    for link in run_chain(frames, job, open_frame):
-        done = finished_frame(link, job)
+    for link in run_frames(frames, job):
+        done = stylized_frame(link, job)
         if done.emission is None or link.displacement is None:
             raise ShapeError(f"timeCode {done.time_code:g} was left out: {_why(link)}")
         outcomes.append(
@@ -157,7 +157,7 @@ def _chain(
     return outcomes
 
 
-def _why(link: Link) -> str:
+def _why(link: PaintedFrame) -> str:
     return link.left_out or "both steps are needed"
 
 

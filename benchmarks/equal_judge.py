@@ -18,7 +18,7 @@ from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.smoke.srgb import encode_srgb, scale_style
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.vdb.read import GridRequest, read_grids
 
@@ -93,7 +93,7 @@ class Judge:
         self, frame: VolumeFrame, style: np.ndarray, scene: Scene, config: Config, step: str
     ) -> None:
         self._step, self._scene, self._source = step, scene, frame.density
-        self._targets = StyleTargets([style], scene, config, torch.device("cpu"))
+        self._targets = make_targets([style], scene, config, torch.device("cpu"))
         views = config.views
         angles = held_out_angles(N_VIEWS, views.azimuth, views.elevation)
         self._gamma_w = scene.gamma_w_shape if step == "shape" else scene.gamma_w

@@ -37,8 +37,8 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.style.picture_loss import PictureLoss
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import make_targets
+from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["compare", "main"]
@@ -83,11 +83,8 @@ def _run_baseline(
     """CPU seconds so far and, when called, density and emission; after every iteration."""
     config = _settings(step, frame)
     spent, begin = 0.0, time.process_time()
-    scene, box = (
-        measure_scene([frame], config.views, config.optics, "Y", config.grids.refine),
-        dense_box(frame.density),
-    )
-    targets = StyleTargets([style], scene, config, torch.device("cpu"))
+    scene, box = measure_scene([frame], config, "Y"), dense_box(frame.density)
+    targets = make_targets([style], scene, config, torch.device("cpu"))
 
     def shaped(moved: Callable[[], torch.Tensor]) -> tuple[DenseField, None]:
         with torch.no_grad():

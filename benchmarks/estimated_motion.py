@@ -20,8 +20,8 @@ import torch
 from benchmarks.control_scenes import FRAMES_PER_SECOND, frame_of, load_example
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
+from usdsmoke.core.sequence.coherence import departure_points
 from usdsmoke.core.sequence.motion import estimate_velocity
-from usdsmoke.core.sequence.warm import departure_points
 
 __all__ = ["Step", "compare", "follow_shifts", "main", "simulate"]
 

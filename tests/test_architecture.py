@@ -26,11 +26,7 @@ DEBT = {
     "folders": {"base"},
     "files in cycles": set(),
     "packages": set(),
-    "parameters": {
-        "optimize_colours", "run_colour_step", "run_shape_step",
-        "_optimize_octave", "_Octave.__init__",
-        "__init__",
-    },
+    "parameters": set(),
 }  # fmt: skip
 
 

@@ -176,7 +176,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "no weights": (with_arguments("--set", "features.network=vgg19", "--set",
         "features.vgg19_file=/none.pth"), "FeatureError", "no VGG-19 weights at /none.pth"),
     "wrong layer": (with_arguments("--set", "features.layers=[nope]"), "ConfigError",
-        "features.layers names 'nope', which the embedded network has not; it has: oriented1"),
+        "features.layers names 'nope'"),
     "wrong content layer": (with_arguments("--set", "features.content_layers=[relu1_1]"),
         "ConfigError", "features.content_layers names 'relu1_1'"),
     "weights of 0": (with_arguments("--set", "features.layers=[learned1]", "--set",

@@ -24,12 +24,13 @@ from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.planning.needs import unneeded_layers
 
 CORE = "usdsmoke.core"
-FEATURES = (f"{CORE}.targets:build_network", f"{CORE}.losses:StyleTarget.loss")
+FEATURES = (f"{CORE}.steps.targets:build_network", f"{CORE}.style.losses:StyleTarget.loss")
+MAPS = (f"{CORE}.steps.shape:column_map", f"{CORE}.steps.pictures:colour_map")
 
 
 def test_grey_pictures_know_no_transmittance_along_the_ray(monkeypatch: pytest.MonkeyPatch) -> None:
-    rays = [f"{CORE}.project:transmittance_before", f"{CORE}.project:attenuation_ratio"]
-    calls = count_calls(monkeypatch, *rays, f"{CORE}.shape:column_map")
+    rays = [f"{CORE}.views.project:transmittance_before", f"{CORE}.views.project:attenuation_ratio"]
+    calls = count_calls(monkeypatch, *rays, f"{CORE}.steps.shape:column_map")
     run_core([frame_of(puff(10))], quick_config(optimize={"steps": ["shape"]}))
     assert set(calls) == {"column_map"}
     run_core([frame_of(puff(10))], quick_config(optimize={"steps": ["colour"]}))
@@ -39,10 +40,10 @@ def test_grey_pictures_know_no_transmittance_along_the_ray(monkeypatch: pytest.M
 @pytest.mark.parametrize("loss", ["total_variation", "histogram", "laplacian", "photorealism"])
 def test_a_loss_of_weight_0_is_not_evaluated(loss: str, monkeypatch: pytest.MonkeyPatch) -> None:
     homes = {
-        "total_variation": f"{CORE}.picture_loss:total_variation",
-        "histogram": f"{CORE}.losses:StyleTarget._transport",
-        "laplacian": f"{CORE}.picture_loss:laplacian_distance",
-        "photorealism": f"{CORE}.picture_loss:photorealism_distance",
+        "total_variation": f"{CORE}.style.losses:total_variation",
+        "histogram": f"{CORE}.style.losses:quantile_distance",
+        "laplacian": f"{CORE}.style.losses:laplacian_distance",
+        "photorealism": f"{CORE}.style.losses:photorealism_distance",
     }
     calls = count_calls(monkeypatch, homes[loss])
     run_core([frame_of(puff(8))], quick_config())
@@ -65,16 +66,17 @@ def test_no_layer_below_the_deepest_style_layer_is_made_or_learned(
 ) -> None:
     evaluated, learned = set(), set()
     watch_calls(
-        monkeypatch, f"{CORE}.oriented:OrientedFeatures.__call__",
+        monkeypatch, f"{CORE}.style.features:OrientedFeatures.__call__",
         lambda _, __, wanted: evaluated.add(max(int(name[-1]) for name in wanted)),
     )  # fmt: skip
     watch_calls(
-        monkeypatch, f"{CORE}.learned:LearnedFeatures._learn_to",
+        monkeypatch, f"{CORE}.style.features:LearnedFeatures._learn_to",
         lambda _, deepest: learned.add(deepest),
     )  # fmt: skip
     made = count_calls(
-        monkeypatch, f"{CORE}.oriented:OrientedFeatures._level",
-        f"{CORE}.learned:LearnedFeatures._learn", f"{CORE}.oriented:OrientedFeatures.__call__",
+        monkeypatch, f"{CORE}.style.features:OrientedFeatures._level",
+        f"{CORE}.style.features:LearnedFeatures._learn",
+        f"{CORE}.style.features:OrientedFeatures.__call__",
     )  # fmt: skip
     config = quick_config(features={"layers": [], **features}, optimize={"steps": ["colour"]})
     run_core([frame_of(puff(8))], config)
@@ -97,7 +99,7 @@ def test_the_plan_knows_the_layers_that_the_network_has() -> None:
 
 
 def test_an_empty_frame_calls_neither_renderer_nor_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = [f"{CORE}.project:project_voxels", *FEATURES, f"{CORE}.transport:warp"]
+    work = [f"{CORE}.views.project:project_voxels", *FEATURES, f"{CORE}.fields.transport:warp"]
     scene = scene_of([frame_of(puff(8))], quick_config(), "Y")
     calls = count_calls(monkeypatch, *work)
     with Elements() as elements:
@@ -116,11 +118,11 @@ def padded(density: np.ndarray, room: int) -> VolumeFrame:
 def test_empty_space_is_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
     projected, boxes = [], []
     watch_calls(
-        monkeypatch, f"{CORE}.project:project_voxels",
+        monkeypatch, f"{CORE}.views.project:project_voxels",
         lambda positions, view: projected.append(len(positions)),
     )  # fmt: skip
     watch_calls(
-        monkeypatch, f"{CORE}.shape:SparsePyramid",
+        monkeypatch, f"{CORE}.steps.shape:SparsePyramid",
         lambda nodes, *_, **__: boxes.append(int(np.prod(nodes.shape))),
     )  # fmt: skip
     made, work = [], []
@@ -147,7 +149,7 @@ def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box(
         told.append(elements.made)
         return octave.moved(potential).square().sum()
 
-    monkeypatch.setattr(f"{CORE}.shape._Octave.loss", loss)
+    monkeypatch.setattr(f"{CORE}.steps.shape._Octave.loss", loss)
     # what leaves the box is looked up in more steps: it moves a little only
     still = {"iterations": [4], "learning_rate": 1e-3}
     config = quick_config(shape=still, optimize={"steps": ["shape"]})
@@ -169,7 +171,10 @@ def test_one_view_is_projected_once_and_looked_at_once_an_iteration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls = count_calls(
-        monkeypatch, f"{CORE}.shape:column_map", f"{CORE}.colour:colour_map", FEATURES[1]
+        monkeypatch,
+        f"{CORE}.steps.shape:column_map",
+        f"{CORE}.steps.pictures:colour_map",
+        FEATURES[1],
     )
     for views, n_maps, n_looks in (
         ({"azimuth": 0.0, "elevation": 0.0}, 2, 4),
@@ -186,8 +191,8 @@ def test_one_view_is_projected_once_and_looked_at_once_an_iteration(
 def test_a_short_optimisation_makes_no_map_of_a_view_that_it_never_draws(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = {"shape": "column_map", "colour": "colour_map"}[step]
-    calls = count_calls(monkeypatch, f"{CORE}.{step}:{name}")
+    target = {"shape": "shape:column_map", "colour": "pictures:colour_map"}[step]
+    calls = count_calls(monkeypatch, f"{CORE}.steps.{target}")
     for iterations, n_maps in ((3, 3), (20, 8)):
         calls.clear()
         config = quick_config(
@@ -196,7 +201,7 @@ def test_a_short_optimisation_makes_no_map_of_a_view_that_it_never_draws(
             optimize={"steps": [step], "error_budget": False},
         )
         run_core([frame_of(puff(10))], config)
-        assert calls[name] == n_maps
+        assert sum(calls.values()) == n_maps
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -205,14 +210,16 @@ def test_a_slab_is_seen_once_and_moved_and_sampled_along_two_axes(
 ) -> None:
     n_axes, channels = set(), set()
     watch_calls(
-        monkeypatch, f"{CORE}.taps:_find_taps",
+        monkeypatch, f"{CORE}.fields.gather:_find_taps",
         lambda _, __, ___, axes, *____, **_____: n_axes.add(len(axes)),
     )  # fmt: skip
     watch_calls(
-        monkeypatch, f"{CORE}.shape:SparseDisplacement",
+        monkeypatch, f"{CORE}.steps.shape:SparseDisplacement",
         lambda *arguments: channels.add(arguments[-1]),
     )  # fmt: skip
-    calls = count_calls(monkeypatch, f"{CORE}.shape:column_map", f"{CORE}.colour:colour_map")
+    calls = count_calls(
+        monkeypatch, f"{CORE}.steps.shape:column_map", f"{CORE}.steps.pictures:colour_map"
+    )
     slab = np.moveaxis(puff(12)[:, :, 5:6], 2, axis)
     with Elements() as flat:
         result = run_core([frame_of(slab)])[0]
@@ -232,7 +239,7 @@ def test_no_detail_is_optimised_that_a_small_picture_cannot_show(
     camera = CameraSource("/cam", place, 36.0, 24.0, 24.0, 0.0, 0.0, (0.1, 1e4), False)
     pixels: list[int] = []
     watch_calls(
-        monkeypatch, f"{CORE}.losses:StyleTarget.loss",
+        monkeypatch, f"{CORE}.style.losses:StyleTarget.loss",
         lambda _, picture, *__, **___: pixels.append(picture.shape[0] * picture.shape[1]),
     )  # fmt: skip
     seen = []
@@ -250,7 +257,7 @@ def test_no_detail_is_optimised_that_a_small_picture_cannot_show(
 def test_a_converged_octave_does_no_more_iterations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    calls = count_calls(monkeypatch, f"{CORE}.losses:StyleTarget.loss")
+    calls = count_calls(monkeypatch, f"{CORE}.style.losses:StyleTarget.loss")
     done = []
     for tolerance in (0.0, 10.0):
         calls.clear()

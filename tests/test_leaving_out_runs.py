@@ -21,10 +21,12 @@ QUICK = (
 )  # fmt: skip
 CORE = "usdsmoke.core"
 COLOURS = (
-    f"{CORE}.chain:run_colour_step", f"{CORE}.colour:white_noise", f"{CORE}.colour:colour_map",
-    f"{CORE}.stylize:_empty_emission", f"{CORE}.stylize:_emit", f"{CORE}.chain:start_colours",
+    f"{CORE}.sequence.frame_loop:run_colour_step",
+    f"{CORE}.steps.colour:white_noise", f"{CORE}.steps.pictures:colour_map",
+    f"{CORE}.sequence.stylize:_empty_emission", f"{CORE}.sequence.stylize:_emit",
+    f"{CORE}.sequence.frame_loop:start_colours",
 )  # fmt: skip
-FEATURES = (f"{CORE}.targets:build_network", f"{CORE}.losses:StyleTarget.loss")
+FEATURES = (f"{CORE}.steps.targets:build_network", f"{CORE}.style.losses:StyleTarget.loss")
 
 
 def reasons(shot: Shot, *settings: str) -> dict[str, str]:
@@ -54,7 +56,7 @@ def test_a_style_of_weight_0_loads_no_network_and_judges_no_picture(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Reads(monkeypatch)
-    calls = count_calls(monkeypatch, *FEATURES, f"{CORE}.scene:sample_angles")
+    calls = count_calls(monkeypatch, *FEATURES, f"{CORE}.views.scene:sample_angles")
     said = reasons(shot, "losses.style=0")
     assert not calls and said["style loss and features"] == "losses.style is 0"
     reasons(shot)

@@ -11,8 +11,8 @@ import pytest
 from tests.pipeline_fixtures import PROJECT, make_style
 from tests.stylize_fixtures import scene_of
 from usdsmoke.core.sequence.calibrate import LEAST_MOVE, calibrate
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.stylize import make_job, open_frame
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import make_context
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
@@ -78,8 +78,8 @@ def test_the_coarsest_octave_alone_would_move_nothing(folder: Path) -> None:
     (volume,) = job.plan.volumes
     frame = FrameReader(job.plan).read(volume, volume.frames[0])
     scene = scene_of([frame], volume.config, "Y")
-    pilot = make_job(job.pictures(volume), scene, volume.config, None, 24.0, None, 1)
-    (link,) = run_chain([frame], pilot, open_frame)
+    pilot = make_context(job.pictures(volume), scene, volume.config, None, 24.0, None, 1)
+    (link,) = run_frames([frame], pilot)
     assert link.report.transport.largest_displacement < LEAST_MOVE * scene.reference_voxel_size
     assert calibrated(job_of(folder, "optimize.steps=[shape]"))["transport"]["moved"] > 0.5
 

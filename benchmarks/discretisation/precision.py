@@ -9,7 +9,7 @@ from usdsmoke.work_precision.case import Case
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from usdsmoke.core.style.picture_loss import PictureLoss
+    from usdsmoke.core.style.losses import PictureLoss
 
 __all__ = ["SWEEP", "double_gradient", "gradient"]
 
@@ -155,16 +155,17 @@ def _Convolutions(dtype: Any, layout: Any) -> Any:
 def _problem(case: Case) -> tuple["Tensor", "Tensor", "PictureLoss"]:
     """A picture of the frame as the first iteration of the finest octave has it."""
     from usdsmoke.core.smoke.srgb import decode_srgb
-    from usdsmoke.core.steps.colour import initial_colours, prepare_views
-    from usdsmoke.core.style.targets import StyleTargets
+    from usdsmoke.core.steps.colour import initial_colours
+    from usdsmoke.core.steps.pictures import prepare_views
+    from usdsmoke.core.steps.targets import make_targets
     from usdsmoke.core.views.scene import frame_views
 
     scene, smoke, config = case.scene, case.smoke, case.config
-    targets = StyleTargets(case.styles, scene, config, case.device)
+    targets = make_targets(case.styles, scene, config, case.device)
     view = frame_views(smoke, config.views, scene, config.optimize.seed)[0]
     (seen,) = prepare_views(smoke, [view], scene.gamma_w, scene.exposure)
     colours = decode_srgb(initial_colours(smoke, "noise", config.optimize.seed))
-    picture = seen.straight_picture(colours, targets.background)
+    picture = seen.unpremultiplied(colours, targets.background)
     judge = targets.at(1)
     judge(picture, seen.guide)  # statistics of the style are made once, in single precision
     return picture, seen.guide, judge

@@ -17,10 +17,9 @@ from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.steps.colour import ColourView
+from usdsmoke.core.steps.pictures import ColourView
 from usdsmoke.core.style.features import EmbeddedFeatures
-from usdsmoke.core.style.losses import StyleTarget, total_variation
-from usdsmoke.core.style.picture_loss import PictureLoss
+from usdsmoke.core.style.losses import PictureLoss, StyleTarget, total_variation
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import colour_map, column_map
@@ -75,7 +74,7 @@ def colour_chain(
     )
     view = ColourView(image, alpha)
     background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
-    return lambda colours: compare(view.straight_picture(decode_srgb(colours), background), view)
+    return lambda colours: compare(view.unpremultiplied(decode_srgb(colours), background), view)
 
 
 def test_colours_to_a_quadratic_loss(smoke):
@@ -121,7 +120,7 @@ def test_colours_to_everything_a_picture_is_judged_by(smoke, weights):
     judge = PictureLoss([target], [1.0], losses)
 
     def compare(picture: Tensor, view: ColourView) -> Tensor:
-        content = judge.remember(view.alpha[..., None].expand(-1, -1, 3))
+        content = judge.content(view.alpha[..., None].expand(-1, -1, 3))
         return judge(picture, view.guide, content, 3)
 
     chain = colour_chain(smoke, compare)
@@ -139,7 +138,7 @@ def test_colours_to_the_sum_of_several_views_taken_one_by_one(smoke):
     background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
 
     def term(view: ColourView, linear: Tensor) -> Tensor:
-        return ((view.straight_picture(linear, background) - goal) ** 2).sum()
+        return ((view.unpremultiplied(linear, background) - goal) ** 2).sum()
 
     terms = [partial(term, ColourView(image, alpha)) for image, alpha in maps]
     start = 0.1 + 0.8 * random(len(smoke.ijk), 3, seed=2)
@@ -203,7 +202,7 @@ def test_single_precision_slopes_agree_with_double_ones(smoke):
         (ColourView(single, single_alpha), colours.float()),
     ):
         unknown = start.clone().requires_grad_()
-        picture = view.straight_picture(decode_srgb(unknown), start.new_tensor([0.5, 0.4, 0.3]))
+        picture = view.unpremultiplied(decode_srgb(unknown), start.new_tensor([0.5, 0.4, 0.3]))
         (gradient,) = torch.autograd.grad((picture**2).sum(), unknown)
         gradients.append(gradient.double())
     assert (gradients[0] - gradients[1]).norm() < 1e-5 * gradients[0].norm()

@@ -21,11 +21,11 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.sequence.calibrate import calibrate
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
 from usdsmoke.core.sequence.picture_errors import Painted, fit_blocks
 from usdsmoke.core.sequence.storage_error import storage_errors
-from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.sequence.stylize import stylized_frame
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.views.scene import frame_views
 from usdsmoke.runs.budget import ROWS, choose_settings, make_budget
@@ -97,7 +97,7 @@ def chosen(name: str, target: float) -> Config:
 class Ran:
     """A run with what a tolerance comes to."""
 
-    link: Link
+    link: PaintedFrame
     fields: list[DenseField]
     report: dict[str, Any]
     elements: int  # that torch's operations made
@@ -109,14 +109,14 @@ def ran(name: str, target: float) -> Ran:
     scene = scene_of([frame], config, "Y")
     counter = Elements(views=False)
     with counter:
-        job = make_job([random_style()], scene, config, None, 24.0, None, 1)
-        (link,) = run_chain([frame], job, open_frame)
-    done = finished_frame(link, job)
+        job = make_context([random_style()], scene, config, None, 24.0, None, 1)
+        (link,) = run_frames([frame], job)
+    done = stylized_frame(link, job)
     assert done.emission is not None
     return Ran(link, [done.density, done.emission], done.report, counter.made)
 
 
-def displaced(name: str, link: Link, finer: int) -> tuple[np.ndarray, np.ndarray]:
+def displaced(name: str, link: PaintedFrame, finer: int) -> tuple[np.ndarray, np.ndarray]:
     """The exact density moved by the run's displacement, on voxels so many times as fine, and
     where the first of them is. It has the source's mass, as a result has."""
     assert link.displacement is not None

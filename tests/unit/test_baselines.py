@@ -18,7 +18,7 @@ from tests.smoke_fixtures import puff, random_style
 from tests.stylize_fixtures import quick_config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.active import activate
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.cameras import orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene
@@ -89,7 +89,7 @@ def test_turned_voxels_are_refused() -> None:
 def test_the_baseline_s_own_loss_falls(step: str) -> None:
     config = quick_config(views={"pool": 3, "image_size": 16})
     box: DenseBox = dense_box(field_of(puff(12)))
-    targets = StyleTargets([random_style()], SCENE, config, torch.device("cpu"))
+    targets = make_targets([random_style()], SCENE, config, torch.device("cpu"))
     judge, losses = targets.at(1, grey=step == "shape"), []
 
     def noted(*arguments: object) -> torch.Tensor:

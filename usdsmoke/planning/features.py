@@ -5,8 +5,7 @@ from collections.abc import Iterable
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.definition import embedded_hash
-from usdsmoke.core.style.layers import content_layers, style_layers
-from usdsmoke.core.style.vgg19_file import find_vgg19_file
+from usdsmoke.core.style.layers import content_layers, find_vgg19_file, style_layers
 
 __all__ = ["check_features", "features_hash", "features_hashes"]
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.style.vgg19_file import find_vgg19_file, named_vgg19_file
+from usdsmoke.core.style.layers import find_vgg19_file, named_vgg19_file
 from usdsmoke.planning.plan import Plan as RunPlan
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep

@@ -15,7 +15,7 @@ from usdsmoke.work_precision.unseen_loss import Outcome, UnseenLoss
 
 if TYPE_CHECKING:
     from usdsmoke.core.smoke.active import ActiveSmoke
-    from usdsmoke.core.style.targets import StyleTargets
+    from usdsmoke.core.steps.targets import StyleTargets
     from usdsmoke.core.views.scene import Scene
 
 __all__ = [
@@ -193,13 +193,15 @@ class Trial:
     def run(self, setting: Setting, run: int) -> Outcome:
         """The result of one run. Runs differ in their seed alone."""
         from usdsmoke.core.steps.colour import run_colour_step
+        from usdsmoke.core.steps.targets import StepProblem
 
         config, per_octave = setting.config, setting.per_octave
         config = config.replace(optimize=config.optimize.replace(seed=config.optimize.seed + run))
         scene = self._scene_of(setting)
         smoke, targets = self._smoke_of(setting), self._targets_of(setting)
         if self._step == "colour":
-            found, ends = run_colour_step(smoke, None, targets, scene, config, per_octave)
+            problem = StepProblem(smoke, targets, scene, config)
+            found, ends = run_colour_step(problem, per_octave)
         else:
             found, ends = self._moved(setting, config)
         return Outcome(smoke, found, ("refined", setting.refine), config, len(per_octave), ends)
@@ -217,15 +219,18 @@ class Trial:
         from usdsmoke.core.fields.displacement import clamp_displacement
         from usdsmoke.core.fields.potential import Displacement
         from usdsmoke.core.steps.move import move_density
-        from usdsmoke.core.steps.shape import longest_move, run_shape_step
+        from usdsmoke.core.steps.shape import max_displacement, run_shape_step
+        from usdsmoke.core.steps.targets import StepProblem
 
         smoke, targets = self._smoke_of(setting), self._targets_of(setting)
         scene = self._scene_of(setting)
-        free, ends = run_shape_step(smoke, None, targets, scene, config, setting.per_octave)
-        lattice, cap = free.lattice, longest_move(smoke, config)
-        held = lattice.to_stage(clamp_displacement(lattice.from_stage(free.values), cap, None))
-        displacement = Displacement(held, lattice)
-        return move_density(self._field_of(setting), smoke, displacement, config)[0], ends
+        problem = StepProblem(smoke, targets, scene, config)
+        unclamped, ends = run_shape_step(problem, setting.per_octave)
+        lattice, limit = unclamped.lattice, max_displacement(smoke, config.shape.reach)
+        values = clamp_displacement(lattice.from_stage(unclamped.values), limit, None)
+        displacement = Displacement(lattice.to_stage(values), lattice)
+        density, strength = self._field_of(setting), config.optimize.strength
+        return move_density(density, smoke, displacement, config.shape, strength)[0], ends
 
     def _scene_of(self, setting: Setting) -> "Scene":
         if setting.pixels == 1 and setting.refine == 1:
@@ -238,13 +243,13 @@ class Trial:
         )
 
     def _targets_of(self, setting: Setting) -> "StyleTargets":
-        from usdsmoke.core.style.targets import StyleTargets
+        from usdsmoke.core.steps.targets import make_targets
 
         scene, features = self._scene_of(setting), setting.config.features
         key = (scene.image_size, features.network, tuple(features.layers))
         if key not in self._targets:
             case = self._case
-            self._targets[key] = StyleTargets(case.styles, scene, setting.config, case.device)
+            self._targets[key] = make_targets(case.styles, scene, setting.config, case.device)
         return self._targets[key]
 
     def _smoke_of(self, setting: Setting) -> "ActiveSmoke":

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from usdsmoke.core.smoke.active import ActiveSmoke
-    from usdsmoke.core.steps.colour import ColourView
     from usdsmoke.core.steps.optimize import Minimum
-    from usdsmoke.core.style.picture_loss import PictureLoss
+    from usdsmoke.core.steps.pictures import ColourView
+    from usdsmoke.core.style.losses import PictureLoss
     from usdsmoke.core.views.cameras import View
 
 __all__ = ["Outcome", "UnseenLoss"]
@@ -46,13 +46,11 @@ class UnseenLoss:
     """
 
     def __init__(self, case: Case, step: str, config: Config) -> None:
-        from usdsmoke.core.style.targets import StyleTargets
+        from usdsmoke.core.steps.targets import make_targets
 
         self._case, self._step, self._config = case, step, config
         self._scene = case.small_scene
-        self._targets: StyleTargets = StyleTargets(
-            case.styles, case.small_scene, config, case.device
-        )
+        self._targets = make_targets(case.styles, case.small_scene, config, case.device)
         self._prepared: dict[Hashable, Sequence[ColourView]] = {}  # by place
         self._chances: list[float] = []  # standard errors of gaps
 
@@ -117,7 +115,7 @@ class UnseenLoss:
         """Style loss and what left the smoke's outline, by view."""
         import torch
 
-        from usdsmoke.core.steps.colour import prepare_views
+        from usdsmoke.core.steps.pictures import prepare_views
 
         if self._step == "shape":
             with torch.no_grad():
@@ -145,13 +143,13 @@ class UnseenLoss:
 
         for view in views:
             linear = decode_srgb(outcome.found)
-            yield view.straight_picture(linear, self._targets.background), view.guide
+            yield view.unpremultiplied(linear, self._targets.background), view.guide
 
     def _shape_losses(
         self, outcome: Outcome, views: Sequence["View"]
     ) -> Iterator[tuple[float, float]]:
         from usdsmoke.core.smoke.active import activate
-        from usdsmoke.core.steps.grey import look_at
+        from usdsmoke.core.steps.pictures import grey_view
         from usdsmoke.core.views.optics import opacity
         from usdsmoke.core.views.project import column_map
 
@@ -160,15 +158,15 @@ class UnseenLoss:
         moved = activate(outcome.found, np.eye(4), self._case.device)
         for view in views:
             still = column_map(smoke.positions, smoke.voxel_volume, view)
-            look = look_at(still, smoke.density, None, scene.gamma_w_shape, scene.exposure_shape)
+            look = grey_view(still, smoke.density, None, scene.gamma_w_shape, scene.exposure_shape)
             image = column_map(moved.positions, moved.voxel_volume, view)
             columns = image.apply(moved.density[:, None])[..., 0]
             grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
-            seen = look.filled(grey, scene.grey_mean)
-            yield float(loss(seen, look.guide)), float(look.leaving(grey))
+            seen = look.over_grey(grey, scene.grey_mean)
+            yield float(loss(seen, look.guide)), float(look.outside_change(grey))
 
     def _unused_views(self, outcome: Outcome) -> Sequence["ColourView"]:
-        from usdsmoke.core.steps.colour import prepare_views
+        from usdsmoke.core.steps.pictures import prepare_views
 
         if outcome.place not in self._prepared:
             scene, views = self._scene, self._angles(outcome.smoke)

@@ -10,15 +10,11 @@ from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, scale_style
-from usdsmoke.core.steps.colour import (
-    ColourView,
-    initial_colours,
-    optimize_colours,
-    prepare_views,
-    run_colour_step,
-)
-from usdsmoke.core.steps.optimize import Minimum
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.colour import initial_colours, optimize_colours, run_colour_step
+from usdsmoke.core.steps.optimize import Descent, Minimum
+from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
+from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
+from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.scene import Scene, frame_views
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
@@ -36,12 +32,16 @@ def config_of(**sections: dict) -> Config:
 
 def targets_of(config: Config, styles: int = 1) -> StyleTargets:
     images = [random_style(16, 20, seed) for seed in range(styles)]
-    return StyleTargets(images, SCENE, config, torch.device("cpu"))
+    return make_targets(images, SCENE, config, torch.device("cpu"))
+
+
+def problem_of(smoke: ActiveSmoke, config: Config) -> StepProblem:
+    return StepProblem(smoke, targets_of(config), SCENE, config)
 
 
 def picture_of(view: ColourView, colours: torch.Tensor, targets: StyleTargets) -> torch.Tensor:
     """Display-encoded pixels [P 3] where there is more than a little smoke."""
-    picture = view.straight_picture(decode_srgb(colours), targets.background)
+    picture = view.unpremultiplied(decode_srgb(colours), targets.background)
     return picture[view.alpha > 0.3]
 
 
@@ -68,7 +68,7 @@ def test_noise_belongs_to_the_voxel_and_the_seed(smoke):
 def test_the_straight_picture_has_the_smoke_s_own_colour_however_thin_it_is(smoke, views):
     colour = torch.tensor([0.7, 0.2, 0.1]).expand(len(smoke.ijk), 3)
     view = views[0]
-    straight = view.straight_picture(colour, BACKGROUND)
+    straight = view.unpremultiplied(colour, BACKGROUND)
     seen = view.guide[..., None]
     mixed = encode_srgb(seen * colour[0] + (1 - seen) * BACKGROUND)
     assert torch.allclose(straight, mixed, atol=1e-5)
@@ -83,12 +83,12 @@ def thin_run(gamma: float, iterations: list[int]) -> tuple[torch.Tensor, torch.T
     config = config_of(optics={"gamma": gamma}, views={"pool": 1})
     smoke = smoke_of(puff(12))
     scene = scene_of([frame_of(puff(12))], config, "Y")
-    targets = StyleTargets([random_style(16, 20)], scene, config, torch.device("cpu"))
+    targets = make_targets([random_style(16, 20)], scene, config, torch.device("cpu"))
     views = frame_views(smoke, config.views, scene, 0)
     (view,) = prepare_views(smoke, views, scene.gamma_w, scene.exposure)
     start = decode_srgb(initial_colours(smoke, "noise", 0))
-    colours, ends = run_colour_step(smoke, None, targets, scene, config, iterations)
-    picture = view.straight_picture(start, targets.background)
+    colours, ends = run_colour_step(StepProblem(smoke, targets, scene, config), iterations)
+    picture = view.unpremultiplied(start, targets.background)
     return picture, colours, [end.smoothed for end in ends]
 
 
@@ -117,8 +117,8 @@ def test_the_loss_falls_and_colours_stay_in_range(smoke, views):
     targets = targets_of(config)
     ends: list[Minimum] = []
     colours, end = optimize_colours(
-        views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.05, 40,
-        watch=ends.append,
+        ViewPool(views), initial_colours(smoke, "noise", 0), targets.at(1), targets.background,
+        Descent(0.05, 40), ends.append,
     )  # fmt: skip
     assert end is ends[-1] and len(ends) == 40
     assert end.smoothed < 0.5 * ends[0].loss
@@ -129,9 +129,10 @@ def test_a_style_of_one_colour_paints_the_smoke_in_it(smoke, views):
     config = config_of(features={"layers": ["learned0"]})
     colour = np.array([0.8, 0.35, 0.1], np.float32)
     style = np.broadcast_to(colour, (16, 16, 3))
-    targets = StyleTargets([style], SCENE, config, torch.device("cpu"))
+    targets = make_targets([style], SCENE, config, torch.device("cpu"))
+    start = initial_colours(smoke, "noise", 0)
     colours, _ = optimize_colours(
-        views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.1, 60
+        ViewPool(views), start, targets.at(1), targets.background, Descent(0.1, 60)
     )
     painted = picture_of(views[0], colours, targets)
     assert painted.numpy() == pytest.approx(np.broadcast_to(colour, painted.shape), abs=0.05)
@@ -139,18 +140,20 @@ def test_a_style_of_one_colour_paints_the_smoke_in_it(smoke, views):
 
 def test_views_take_turns_and_several_can_be_seen_at_once(smoke, views, monkeypatch):
     seen: list[int] = []
-    real = ColourView.straight_picture
+    real = ColourView.unpremultiplied
 
     def noted(self: ColourView, *args: torch.Tensor) -> torch.Tensor:
         seen.append([view.alpha is self.alpha for view in views].index(True))
         return real(self, *args)
 
-    monkeypatch.setattr(ColourView, "straight_picture", noted)
+    monkeypatch.setattr(ColourView, "unpremultiplied", noted)
     targets = targets_of(config_of())
     start = initial_colours(smoke, "noise", 0)
     for n_views in (1, 2):
         seen.clear()
-        optimize_colours(views, start, targets.at(1), targets.background, 0.05, 6, n_views, 5)
+        optimize_colours(
+            ViewPool(views, n_views, 5), start, targets.at(1), targets.background, Descent(0.05, 6)
+        )
         assert len(seen) == 6 * n_views
         passages = [sorted(seen[n : n + 3]) for n in range(0, len(seen), 3)]
         assert passages == [[0, 1, 2]] * len(passages)
@@ -160,8 +163,9 @@ def test_total_variation_smooths_the_picture(smoke, views):
     rough = []
     for weight in (0.0, 1e4):
         targets = targets_of(config_of(losses={"total_variation": weight}))
+        start = initial_colours(smoke, "noise", 0)
         colours, _ = optimize_colours(
-            views, initial_colours(smoke, "noise", 0), targets.at(1), targets.background, 0.05, 25
+            ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 25)
         )
         rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
     assert rough[1] < 0.3 * rough[0]
@@ -169,28 +173,30 @@ def test_total_variation_smooths_the_picture(smoke, views):
 
 def test_no_smoke_colour_is_changed_by_no_iterations(smoke):
     config = config_of()
-    colours, ends = run_colour_step(smoke, None, targets_of(config), SCENE, config, [0, 0])
+    colours, ends = run_colour_step(problem_of(smoke, config), [0, 0])
     assert torch.equal(colours, initial_colours(smoke, "noise", 0)) and ends == []
     start = torch.rand_like(colours)
-    kept, ends = run_colour_step(smoke, start, targets_of(config), SCENE, config, [0, 0])
+    kept, ends = run_colour_step(problem_of(smoke, config), [0, 0], start)
     assert torch.equal(kept, start) and ends == []
 
 
 def test_octaves_without_iterations_cost_no_views_and_no_targets(smoke, monkeypatch):
-    config = config_of()
-    targets, factors = targets_of(config), []
-    real = targets.at
-    monkeypatch.setattr(targets, "at", lambda factor: factors.append(factor) or real(factor))
-    _, ends = run_colour_step(smoke, None, targets, SCENE, config, [0, 2, 0])
+    config, factors = config_of(), []
+    real = StyleTargets.at
+
+    def noted(self: StyleTargets, factor: int) -> PictureLoss:
+        factors.append(factor)
+        return real(self, factor)
+
+    monkeypatch.setattr(StyleTargets, "at", noted)
+    _, ends = run_colour_step(problem_of(smoke, config), [0, 2, 0])
     assert set(factors) == {2} and len(ends) == 1
 
 
 def test_the_coarse_result_is_what_the_finer_octave_starts_from(smoke):
     """With nothing done on the fine octave it is the interpolated coarse result."""
     config = config_of()
-    coarse, _ = run_colour_step(
-        make_octaves(smoke, 2)[0], None, targets_of(config), SCENE, config, [0]
-    )
+    coarse, _ = run_colour_step(problem_of(make_octaves(smoke, 2)[0], config), [0])
     wanted, _ = sample_colours(make_octaves(smoke, 2)[0], coarse, smoke.positions)
     seen: list[torch.Tensor] = []
 
@@ -200,7 +206,7 @@ def test_the_coarse_result_is_what_the_finer_octave_starts_from(smoke):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("usdsmoke.core.steps.colour.optimize_colours", first_start)
-        run_colour_step(smoke, None, targets_of(config), SCENE, config, [5, 5])
+        run_colour_step(problem_of(smoke, config), [5, 5])
     assert torch.equal(seen[0], coarse) and torch.equal(seen[1], wanted)
 
 
@@ -208,7 +214,7 @@ def test_the_same_run_gives_the_same_bits_and_another_seed_others(smoke):
     results = []
     for seed in (0, 0, 1):
         config = config_of(optimize={"seed": seed, "threads": 1})
-        results.append(run_colour_step(smoke, None, targets_of(config), SCENE, config, [2, 2])[0])
+        results.append(run_colour_step(problem_of(smoke, config), [2, 2])[0])
     assert torch.equal(results[0], results[1]) and not torch.equal(results[0], results[2])
 
 
@@ -218,7 +224,8 @@ def test_several_styles_count_by_their_shares(smoke, views):
     for weights in ([], [1.0, 0.0], [0.0, 2.0], [6.0, 2.0]):
         targets = targets_of(config_of(style={"weights": weights}), styles=2)
         background = torch.full((3,), 0.2)
-        losses.append(optimize_colours(views, start, targets.at(1), background, 0.05, 1)[1].loss)
+        pool, descent = ViewPool(views), Descent(0.05, 1)
+        losses.append(optimize_colours(pool, start, targets.at(1), background, descent)[1].loss)
     both, first, second, mixed = losses
     assert first != pytest.approx(second, rel=1e-3)
     assert both == pytest.approx((first + second) / 2, rel=1e-5)
@@ -230,15 +237,15 @@ def test_a_style_of_weight_zero_is_not_looked_at(smoke, monkeypatch):
     seen = []
     real = scale_style
     monkeypatch.setattr(
-        "usdsmoke.core.style.targets.scale_style",
+        "usdsmoke.core.steps.targets.scale_style",
         lambda style, *a: seen.append(style) or real(style, *a),
     )
     images = [random_style(16, 20, seed) for seed in range(2)]
     config = config_of(style={"weights": [0.0, 3.0]})
-    targets = StyleTargets(images, SCENE, config, torch.device("cpu"))
+    targets = make_targets(images, SCENE, config, torch.device("cpu"))
     targets.at(1)
     assert len(seen) == 1 and seen[0] is images[1]
-    alone = StyleTargets(images[1:], SCENE, config_of(), torch.device("cpu"))
+    alone = make_targets(images[1:], SCENE, config_of(), torch.device("cpu"))
     assert torch.equal(targets.background, alone.background)
 
 
@@ -247,14 +254,17 @@ def test_the_style_s_weight_multiplies_its_loss(smoke, views):
     losses = []
     for weight in (1.0, 3.0):
         targets = targets_of(config_of(losses={"style": weight}))
-        _, end = optimize_colours(views, start, targets.at(1), targets.background, 0.05, 1)
+        _, end = optimize_colours(
+            ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 1)
+        )
         losses.append(end.loss)
     assert losses[1] == pytest.approx(3 * losses[0], rel=1e-5)
 
 
 def test_targets_are_made_once_for_each_scale(smoke):
     targets = targets_of(config_of())
-    assert targets.at(2) is targets.at(2) and targets.at(1) is not targets.at(2)
+    half, whole = (targets.images[0].target(factor, False) for factor in (2, 1))
+    assert targets.images[0].target(2, False) is half is not whole
 
 
 def test_starting_from_plain_density_washes_out_and_noise_does_not():
@@ -265,8 +275,9 @@ def test_starting_from_plain_density_washes_out_and_noise_does_not():
     targets = targets_of(config)
     contrast = {}
     for init in ("noise", "density"):
+        start = initial_colours(smoke, init, 0)
         colours, _ = optimize_colours(
-            views, initial_colours(smoke, init, 0), targets.at(1), targets.background, 0.05, 120
+            ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 120)
         )
         contrast[init] = float(picture_of(views[0], colours, targets).std(dim=0).mean())
     assert contrast["noise"] > 2 * contrast["density"], contrast

@@ -1,5 +1,7 @@
 """The colour step under masks that leave voxels out."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -8,7 +10,7 @@ from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import StepProblem, make_targets
 from usdsmoke.core.views.scene import Scene
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
@@ -23,8 +25,9 @@ def config_of(**sections: dict) -> Config:
     return resolve_config(base, sections)
 
 
-def targets_of(config: Config) -> StyleTargets:
-    return StyleTargets([random_style(16, 20)], SCENE, config, torch.device("cpu"))
+def problem_of(smoke: ActiveSmoke, config: Config, mask: Any) -> StepProblem:
+    targets = make_targets([random_style(16, 20)], SCENE, config, torch.device("cpu"))
+    return StepProblem(smoke, targets, SCENE, config, mask)
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +59,7 @@ class CoarseCorner(EveryThird):
 def test_painted_voxels_that_no_coarser_one_stands_for_start_from_noise(mask, iterations, smoke):
     """And not from black: of the coarser octave's colours there are none in reach."""
     config = config_of(colour={"learning_rate": 1e-9})
-    colours, _ = run_colour_step(
-        smoke, None, targets_of(config), SCENE, config, iterations, mask=mask
-    )
+    colours, _ = run_colour_step(problem_of(smoke, config, mask), iterations)
     chosen = mask.at(smoke.positions) > 0
     noise = initial_colours(smoke.take(chosen), "noise", 0)
     apart = (smoke.positions[chosen] > 6).any(1)
@@ -68,7 +69,5 @@ def test_painted_voxels_that_no_coarser_one_stands_for_start_from_noise(mask, it
 
 def test_nothing_to_paint_gives_no_colours(smoke):
     config = config_of()
-    colours, ends = run_colour_step(
-        smoke, None, targets_of(config), SCENE, config, [2, 2], mask=Nowhere()
-    )
+    colours, ends = run_colour_step(problem_of(smoke, config, Nowhere()), [2, 2])
     assert colours.shape == (0, 3) and ends == []

@@ -14,10 +14,11 @@ from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.stylize import StylizedFrame, make_job, open_frame
-from usdsmoke.core.style import targets as targets_module
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import make_context
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.steps import targets as targets_module
+from usdsmoke.core.steps.targets import StyleTargets, make_targets
 from usdsmoke.core.views.scene import frame_scene
 
 STYLES = [random_style(seed=0), 1 - random_style(20, 30, seed=1)]
@@ -130,8 +131,8 @@ def test_frames_far_from_any_effect_are_left_out_and_what_follows_starts_anew():
 def test_a_pattern_speed_holds_from_its_frame_to_the_next_one():
     frames = controlled(FRAMES[:3], pattern_speed=[2.0, -0.5, 1.0])
     config = quick_config()
-    job = make_job([STYLES[0]], scene_of(frames, config, "Y"), config, None, 24.0, None, 3)
-    links = list(run_chain(frames, job, open_frame))
+    job = make_context([STYLES[0]], scene_of(frames, config, "Y"), config, None, 24.0, None, 3)
+    links = list(run_frames(frames, job))
     assert job.seconds(links[0], links[1]) == 2.0 / 24
     assert job.seconds(links[1], links[2]) == -0.5 / 24
 
@@ -198,7 +199,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
 def targets_of(styles: Sequence[np.ndarray], weights: Sequence[float] = ()) -> StyleTargets:
     config = quick_config(style={"weights": list(weights)})
     scene = scene_of(FRAMES[:1], config, "Y")
-    return StyleTargets(styles, scene, config, torch.device("cpu"))
+    return make_targets(styles, scene, config, torch.device("cpu"))
 
 
 @pytest.mark.parametrize(("weights", "number"), [([1.0, 0.0], 0), ([0.0, 2.0], 1)])

@@ -10,9 +10,10 @@ from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
-from usdsmoke.core.steps.colour import ColourView, prepare_views, run_colour_step
+from usdsmoke.core.steps.colour import run_colour_step
+from usdsmoke.core.steps.pictures import ColourView, prepare_views
+from usdsmoke.core.steps.targets import StepProblem, make_targets
 from usdsmoke.core.style.content import photorealism_distance
-from usdsmoke.core.style.targets import StyleTargets
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views
@@ -32,13 +33,14 @@ def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:
         }
     )
     scene = scene_of([frame_of(density)], config, "Y")
-    targets = StyleTargets([random_style(16, 20)], scene, config, torch.device("cpu"))
-    colours, _ = run_colour_step(smoke, None, targets, scene, config, config.colour.iterations)
+    targets = make_targets([random_style(16, 20)], scene, config, torch.device("cpu"))
+    problem = StepProblem(smoke, targets, scene, config)
+    colours, _ = run_colour_step(problem, config.colour.iterations)
     where = frame_views(smoke, config.views, scene, 1)
     (view,) = prepare_views(smoke, where, scene.gamma_w)
     columns = column_map(smoke.positions, smoke.voxel_volume, where[0])
     grey = opacity(scene.gamma_w_shape * columns.apply(smoke.density[:, None])[..., 0])
-    return view, view.straight_picture(decode_srgb(colours), targets.background), grey
+    return view, view.unpremultiplied(decode_srgb(colours), targets.background), grey
 
 
 def likeness(view: ColourView, picture: Tensor, grey: Tensor) -> float:

@@ -12,7 +12,7 @@ from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps import colour
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import StyleTargets
 from usdsmoke.core.views.scene import Scene
 
 DENSITY = puff(12)

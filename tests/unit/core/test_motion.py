@@ -9,8 +9,8 @@ import torch
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.coherence import departure_points
 from usdsmoke.core.sequence.motion import MotionOptions, estimate_velocity
-from usdsmoke.core.sequence.warm import departure_points
 
 SECONDS = 1 / 24
 Move = Callable[[np.ndarray], np.ndarray]

@@ -15,11 +15,10 @@ from usdsmoke.base.sections import LossesConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.optimize import minimize
-from usdsmoke.core.style import losses, picture_loss
+from usdsmoke.core.steps.targets import StyleTargets, make_targets
+from usdsmoke.core.style import losses
 from usdsmoke.core.style.features import EmbeddedFeatures
-from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.picture_loss import PictureLoss
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.views.scene import Scene
 
 DOUBLE = torch.float64
@@ -58,9 +57,9 @@ def embedded_target(style: Tensor, **weights: Any) -> StyleTarget:
 
 TERMS = {
     "content": (losses, "content_distance"),
-    "laplacian": (picture_loss, "laplacian_distance"),
-    "photorealism": (picture_loss, "photorealism_distance"),
-    "total_variation": (picture_loss, "total_variation"),
+    "laplacian": (losses, "laplacian_distance"),
+    "photorealism": (losses, "photorealism_distance"),
+    "total_variation": (losses, "total_variation"),
     "histogram": (losses, "quantile_distance"),
 }
 
@@ -80,10 +79,10 @@ def test_what_has_weight_zero_is_not_evaluated_and_what_has_weight_is(weighted, 
     target = pixel_target(random(8, 8, 3), network, **weights)
     judge = PictureLoss([target], [1.0], LossesConfig(**weights))
     picture, guide = random(6, 7, 3, seed=1), random(6, 7, seed=2)
-    judge(picture, guide, judge.remember(picture**2))
+    judge(picture, guide, judge.content(picture**2))
     assert called == [weighted]
     assert network.asked == {"style", "content"} if weighted == "content" else {"style"}
-    assert judge.wants_content == (weighted in ("content", "laplacian", "photorealism"))
+    assert judge.uses_content == (weighted in ("content", "laplacian", "photorealism"))
 
 
 def test_gram_matrices_are_not_made_for_sliced_wasserstein_nor_quantiles_for_gram(monkeypatch):
@@ -106,7 +105,7 @@ def test_the_terms_add_up_by_their_weights():
 
     def loss(**weights: float) -> float:
         judge = PictureLoss([pixel_target(style, **weights)], [1.0], LossesConfig(**weights))
-        return judge(picture, guide[..., 0], judge.remember(content)).item()
+        return judge(picture, guide[..., 0], judge.content(content)).item()
 
     alone = loss()
     parts = {name: loss(**{name: 1.0}) - alone for name in TERMS}
@@ -132,7 +131,7 @@ def test_several_styles_count_by_their_shares_and_what_is_kept_counts_once(weigh
     def loss(shares: dict[int, float]) -> float:
         targets = [pixel_target(styles[n], **weights) for n in shares]
         judge = PictureLoss(targets, list(shares.values()), LossesConfig(**weights))
-        return judge(picture, guide, judge.remember(content)).item()
+        return judge(picture, guide, judge.content(content)).item()
 
     wanted = 0.75 * loss({0: 1.0}) + 0.25 * loss({1: 1.0})
     assert loss({0: 0.75, 1: 0.25}) == pytest.approx(wanted, rel=1e-12)
@@ -149,7 +148,7 @@ def test_content_is_compared_in_grey_so_that_the_colours_are_free():
     for weights in ({"content": 1.0}, {"laplacian": 1.0}):
         target = StyleTarget(content, Pixels(), {}, content_layers=["content"])
         judge = PictureLoss([target], [1.0], LossesConfig(**weights))
-        kept = judge.remember(content)
+        kept = judge.content(content)
         assert judge(content + tint, guide, kept).item() < 1e-12
         assert judge(content.flip(0), guide, kept).item() > 1e-3
 
@@ -252,7 +251,7 @@ def test_pixels_outside_the_guide_have_no_say(weights):
 
 def run_targets(config: Config, styles: list[np.ndarray]) -> StyleTargets:
     scene = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24)
-    return StyleTargets(styles, scene, config, torch.device("cpu"))
+    return make_targets(styles, scene, config, torch.device("cpu"))
 
 
 @pytest.mark.parametrize("shares", [[1.0], [3.0, 1.0]])

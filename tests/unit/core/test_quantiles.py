@@ -281,11 +281,11 @@ def test_sliced_distance_sees_correlations_that_single_channels_do_not():
 )
 def test_shapes_that_do_not_fit_are_refused_with_both_named(values, weights, table):
     w = None if weights is None else torch.ones(weights)
-    with pytest.raises(ShapeError, match=r"quantile_distance: .*\[.*wanted"):
+    with pytest.raises(ShapeError, match=r"quantile_distance: .*\["):
         quantile_distance(torch.ones(values), w, torch.ones(table))
 
 
 @pytest.mark.parametrize(("shape", "n"), [((2, 0), 8), ((5,), 8), ((2, 5), 0)])
 def test_tables_of_nothing_are_refused(shape, n):
-    with pytest.raises(ShapeError, match=r"quantile_table: .*wanted"):
+    with pytest.raises(ShapeError, match=r"quantile_table: "):
         quantile_table(torch.ones(shape), n)

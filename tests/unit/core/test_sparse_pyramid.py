@@ -200,7 +200,7 @@ def test_the_shape_step_moves_what_the_whole_box_would(
         box = octave.density.new_zeros(*octave.lattice.shape, potential.shape[1])
         box[octave.effect > 0] = potential.detach()
         share, base = octave._share, octave.base
-        u = held_in_voxels(box, octave.effect, kind, octave._cap, octave.lattice, base, share)
+        u = held_in_voxels(box, octave.effect, kind, octave.limit, octave.lattice, base, share)
         wanted = warp(octave.density, u, scheme="linear")
         torch.testing.assert_close(moved, wanted[tuple(octave.active.T)], rtol=0, atol=2e-6)
         assert wanted.sum().item() == pytest.approx(moved.sum().item(), rel=1e-5)  # nothing is lost

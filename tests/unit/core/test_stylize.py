@@ -10,7 +10,7 @@ from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.progress import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import StylizedFrame
-from usdsmoke.core.style.targets import StyleTargets
+from usdsmoke.core.steps.targets import StyleTargets
 from usdsmoke.core.views.scene import Scene
 
 DENSITY = puff(12)

@@ -255,7 +255,7 @@ def test_features_that_overflow_are_a_named_error(monkeypatch):
         return {name: maps * (1 + 1e38) * 1e38 for name in wanted}
 
     monkeypatch.setattr(
-        "usdsmoke.core.style.targets.build_network", lambda *_: lambda style: infinite
+        "usdsmoke.core.steps.targets.build_network", lambda *_: lambda style: infinite
     )
     with pytest.raises(NonFiniteError, match="look for extreme values"):
         run_core([frame_of(DENSITY)], quick_config(**COLOUR_ONLY))

@@ -6,7 +6,7 @@ import pytest
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core.sequence.stylize import StylizedFrame
-from usdsmoke.core.style import losses, picture_loss
+from usdsmoke.core.style import losses
 
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
@@ -59,8 +59,8 @@ def test_content_pictures_are_not_made_when_no_loss_looks_at_them(monkeypatch):
         raise AssertionError("a content picture was made that nobody looks at")
 
     monkeypatch.setattr("usdsmoke.core.steps.colour._content_picture", refuse)
-    monkeypatch.setattr(picture_loss.PictureLoss, "remember", refuse)
-    monkeypatch.setattr(losses.StyleTarget, "content", refuse)
+    monkeypatch.setattr(losses.PictureLoss, "content", refuse)
+    monkeypatch.setattr(losses.StyleTarget, "content_maps", refuse)
     run_core([FRAME], quick_config(losses={"histogram": 1.0, "total_variation": 1.0}))
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.sequence.warm import carry_colours, departure_points
+from usdsmoke.core.sequence.coherence import carry_colours, departure_points
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
 

@@ -22,11 +22,11 @@ from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.sequence.error_estimates import painted_frame
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
 from usdsmoke.core.sequence.picture_errors import fit_blocks, resolution_error
 from usdsmoke.core.sequence.storage_error import storage_errors
-from usdsmoke.core.sequence.stylize import finished_frame, make_job, open_frame
+from usdsmoke.core.sequence.stylize import stylized_frame
 from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
 __all__ = ["calibrate"]
@@ -67,17 +67,17 @@ def calibrate(
     started = time.perf_counter()
     pilot = _pilot_config(config)
     scene = measure_scene([frame], pilot.views, pilot.optics, up_axis, pilot.grids.refine)
-    job = make_job(styles, scene, pilot, None, 24.0, None, 1)
-    (link,) = run_chain([frame], job, open_frame)
-    if link.left_out:
+    context = make_context(styles, scene, pilot, None, 24.0, None, 1)
+    (finished,) = run_frames([frame], context)
+    if finished.left_out:
         return {}
-    done = finished_frame(link, job)
+    done = stylized_frame(finished, context)
     quadrature, unseen = done.report.errors.quadrature, done.report.errors.unseen_views
     fields = [field for field in (done.density, done.emission) if field is not None]
     return {
         "time_code": frame.time_code,
-        "image_sizes": _image_sizes(link, scene, pilot),
-        "transport": _transport(link),
+        "image_sizes": _image_sizes(finished, scene, pilot),
+        "transport": _transport(finished),
         "quadrature": 0.0 if quadrature is None else quadrature.value,
         "half": _half(fields),
         "prune": _prune_levels(done.density.values),
@@ -109,10 +109,10 @@ def _pilot_iterations(per_octave: Sequence[int]) -> list[int]:
     ]
 
 
-def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
+def _image_sizes(frame: PaintedFrame, scene: Scene, config: Config) -> list[list[float]]:
     """Pictures of the stylized frame with pixels of 8, 4, 2 and 1 voxels."""
-    painted, smoke = painted_frame(link), link.smoke
-    gamma_w = link.scene.gamma_w_shape if painted.colours is None else link.scene.gamma_w
+    painted, smoke = painted_frame(frame), frame.smoke
+    gamma_w = frame.scene.gamma_w_shape if painted.colours is None else frame.scene.gamma_w
     longest, found = scene.image_size * scene.pixel_size, []
     views = config.views.replace(pool=1)
     per_voxel = MOST_VOXELS
@@ -120,7 +120,7 @@ def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
         pixel = per_voxel * smoke.voxel_size
         size = math.ceil(longest / pixel - 1e-6)
         if 16 <= size <= 2048:
-            near = replace(link.scene, pixel_size=pixel)
+            near = replace(frame.scene, pixel_size=pixel)
             view = fit_blocks(frame_views(smoke, views, near, config.optimize.seed)[0])
             with torch.no_grad():
                 found.append([size, resolution_error(painted, view, gamma_w).value])
@@ -128,7 +128,7 @@ def _image_sizes(link: Link, scene: Scene, config: Config) -> list[list[float]]:
     return found
 
 
-def _transport(link: Link) -> dict[str, float] | None:
+def _transport(frame: PaintedFrame) -> dict[str, float] | None:
     """``linear`` and ``cubic``: errors of the density moved by the pilot's displacement.
 
     Two displacements are tried, and the larger error counts: the pilot's own, and its pattern
@@ -136,19 +136,19 @@ def _transport(link: Link) -> dict[str, float] | None:
     (``moved`` is its longest way, voxels) has no pattern, and a shift by half a voxel along each
     axis, which is where interpolation is worst, takes its place.
     """
-    if link.displacement is None:
+    if frame.displacement is None:
         return None
-    lattice = link.displacement.lattice
-    box = lattice.fill(link.source)
-    u = lattice.from_stage(link.displacement.values) / box.new_tensor(lattice.spacing)
+    lattice = frame.displacement.lattice
+    box = lattice.fill(frame.source)
+    u = lattice.from_stage(frame.displacement.values) / box.new_tensor(lattice.spacing)
     longest = float(u.norm(dim=-1).max())
     pairs = []
     if longest < LEAST_MOVE:
         u.fill_(0.5)
     else:
         pairs.append(_warp_errors(box, u))
-        assert link.report.transport is not None  # there is a displacement
-        u.mul_(link.report.transport.cap / max(lattice.spacing) / longest)
+        assert frame.report.transport is not None  # there is a displacement
+        u.mul_(frame.report.transport.cap / max(lattice.spacing) / longest)
     pairs.append(_warp_errors(box, u))
     linear, cubic = (max(pair[place] for pair in pairs) for place in (0, 1))
     return {"linear": linear, "cubic": cubic, "moved": longest}

@@ -1,12 +1,13 @@
 """The shared coarse step: a whole shot at a fraction of its resolution, frame after frame.
 
-It fixes where the style sits, once for all windows, which then refine it without knowing of each
-other. Its voxels are blocks of 4 x 4 x 4 (with three octaves, one of them shared), so a frame costs
+It fixes the places of the style once for all windows, which then refine it independently. Its
+voxels are blocks of 4 x 4 x 4 (with three octaves, one of them shared), so a frame costs
 a sixty-fourth of the voxels and a sixteenth of the pixels.
 """
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,14 @@ from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.controls import coarse_factor
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.frame_state import Job, Link
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import (
+    OpenedFrame,
+    WindowContext,
+    make_context,
+    open_frame,
+)
 from usdsmoke.core.sequence.start import Carried, CoarseStart
-from usdsmoke.core.sequence.stylize import make_job, open_frame
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.scene import Scene
 
@@ -47,34 +52,31 @@ def coarse_frames(
 ) -> Iterator[CoarseStart]:
     """The shared start of every frame of a shot, in order; arguments as of ``stylize_window``.
 
-    Frames that are left out (empty ones) have a start with nothing in it. A frame's own controls
-    count here as they do in the windows.
+    Frames that are left out (empty ones) have an empty start. A frame's own controls apply here as
+    they do in the windows.
 
     Args:
         known: the ``carried`` of one of these frames, the first that takes effect, from an earlier
-            call: it is not optimised again, and those behind it come out as if that had gone on.
+            call: it is not optimised again, and the frames after it continue from it.
 
     Raises:
         NonFiniteError, FeatureError, ConfigError: see ``stylize_window``.
     """
     factor = coarse_factor(config)
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
-    job = make_job(
+    context = make_context(
         styles, _coarse_scene(scene, factor), _coarse_config(config, factor), progress,
         time_codes_per_second, None, n_frames,
     )  # fmt: skip
-    known = known.to(job.device) if known is not None else None
-    job = dataclasses.replace(job, keeps_carried=True, known=known)
-    for link in run_chain(frames, job, lambda frame, job: _open_coarse(frame, job, factor)):
-        empty = link.left_out != ""
-        yield CoarseStart(
-            link.frame.time_code,
-            factor,
-            None if empty else link.settled,
-            None if empty else link.painted,
-            None if empty else link.colours,
-            link.carried if link.in_effect else None,
-        )
+    known = known.to(context.device) if known is not None else None
+    context = dataclasses.replace(context, keeps_carried=True, known=known)
+    for frame in run_frames(frames, context, partial(_open_coarse, factor)):
+        time_code = frame.time_code
+        if frame.left_out:
+            yield CoarseStart(time_code, factor)
+            continue
+        carried = frame.carried if frame.in_effect else None
+        yield CoarseStart(time_code, factor, frame.unclamped, frame.painted, frame.colours, carried)
 
 
 def coarsen_field(field: DenseField, factor: int) -> DenseField:
@@ -122,19 +124,19 @@ def save_start(start: CoarseStart, file_path: Path) -> None:
         arrays["colours"] = start.colours.cpu().numpy()
     if (carried := start.carried) is not None:
         arrays["carried"] = True
-        if carried.free is not None:  # on the same box
-            arrays["carried_displacement"] = carried.free.values.cpu().numpy()
+        if carried.unclamped is not None:  # on the same box
+            arrays["carried_displacement"] = carried.unclamped.values.cpu().numpy()
         if carried.colours is not None:
             arrays["carried_colours"] = carried.colours.cpu().numpy()
-    with open(file_path, "wb") as stream:  # a name without .npz, such as a temporary one, is kept
+    with open(file_path, "wb") as stream:  # savez would add .npz to a temporary name
         np.savez(stream, **arrays)
 
 
 def load_start(file_path: Path, device: torch.device | None = None) -> CoarseStart:
-    """Read what ``save_start`` wrote, but for what is carried on.
+    """Read what ``save_start`` wrote, except ``carried``.
 
     Raises:
-        OSError, ValueError, KeyError: it is missing, damaged or something else.
+        OSError, ValueError, KeyError: it is missing, damaged or of another kind.
     """
     with np.load(file_path, allow_pickle=False) as arrays:
         displacement = smoke = colours = None
@@ -167,26 +169,24 @@ def load_carried(file_path: Path) -> Carried | None:
     with np.load(file_path, allow_pickle=False) as arrays:
         if "carried" not in arrays:
             return None
-        free = colours = None
+        unclamped = colours = None
         if "carried_displacement" in arrays and start.displacement is not None:
             values = torch.from_numpy(arrays["carried_displacement"])
-            free = Displacement(values, start.displacement.lattice)
+            unclamped = Displacement(values, start.displacement.lattice)
         if "carried_colours" in arrays:
             colours = torch.from_numpy(arrays["carried_colours"])
-        return Carried(start.time_code, free, colours)
+        return Carried(start.time_code, unclamped, colours)
 
 
-def _open_coarse(frame: VolumeFrame, job: Job, factor: int) -> Link:
-    """The frame's link with everything that is optimised on ``factor`` times larger voxels."""
-    fine = open_frame(frame, job)
+def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
+    """The frame's record with everything that is optimised on ``factor`` times larger voxels."""
+    fine = open_frame(frame, context)
     if fine.left_out:
         return fine
     coarse = dataclasses.replace(frame, density=coarsen_field(fine.density, factor))
-    once = job.config.grids.replace(refine=1)
-    config = job.config.replace(grids=once)
-    link = open_frame(coarse, dataclasses.replace(job, config=config))
-    link.report = fine.report
-    return link
+    grids = context.config.grids.replace(refine=1)  # it is refined already
+    config = context.config.replace(grids=grids)
+    return open_frame(coarse, dataclasses.replace(context, config=config))
 
 
 def _coarse_scene(scene: Scene, factor: int) -> Scene:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from usdsmoke.base.frame_report import Estimate, FrameErrors
 from usdsmoke.core.fields.richardson import StepError
-from usdsmoke.core.sequence.frame_state import Link
+from usdsmoke.core.sequence.frame_state import PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
@@ -22,10 +22,9 @@ from usdsmoke.core.sequence.picture_errors import (
     resolution_error,
 )
 from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.steps.colour import prepare_views
-from usdsmoke.core.steps.grey import look_at
 from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.steps.pictures import grey_view, prepare_views
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views
@@ -36,30 +35,30 @@ N_VIEWS = 2  # that were not optimised, and as many that were
 OTHER_SEED = 0x0DD5EED  # of their angles
 
 
-def frame_errors(link: Link) -> FrameErrors:
+def frame_errors(frame: PaintedFrame) -> FrameErrors:
     """Errors of a finished frame: quadrature, resolution, unseen views.
 
     Without colours there is no quadrature error: opacity is exact. A slab has only one view. There
     is no error at all for a frame that is left out, and without ``optimize.error_budget``.
 
     Args:
-        link: at the end of its chain.
+        frame: at the end of its chain.
     """
-    optimize = link.config.optimize
-    if not (link.in_effect and optimize.error_budget) or len(link.smoke.ijk) == 0:
+    optimize = frame.config.optimize
+    if not (frame.in_effect and optimize.error_budget) or len(frame.smoke.ijk) == 0:
         return FrameErrors()
-    painted = painted_frame(link)
+    painted = painted_frame(frame)
     quadrature = unseen = None
-    view = fit_blocks(_views(link, 1, optimize.seed)[0])
-    gamma_w, step = link.scene.gamma_w, link.smoke.voxel_size
-    if link.paint is None:
-        gamma_w = link.scene.gamma_w_shape
+    view = fit_blocks(_views(frame, 1, optimize.seed)[0])
+    gamma_w, step = frame.scene.gamma_w, frame.smoke.voxel_size
+    if frame.paint is None:
+        gamma_w = frame.scene.gamma_w_shape
     with torch.no_grad():
-        if link.paint is not None:
+        if frame.paint is not None:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
-        if link.smoke.thin_axis is None and link.config.losses.style > 0:
-            unseen = _timed(lambda: _unseen_views(link))
+        if frame.smoke.thin_axis is None and frame.config.losses.style > 0:
+            unseen = _timed(lambda: _unseen_views(frame))
     return FrameErrors(quadrature, resolution, unseen)
 
 
@@ -86,56 +85,56 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
-def painted_frame(link: Link) -> Painted:
+def painted_frame(frame: PaintedFrame) -> Painted:
     """The frame as it is written: colours times strength and mask; grey without any."""
-    smoke, paint = link.smoke, link.paint
+    smoke, paint = frame.smoke, frame.paint
     if paint is None:
         return Painted(smoke, None)
-    light, share = smoke.density.new_zeros(len(smoke.ijk), 3), _share(link)
+    light, share = smoke.density.new_zeros(len(smoke.ijk), 3), _share(frame)
     here = slice(None) if share is None else share > 0
     part = 1.0 if share is None else share[share > 0, None]
-    light[here] = decode_srgb(paint[1]) * (link.config.optimize.strength * part)
+    light[here] = decode_srgb(paint[1]) * (frame.config.optimize.strength * part)
     return Painted(smoke, light)
 
 
-def _share(link: Link) -> Tensor | None:
-    return None if link.mask is None else link.mask.at(link.smoke.positions)
+def _share(frame: PaintedFrame) -> Tensor | None:
+    return None if frame.mask is None else frame.mask.at(frame.smoke.positions)
 
 
-def _views(link: Link, pool: int, seed: int, sampling: str | None = None) -> list[View]:
+def _views(frame: PaintedFrame, pool: int, seed: int, sampling: str | None = None) -> list[View]:
     """A pool of views of the finished smoke."""
-    views = link.config.views
+    views = frame.config.views
     views = views.replace(pool=pool, sampling=sampling or views.sampling)
-    return frame_views(link.smoke, views, link.scene, seed)
+    return frame_views(frame.smoke, views, frame.scene, seed)
 
 
-def _unseen_views(link: Link) -> float:
+def _unseen_views(frame: PaintedFrame) -> float:
     """How far the style loss of views nobody optimised differs from that of optimised ones."""
-    config = link.config
-    iterations = config.shape.iterations if link.paint is None else config.colour.iterations
-    pool = _views(link, config.views.pool, config.optimize.seed + len(iterations) - 1)
+    config = frame.config
+    iterations = config.shape.iterations if frame.paint is None else config.colour.iterations
+    pool = _views(frame, config.views.pool, config.optimize.seed + len(iterations) - 1)
     seen = pool[:: max(1, len(pool) // N_VIEWS)][:N_VIEWS]
-    unseen = _views(link, N_VIEWS, config.optimize.seed ^ OTHER_SEED, "poisson")
+    unseen = _views(frame, N_VIEWS, config.optimize.seed ^ OTHER_SEED, "poisson")
     ours, others = (
-        sum(losses) / len(losses) for losses in (_losses(link, seen), _losses(link, unseen))
+        sum(losses) / len(losses) for losses in (_losses(frame, seen), _losses(frame, unseen))
     )
     return abs(others - ours) / ours if ours > 0 else 0.0
 
 
-def _losses(link: Link, views: Sequence[View]) -> list[float]:
+def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:
     """The style loss of each view of the finished frame, in colour where there is any."""
-    smoke, scene, share = link.smoke, link.scene, _share(link)
-    if link.paint is None:
-        judge, found = link.targets.at(1, grey=True), []
+    smoke, scene, share = frame.smoke, frame.scene, _share(frame)
+    if frame.paint is None:
+        loss, found = frame.targets.at(1, grey=True), []
         for view in views:
             image = column_map(smoke.positions, smoke.voxel_volume, view)
-            look = look_at(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
-            found.append(float(judge(look.filled(look.grey, scene.grey_mean), look.guide)))
+            look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
+            found.append(float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide)))
         return found
-    judge, linear = link.targets.at(1), decode_srgb(link.paint[1])
-    behind = link.targets.background
+    loss, linear = frame.targets.at(1), decode_srgb(frame.paint[1])
+    behind = frame.targets.background
     return [
-        float(judge(view.straight_picture(linear, behind), view.guide))
+        float(loss(view.unpremultiplied(linear, behind), view.guide))
         for view in prepare_views(smoke, views, scene.gamma_w, scene.exposure, share)
     ]
 

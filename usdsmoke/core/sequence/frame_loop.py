@@ -1,25 +1,21 @@
-"""The frames of a window as a chain: shaped one after another, aligned, painted, aligned.
+"""The frames of a window in order: opened, shaped, moved, painted and finished.
 
-Four generators stand one behind the other, so that only the frames in flight are held, three of
-them, however long the window is:
-
-    shape      each frame's displacement, starting from its neighbour's
-    settle     averaged with the following frame's; the density is moved
-    paint      each frame's colours, starting from its neighbour's
-    finish     averaged with the following frame's; temporal errors are measured
-
-All of it is carried along at full strength, and each frame takes its own share at the end. So a
-strength that changes from frame to frame changes nothing in how frames follow on each other.
+Every phase is an iterator that pulls from the one before it, so that only three frames are in
+memory, however long the window is. Displacements and colours are carried from frame to frame at
+full strength, and each frame takes its own share at the end: a strength that changes from frame to
+frame does not change how frames follow each other.
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import starmap
+from typing import TypeVar
 
 from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.displacement import clamp_displacement
 from usdsmoke.core.fields.potential import Displacement
@@ -30,7 +26,17 @@ from usdsmoke.core.sequence.coherence import (
     displacement_error,
 )
 from usdsmoke.core.sequence.error_estimates import tail_figures
-from usdsmoke.core.sequence.frame_state import Job, Link
+from usdsmoke.core.sequence.frame_state import (
+    NO_STRENGTH,
+    MovedFrame,
+    OpenedFrame,
+    PaintedFrame,
+    Phase,
+    ShapedFrame,
+    WindowContext,
+    advance,
+    open_frame,
+)
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
 from usdsmoke.core.smoke.active import activate
@@ -38,231 +44,263 @@ from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.move import move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
-from usdsmoke.core.steps.shape import Start, longest_move, run_shape_step
+from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
-__all__ = ["run_chain"]
+__all__ = ["run_frames"]
+
+Result = TypeVar("Result", bound=ShapedFrame)
 
 
-def run_chain(
-    frames: Iterable[VolumeFrame], job: Job, open_frame: Callable[[VolumeFrame, Job], Link]
-) -> Iterator[Link]:
-    """The finished links of a window, in the frames' order.
+def run_frames(
+    frames: Iterable[VolumeFrame],
+    context: WindowContext,
+    open_frame: Callable[[VolumeFrame, WindowContext], OpenedFrame] = open_frame,
+) -> Iterator[PaintedFrame]:
+    """The finished frames of a window, in order.
 
     Args:
         frames: ascending time_code; pulled one at a time, up to two ahead of what is yielded, three
             where a frame has strength 0.
-        open_frame: checks a frame and makes its link.
+        context: what they share.
+        open_frame: checks a frame and makes its first record.
     """
-    if job.config.stage.motion == "estimate":
-        frames = _with_estimated_motion(iter(frames), job)
-    links = _rest(open_frame(frame, job) for frame in frames)
-    if "shape" in job.config.optimize.steps:
-        links = _settle(_shape(links, job), job)
-    if "colour" in job.config.optimize.steps:
-        links = _paint(links, job)
-    return _finish(links, job)
+    steps, motion = context.config.optimize.steps, context.config.stage.motion
+
+    # open: check fields and settings; leave out frames of strength 0
+    if motion == "estimate":
+        frames = _with_estimated_motion(iter(frames), context)
+    opened = _leave_out(open_frame(frame, context) for frame in frames)
+
+    # shape: find each frame's displacement, starting from the frame before
+    # move: average it with the next frame's, and move the density
+    moved: Iterator[MovedFrame]
+    if "shape" in steps:
+        shaped = _chain(opened, ShapedFrame, partial(_shape, context))
+        averaged = starmap(partial(_average, context), _with_next(shaped))
+        moved = map(partial(_move, context), averaged)
+    else:
+        moved = (advance(frame, MovedFrame) for frame in opened)
+
+    # paint: find each frame's colours, starting from the frame before
+    if "colour" in steps:
+        painted = _chain(moved, PaintedFrame, partial(_paint, context))
+    else:
+        painted = (advance(frame, PaintedFrame) for frame in moved)
+
+    # finish: average the colours with the next frame's, and measure temporal errors
+    return _finish(painted, context)
 
 
-def _with_estimated_motion(frames: Iterator[VolumeFrame], job: Job) -> Iterator[VolumeFrame]:
+# open
+
+
+def _with_estimated_motion(
+    frames: Iterator[VolumeFrame], context: WindowContext
+) -> Iterator[VolumeFrame]:
     """The frames with the velocity that carries each to the next; the last one has none."""
-    held: VolumeFrame | None = None
-    for frame in frames:
-        if held is not None:
-            seconds = (frame.time_code - held.time_code) / job.time_codes_per_second
-            velocity = estimate_velocity(held, frame, seconds, device=job.device)
-            yield replace(held, velocity=velocity, velocity_to_stage=frame.density_to_stage)
-        held = frame
-    if held is not None:
-        yield replace(held, velocity=None, velocity_to_stage=None)
+    frame = next(frames, None)
+    for later in frames:
+        assert frame is not None
+        seconds = (later.time_code - frame.time_code) / context.time_codes_per_second
+        velocity = estimate_velocity(frame, later, seconds, device=context.device)
+        yield replace(frame, velocity=velocity, velocity_to_stage=later.density_to_stage)
+        frame = later
+    if frame is not None:
+        yield replace(frame, velocity=None, velocity_to_stage=None)
 
 
-def _rest(links: Iterator[Link]) -> Iterator[Link]:
+def _leave_out(frames: Iterator[OpenedFrame]) -> Iterator[OpenedFrame]:
     """Leaves out frames of strength 0, except those next to one in effect (``is_computed``)."""
-    before, ahead = False, None
-    while (link := ahead or next(links, None)) is not None:
+    before_in_effect, ahead = False, None
+    while (frame := ahead or next(frames, None)) is not None:
         ahead = None
-        if not link.left_out and not link.in_effect and not before:
-            ahead = next(links, None)
+        if not frame.left_out and not frame.in_effect and not before_in_effect:
+            ahead = next(frames, None)
             if ahead is None or not ahead.in_effect:
-                link.rests, link.left_out = True, "optimize.strength is 0"
-                link.report = replace(link.report, left_out=link.left_out)
-        yield link
-        before = link.in_effect
+                frame = replace(frame, report=replace(frame.report, left_out=NO_STRENGTH))
+        yield frame
+        before_in_effect = frame.in_effect
 
 
-def _shape(links: Iterator[Link], job: Job) -> Iterator[Link]:
-    before: Link | None = None
-    for link in links:
-        if not link.left_out:
-            _shape_one(link, before, job)
-            before = link
-        before = None if link.rests else before
-        yield link
+# shape and move
 
 
-def _shape_one(link: Link, before: Link | None, job: Job) -> None:
-    if job.known is not None and job.known.time_code == link.frame.time_code:
-        link.free = job.known.free
+def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | None) -> ShapedFrame:
+    """The frame with its displacement."""
+    started, config, report = time.perf_counter(), frame.config, frame.report
+    if (known := context.known_of(frame)) is not None:
+        unclamped = known.unclamped
     else:
-        _optimize_shape(link, before, job)
-    if job.keeps_carried:
-        link.carried = Carried(link.frame.time_code, link.free)
+        start: Start | None = None
+        if before is not None or frame.has_coarse_displacement:
+            carried = before.unclamped if before is not None else None
+            mover, seconds = _velocity_between(before, frame, context)
+            start = partial(start_displacement, carried, frame.coarse, mover, seconds)
+        iterations = _iterations(config.shape.iterations, frame, before is not None)
+        watch = context.watch(frame.time_code)("shape", iterations)
+        rate_share = 1.0 if before is None else config.shape.warm_rate
+        problem = frame.problem(frame.source)
+        unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share)
+        report = replace(report, shape=_step_report(ends, frame, started))
+    kept = Carried(frame.time_code, unclamped) if context.keeps_carried else None
+    return advance(frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report)
 
 
-def _optimize_shape(link: Link, before: Link | None, job: Job) -> None:
-    started, config = time.perf_counter(), link.config
-    start: Start | None = None
-    if before is not None or (link.coarse is not None and link.coarse.displacement is not None):
-        carried = before.free if before is not None else None
-        seconds = job.seconds(before, link) if before is not None else 0.0
-        start = partial(start_displacement, carried, link.coarse, _mover(before, link), seconds)
-    plan = _plan(config.shape.iterations, link, before is not None, config)
-    link.free, ends = run_shape_step(
-        link.source, start, link.targets, link.scene, config, plan,
-        job.watch(link.frame.time_code)("shape", plan), link.mask,
-        1.0 if before is None else config.shape.warm_rate,
-    )  # fmt: skip
-    seconds = time.perf_counter() - started
-    link.report = replace(link.report, shape=_step_report(ends, link, seconds))
+def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | None) -> ShapedFrame:
+    """The frame with its displacement averaged with the next frame's."""
+    share = context.config.shape.smoothing
+    if frame.unclamped is None or later is None or later.unclamped is None or not share:
+        return frame
+    seconds = context.seconds(frame, later)
+    averaged = average_displacement(frame.unclamped, later.unclamped, frame.frame, seconds, share)
+    return replace(frame, unclamped=averaged)
 
 
-def _settle(links: Iterator[Link], job: Job) -> Iterator[Link]:
-    share = job.config.shape.smoothing
-    for link, later in _with_next(links):
-        free = link.free
-        if free is not None:
-            if later is not None and later.free is not None and share:
-                seconds = job.seconds(link, later)
-                free = average_displacement(free, later.free, link.frame, seconds, share)
-            link.settled = free
-            if later is not None:  # which started from it already
-                link.free = None
-            _move(link, free, job)
-        yield link
-
-
-def _move(link: Link, free: Displacement, job: Job) -> None:
-    """Hold the displacement below the cap and move the density by it; not at all by none."""
+def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
+    """The frame with its displacement clamped and its density moved by that."""
+    if frame.unclamped is None:
+        return advance(frame, MovedFrame)
     give_back_memory()
-    lattice, cap = free.lattice, longest_move(link.source, link.config)
-    share = shares_on(lattice, link.mask, link.source.density)
-    held = lattice.to_stage(clamp_displacement(lattice.from_stage(free.values), cap, share))
-    link.displacement = Displacement(held, lattice)
-    if not link.in_effect:
-        link.report = replace(link.report, transport=TransportReport(cap))
-        return
-    link.density, transport = move_density(
-        link.density,
-        link.source,
-        link.displacement,
-        link.config,
-        share,
-        link.visibility is not None,
+    lattice, source, config = frame.unclamped.lattice, frame.source, frame.config
+    limit = max_displacement(source, config.shape.reach)
+    share = shares_on(lattice, frame.mask, source.density)
+    values = clamp_displacement(lattice.from_stage(frame.unclamped.values), limit, share)
+    displacement = Displacement(lattice.to_stage(values), lattice)
+    if not frame.in_effect:
+        report = replace(frame.report, transport=TransportReport(limit))
+        return advance(frame, MovedFrame, displacement=displacement, report=report)
+    strength, is_part = config.optimize.strength, frame.visibility is not None
+    density, transport = move_density(
+        frame.density, source, displacement, config.shape, strength, share, is_part
     )
-    moved = activate(link.density, link.frame.density_to_stage, job.device)
-    link.smoke = moved if link.visibility is None else link.visibility.visible(moved)
-    link.report = replace(link.report, transport=replace(transport, cap=cap))
+    smoke = activate(density, frame.frame.density_to_stage, context.device)
+    if frame.visibility is not None:
+        smoke = frame.visibility.visible(smoke)
+    report = replace(frame.report, transport=replace(transport, cap=limit))
+    return advance(
+        frame, MovedFrame, displacement=displacement, density=density, smoke=smoke, report=report
+    )
 
 
-def _paint(links: Iterator[Link], job: Job) -> Iterator[Link]:
-    before: Link | None = None
-    for link in links:
-        if not link.left_out:
-            _paint_one(link, before, job)
-            before = link if link.paint is not None else before
-        before = None if link.rests else before
-        yield link
+# paint
 
 
-def _paint_one(link: Link, before: Link | None, job: Job) -> None:
-    share = None if link.mask is None else link.mask.at(link.smoke.positions)
-    link.painted = link.smoke if share is None else link.smoke.take(share > 0)
-    if job.known is not None and job.known.time_code == link.frame.time_code:
-        link.colours = job.known.colours
+def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | None) -> PaintedFrame:
+    """The frame with its colours."""
+    started, config, report = time.perf_counter(), frame.config, frame.report
+    share = None if frame.mask is None else frame.mask.at(frame.smoke.positions)
+    painted = frame.smoke if share is None else frame.smoke.take(share > 0)
+    if (known := context.known_of(frame)) is not None:
+        colours = known.colours
     else:
-        _optimize_colours(link, before, job)
-    if job.keeps_carried:
-        free = link.carried.free if link.carried is not None else None
-        link.carried = Carried(link.frame.time_code, free, link.colours)
-
-
-def _optimize_colours(link: Link, before: Link | None, job: Job) -> None:
-    assert link.painted is not None
-    started, config = time.perf_counter(), link.config
-    paint = before.paint if before is not None else None
-    seconds = job.seconds(before, link) if before is not None else 0.0
-    start = start_colours(
-        paint, link.coarse, _mover(before, link), link.painted, seconds, config.optimize.seed
+        paint = before.paint if before is not None else None
+        mover, seconds = _velocity_between(before, frame, context)
+        seed = config.optimize.seed
+        start = start_colours(paint, frame.coarse, mover, painted, seconds, seed)
+        iterations = _iterations(config.colour.iterations, frame, paint is not None)
+        watch = context.watch(frame.time_code)("colour", iterations)
+        problem, is_warm = frame.problem(frame.smoke), paint is not None
+        colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
+        report = replace(report, colour=_step_report(ends, frame, started))
+    kept = frame.carried
+    if context.keeps_carried:
+        kept = Carried(frame.time_code, kept.unclamped if kept is not None else None, colours)
+    return advance(
+        frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report
     )
-    plan = _plan(config.colour.iterations, link, paint is not None, config)
-    link.colours, ends = run_colour_step(
-        link.smoke, start, link.targets, link.scene, config, plan,
-        job.watch(link.frame.time_code)("colour", plan), link.mask,
-        paint is not None,
-    )  # fmt: skip
-    seconds = time.perf_counter() - started
-    link.report = replace(link.report, colour=_step_report(ends, link, seconds))
 
 
-def _finish(links: Iterator[Link], job: Job) -> Iterator[Link]:
-    share, before = job.config.colour.smoothing, None
-    for link, later in _with_next(links):
-        paint = link.paint
+# finish
+
+
+def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[PaintedFrame]:
+    share, before = context.config.colour.smoothing, None
+    for frame, later in _with_next(frames):
+        paint = frame.paint
         if later is not None and paint is not None and later.paint is not None and share:
-            seconds = job.seconds(link, later)
-            link.colours = average_colours(*paint, later.paint, link.frame, seconds, share)
-        if before is not None and not link.left_out:
-            temporal = _temporal_errors(before, link, job)
-            link.report = replace(link.report, temporal=temporal)
-        yield link
-        before = None if link.rests else before if link.left_out else link
+            seconds = context.seconds(frame, later)
+            colours = average_colours(*paint, later.paint, frame.frame, seconds, share)
+            frame = replace(frame, colours=colours)
+        if before is not None and not frame.left_out:
+            temporal = _temporal_errors(before, frame, context.seconds(before, frame))
+            frame = replace(frame, report=replace(frame.report, temporal=temporal))
+        yield frame
+        if not frame.left_out:
+            before = frame
+        elif frame.ends_chain:
+            before = None
 
 
-def _temporal_errors(before: Link, link: Link, job: Job) -> TemporalErrors:
-    seconds, displacement, colour = job.seconds(before, link), None, None
-    if before.displacement is not None and link.displacement is not None:
+def _temporal_errors(before: PaintedFrame, frame: PaintedFrame, seconds: float) -> TemporalErrors:
+    displacement = colour = None
+    if before.displacement is not None and frame.displacement is not None:
         displacement = displacement_error(
-            before.displacement, link.displacement, link.source, before.frame, seconds
+            before.displacement, frame.displacement, frame.source, before.frame, seconds
         )
-    if before.paint is not None and link.paint is not None:
-        colour = colour_error(before.paint, *link.paint, before.frame, seconds)
+    if before.paint is not None and frame.paint is not None:
+        colour = colour_error(before.paint, *frame.paint, before.frame, seconds)
     return TemporalErrors(displacement, colour)
 
 
-def _mover(before: Link | None, link: Link) -> VolumeFrame:
-    """Whose velocity brings smoke from one frame to the next: the earlier one's."""
-    return link.frame if before is None else before.frame
+# in several phases
 
 
-def _with_next(links: Iterator[Link]) -> Iterator[tuple[Link, Link | None]]:
-    """Every link with the next one that is not left out, if that follows at once."""
-    held: Link | None = None
-    for link in links:
-        if held is not None:
-            yield held, None if link.left_out else link
-        held = link
-    if held is not None:
-        yield held, None
+def _chain(
+    frames: Iterator[Phase], phase: type[Result], step: Callable[[Phase, Result | None], Result]
+) -> Iterator[Result]:
+    """Each frame after a step that starts from the frame before; those left out pass through."""
+    before: Result | None = None
+    for frame in frames:
+        done = advance(frame, phase) if frame.left_out else step(frame, before)
+        if done.is_start:
+            before = done
+        elif frame.ends_chain:
+            before = None
+        yield done
 
 
-def _plan(per_octave: Sequence[int], link: Link, warm: bool, config: Config) -> list[int]:
+def _velocity_between(
+    before: OpenedFrame | None, frame: OpenedFrame, context: WindowContext
+) -> tuple[VolumeFrame, float]:
+    """Whose velocity brings smoke from one frame to the next, the earlier one's, and the time."""
+    if before is None:
+        return frame.frame, 0.0
+    return before.frame, context.seconds(before, frame)
+
+
+def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
+    """Every frame with the next one, or None if that is left out or there is none.
+
+    A frame that was yielded is not kept: only its consumer decides how long it is in memory.
+    """
+    waiting: deque[Phase] = deque()
+    for frame in frames:
+        waiting.append(frame)
+        del frame
+        if len(waiting) == 2:
+            yield waiting.popleft(), None if waiting[0].left_out else waiting[0]
+    if waiting:
+        yield waiting.popleft(), None
+
+
+def _iterations(per_octave: Sequence[int], frame: OpenedFrame, is_warm: bool) -> list[int]:
     """Iterations per octave: a share of the finest one's for a frame that has a neighbour.
 
     A frame that starts from the shared coarse step leaves out the octaves that were done there.
     """
-    plan = octave_iterations(per_octave, config.optimize.iterations)
-    if warm:
-        return warm_iterations(plan, config.windows.warm_iterations)
-    n_done = link.coarse.n_octaves(len(plan)) if link.coarse is not None else 0
-    return [0 if number < n_done else n for number, n in enumerate(plan)]
+    iterations = octave_iterations(per_octave, frame.config.optimize.iterations)
+    if is_warm:
+        return warm_iterations(iterations, frame.config.windows.warm_iterations)
+    n_done = frame.coarse.n_octaves(len(iterations)) if frame.coarse is not None else 0
+    return [0 if number < n_done else n for number, n in enumerate(iterations)]
 
 
-def _step_report(ends: Sequence[Minimum], link: Link, seconds: float) -> StepReport:
+def _step_report(ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:
     """How the octaves of a step ended."""
-    views = link.config.views
-    pool = views.pool if link.source.thin_axis is None else 1
+    views = frame.config.views
+    pool = views.pool if frame.source.thin_axis is None else 1
     return StepReport(
-        seconds=seconds,
+        seconds=time.perf_counter() - started,
         loss=tuple(end.smoothed for end in ends),
         iterations=tuple(end.iteration + 1 for end in ends),
         rollbacks=sum(end.rollbacks for end in ends),

@@ -1,29 +1,54 @@
-"""One frame on its way through the chain of a window, and what all of its frames share."""
+"""The state of a frame in its window, one immutable record per phase, and how a frame is opened.
+
+A frame is opened, shaped, moved and painted. Each record has everything of the one before it.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.progress import Progress, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
+from usdsmoke.core.fields.resample import refine_field
+from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.core.sequence.start import Carried, CoarseStart
-from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum
-from usdsmoke.core.style.targets import StyleTargets
-from usdsmoke.core.views.scene import Scene
-from usdsmoke.core.views.visibility import EffectMask, Visibility
+from usdsmoke.core.steps.shape import max_displacement
+from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
+from usdsmoke.core.views.scene import Scene, frame_scene
+from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, frame_visibility
 
-__all__ = ["Job", "Link", "Watch"]
+__all__ = [
+    "NO_STRENGTH",
+    "MovedFrame",
+    "OpenedFrame",
+    "PaintedFrame",
+    "ShapedFrame",
+    "Watch",
+    "WindowContext",
+    "advance",
+    "make_context",
+    "open_frame",
+]
 
 Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
+NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out
+
 
 @dataclass(frozen=True)
-class Job:
+class WindowContext:
     """What all frames of a window share."""
 
     targets: StyleTargets
@@ -33,41 +58,100 @@ class Job:
     time_codes_per_second: float
     starts: Callable[[float], CoarseStart | None]
     watch: Callable[[float], Watch]  # by timeCode
-    keeps_carried: bool = False  # whether links keep what their next ones start from
-    known: Carried | None = None  # of a frame that is not optimised once more
+    keeps_carried: bool = False  # whether frames keep what their next ones start from
+    known: Carried | None = None  # of a frame that is not optimised again
 
-    def seconds(self, earlier: "Link", later: "Link") -> float:
-        """Time between two frames, as the pattern goes: ``windows.pattern_speed`` times as fast.
+    def seconds(self, earlier: "OpenedFrame", later: "OpenedFrame") -> float:
+        """Time between two frames for the pattern: ``windows.pattern_speed`` times the real time.
 
-        The earlier frame's speed holds, whichever of the two the other one's result is carried to.
+        The earlier frame's speed is used in both directions.
         """
-        span = later.frame.time_code - earlier.frame.time_code
+        span = later.time_code - earlier.time_code
         return span / self.time_codes_per_second * earlier.config.windows.pattern_speed
 
+    def known_of(self, frame: "OpenedFrame") -> Carried | None:
+        """The result of a frame that is not optimised again."""
+        is_known = self.known is not None and self.known.time_code == frame.time_code
+        return self.known if is_known else None
 
-@dataclass
-class Link:
-    """One frame on its way through the chain."""
+
+@dataclass(frozen=True, kw_only=True)
+class OpenedFrame:
+    """A checked frame with its own settings."""
 
     frame: VolumeFrame
-    density: DenseField  # refined, then moved; all of it
-    source: ActiveSmoke  # what is worked on: the visible smoke and a little around
-    smoke: ActiveSmoke  # what is painted: of the moved density, without what is around
+    density: DenseField  # refined; all of it
+    source: ActiveSmoke  # what the shape step moves: the visible smoke and a little around it
+    smoke: ActiveSmoke  # what is painted: the visible smoke alone
     mask: EffectMask | None
-    left_out: str  # why nothing is done; "" when there is something to do
+    visibility: Visibility | None  # None: all of the smoke is visible
     coarse: CoarseStart | None
-    config: Config  # the job's, with the frame's own controls
+    config: Config  # the window's, with the frame's own controls
     scene: Scene  # likewise, with its camera
     targets: StyleTargets  # likewise
-    visibility: Visibility | None = None  # None: all of the smoke is worked on
-    rests: bool = False  # left out for its strength of 0: what comes after it starts anew
-    report: FrameReport = field(default_factory=FrameReport)  # replaced as steps are done
-    free: Displacement | None = None  # before it is held below the cap: what is carried along
-    settled: Displacement | None = None  # averaged with the following frame's
-    displacement: Displacement | None = None  # what the density was moved by, at full strength
-    carried: Carried | None = None  # where the job asks for it
+    report: FrameReport
+
+    @property
+    def time_code(self) -> float:
+        """Of the frame."""
+        return self.frame.time_code
+
+    @property
+    def left_out(self) -> str:
+        """Why nothing is done; "" for a frame that is stylized."""
+        return self.report.left_out
+
+    @property
+    def ends_chain(self) -> bool:
+        """Whether the frame after it does not start from the frames before it."""
+        return self.left_out == NO_STRENGTH
+
+    @property
+    def in_effect(self) -> bool:
+        """Whether the result differs from the source."""
+        return not self.left_out and self.config.optimize.strength > 0
+
+    @property
+    def has_coarse_displacement(self) -> bool:
+        """Whether the shared coarse step has moved the frame."""
+        return self.coarse is not None and self.coarse.displacement is not None
+
+    def problem(self, smoke: ActiveSmoke) -> StepProblem:
+        """What a step works on."""
+        return StepProblem(smoke, self.targets, self.scene, self.config, self.mask)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapedFrame(OpenedFrame):
+    """Has a displacement, unless it is left out."""
+
+    unclamped: Displacement | None = None  # the frame's own; averaged with the next one's later
+    carried: Carried | None = None  # where the context asks for it
+
+    @property
+    def is_start(self) -> bool:
+        """Whether the next frame can start from it."""
+        return self.unclamped is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovedFrame(ShapedFrame):
+    """Its density and smoke are moved."""
+
+    displacement: Displacement | None = None  # clamped, at full strength
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaintedFrame(MovedFrame):
+    """Has colours, unless it is left out."""
+
     painted: ActiveSmoke | None = None
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
+
+    @property
+    def is_start(self) -> bool:
+        """Whether the next frame can start from it."""
+        return self.paint is not None
 
     @property
     def paint(self) -> tuple[ActiveSmoke, Tensor] | None:
@@ -76,7 +160,123 @@ class Link:
             return None
         return self.painted, self.colours
 
-    @property
-    def in_effect(self) -> bool:
-        """Whether the result differs from the source."""
-        return not self.left_out and self.config.optimize.strength > 0
+
+Phase = TypeVar("Phase", bound=OpenedFrame)
+
+
+def advance(frame: OpenedFrame, phase: type[Phase], **values: Any) -> Phase:
+    """The frame's record of a later phase: all that it has, and ``values``."""
+    return phase(**{**vars(frame), **values})
+
+
+def make_context(
+    styles: Sequence[np.ndarray],
+    scene: Scene,
+    config: Config,
+    progress: ProgressCallback | None,
+    time_codes_per_second: float,
+    starts: Callable[[float], CoarseStart | None] | None,
+    n_frames: int,
+) -> WindowContext:
+    """The context of a window; arguments as of ``stylize.stylize_window``."""
+    device = choose_device(config.optimize)
+    targets = make_targets(styles, scene, config, device)
+    watch = partial(_watcher, progress, n_frames, [])
+    starts = starts or (lambda time_code: None)
+    return WindowContext(targets, scene, config, device, time_codes_per_second, starts, watch)
+
+
+def _watcher(
+    progress: ProgressCallback | None, n_frames: int, seen: list[float], time_code: float
+) -> Watch:
+    """Turns the optimiser's states of a step into progress records; numbers frames as they come."""
+    if time_code not in seen:
+        seen.append(time_code)
+    frame = seen.index(time_code)
+
+    def of_step(step: str, iterations: Sequence[int]) -> Callable[[int, Minimum], None]:
+        def report(octave: int, state: Minimum) -> None:
+            if progress is not None:
+                done = sum(iterations[:octave]) + state.iteration
+                progress(
+                    Progress(
+                        step, time_code, frame, n_frames, octave, len(iterations), done,
+                        sum(iterations), state.smoothed,
+                    )
+                )  # fmt: skip
+
+        return report
+
+    return of_step
+
+
+def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
+    """The first record of a frame.
+
+    Raises:
+        NonFiniteError: it holds NaN or infinity.
+        ConfigError: its controls are out of range.
+    """
+    # check the fields, and find the frame's own settings
+    _check_finite(frame)
+    shared, n_styles = context.config, len(context.targets.images)
+    config = frame_config(shared, frame.controls, frame.time_code, n_styles)
+    scene, targets, extinction = context.scene, context.targets, None
+    if config is not shared:
+        scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
+        extinction = scene.gamma_w
+
+    # find the smoke that is visible and not masked
+    density = refine_field(frame.density, shared.grids.refine)
+    source = smoke = activate(density, frame.density_to_stage, context.device)
+    limit = max_displacement(source, shared.shape.reach) if len(source.ijk) else 0.0
+    visibility = frame_visibility(frame, source, limit, shared.views.camera_margin)
+    mask = effect_mask(frame, visibility)
+    left_out, n_outside = _why_left_out(source, mask, visibility, config), None
+    if visibility is not None:
+        n_outside = int((visibility.at(source.positions) == 0).sum())
+    warnings = _mask_warnings(frame, mask)
+    report = FrameReport(len(source.ijk), n_outside, warnings, left_out, extinction)
+    if visibility is not None and not left_out:
+        source, smoke = visibility.padded(source), visibility.visible(source)
+    return OpenedFrame(
+        frame=frame, density=density, source=source, smoke=smoke, mask=mask, visibility=visibility,
+        coarse=context.starts(frame.time_code), config=config,
+        scene=replace(scene, camera=frame.camera), targets=targets, report=report,
+    )  # fmt: skip
+
+
+def _why_left_out(
+    source: ActiveSmoke, mask: EffectMask | None, visibility: Visibility | None, config: Config
+) -> str:
+    """Why there is nothing to do for a frame; "" when there may be, if its strength is not 0."""
+    if len(source.ijk) == 0:
+        return "empty frame"
+    if visibility is not None and not bool(visibility.at(source.positions).any()):
+        return "outside the camera's frustum"
+    if mask is not None and not bool(mask.at(source.positions).any()):
+        where = "the camera sees smoke" if visibility is not None else "there is smoke"
+        return f"the mask is 0 wherever {where}"
+    return "losses.style is 0" if config.losses.style == 0 else ""
+
+
+def _check_finite(frame: VolumeFrame) -> None:
+    for item in (frame.density, frame.velocity, frame.mask):
+        if item is None:
+            continue
+        count = sum(int((~np.isfinite(part)).sum()) for part in (item.values, item.background))
+        if count:
+            raise NonFiniteError(
+                f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
+                "infinite. Set grids.repair_nan to the value that replaces them."
+            )
+
+
+def _mask_warnings(frame: VolumeFrame, mask: EffectMask | None) -> tuple[str, ...]:
+    if mask is None or not mask.n_clamped:
+        return ()
+    name = frame.mask.name if frame.mask is not None else ""
+    return (
+        f'{mask.n_clamped} values of the mask "{name}" at timeCode {frame.time_code:g} are not '
+        "between 0 and 1 and were clamped",
+    )

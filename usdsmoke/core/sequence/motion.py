@@ -1,18 +1,18 @@
-r"""The smoke's velocity from two frames' densities alone, for shots that come without one.
+r"""The smoke's velocity from two frames' densities, for shots without a velocity.
 
-A variational estimate: the motion v is sought along whose own path the later frame's smoke, traced
-back, finds the earlier one's,
+A variational estimate of the motion v for which the later frame's smoke, traced back along its own
+path, agrees with the earlier frame's,
 
     d_after(x) = (1 + m(x)) d_before(departure(x; v)),
 
 with a motion that varies smoothly [Horn1981] and hardly changes the smoke's volume [Corpetti2002],
-robust against smoke that appears [Brox2004], and with a smooth relative change m, so that smoke
-which fades or thickens is not taken for one that moves [Negahdaripour1998]. The data term is summed
+robust against smoke that appears [Brox2004], and with a smooth relative change m, so that fading
+or thickening is not mistaken for motion [Negahdaripour1998]. The data term is summed
 over the voxels around each point of the motion's lattice [Lucas1981, Bruhn2005]. It is linearised
 again after every warp, coarse to fine [Brox2004].
 
-What is sought is a velocity, not a displacement: each warp traces back along it exactly as
-``core.warm.departure_points`` does, so that curved paths end where they should.
+The unknown is a velocity, not a displacement: each warp traces back along it exactly as
+``coherence.departure_points`` does, so that curved paths end where they should.
 """
 
 import math
@@ -38,9 +38,7 @@ LATTICE = 2  # voxels of a density's level along an axis of one voxel of its mot
 REACH, REACH_SHARE = 16, 0.25  # how far around the later box the earlier smoke is looked at
 # Coarse levels hold less detail to go by, and cost next to nothing.
 COARSE_SMOOTHNESS, COARSE_WARPS = 2.0, 2  # times more, at each level and at all of them
-LEAST_DENSITY_SHARE = (
-    1e-3  # share of the greatest density below which a voxel does not count for the scale
-)
+LEAST_SHARE = 1e-3  # of the greatest density: thinner voxels are not used for the scale
 
 
 @dataclass(frozen=True)
@@ -103,8 +101,8 @@ def estimate_velocity(
     """
     if not (math.isfinite(seconds) and seconds != 0):
         raise NonFiniteError(
-            f"cannot estimate a velocity over {seconds} seconds; wanted a finite time that is not "
-            "0: give two frames at different timeCodes"
+            f"cannot estimate a velocity over {seconds} seconds. Give two frames at different "
+            "timeCodes."
         )
     place = after.density.index_to_world
     if after.density.is_empty:
@@ -182,10 +180,9 @@ def _place_densities(
     peak = float(after.density.values.max())
     if before.density.is_empty or peak <= 0 or not before.density.values.any():
         return None
-    counted = after.density.values[after.density.values > LEAST_DENSITY_SHARE * peak].astype(
-        np.float64
-    )
-    scale = peak * math.sqrt(np.mean((counted / peak) ** 2))
+    values = after.density.values
+    thick = values[values > LEAST_SHARE * peak].astype(np.float64)
+    scale = peak * math.sqrt(np.mean((thick / peak) ** 2))
     smoke_after, smoke_before = (
         torch.from_numpy((frame.density.values / scale).astype(np.float32)).to(device)
         for frame in (after, before)

@@ -25,13 +25,13 @@ __all__ = [
     "solve_increment",
 ]
 
-# Where the ten different entries of a symmetric 4 x 4 matrix stand.
+# Rows and columns of the ten different entries of a symmetric 4 x 4 matrix.
 PAIRS = tuple((row, column) for row in range(4) for column in range(row, 4))
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is thought of a motion before anything is seen; all weights >= 0.
+    """Weights of the prior energy of a motion; all >= 0.
 
     Densities are scaled so that the smoke's root mean square is 1.
     """
@@ -95,7 +95,7 @@ def solve_increment(
         motion: [4 i j k], the motion so far.
         prior: its weights.
         spacing: three distances between lattice points.
-        n_iterations: at most so many.
+        n_iterations: at most this many.
         tolerance: the residual's share at which it is enough, in the preconditioner's norm.
     """
     diagonal = tensor[[PAIRS.index((c, c)) for c in range(4)]]
@@ -174,5 +174,5 @@ def _central(values: Tensor, axis: int, border: float) -> Tensor:
 
 
 def _dot(left: Tensor, right: Tensor) -> Tensor:
-    """The sum of products, row by row, so that its bits do not hang on the number of threads."""
+    """The sum of products, row by row, so that its bits do not depend on the number of threads."""
     return (left * right).sum(dim=3).sum(dim=2).sum(dim=1).sum()

@@ -1,7 +1,7 @@
-"""Where a frame's optimisation starts: its neighbour's result, and the shot's coarse one.
+"""Where a frame's optimisation starts: its neighbour's result, and the shot's coarse result.
 
-The coarse result is made once for the whole shot, so what windows have in common comes from there:
-where the style sits. The neighbour's result has the detail.
+The coarse result is made once for the whole shot and fixes what windows have in common: the places
+of the style. The neighbour's result has the detail.
 """
 
 import math
@@ -14,13 +14,12 @@ from torch import Tensor
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
-from usdsmoke.core.sequence.coherence import carry_displacement
-from usdsmoke.core.sequence.warm import carry_colours, fill_colours
+from usdsmoke.core.sequence.coherence import carry_colours, carry_displacement, fill_colours
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
 __all__ = ["Carried", "CoarseStart", "start_colours", "start_displacement"]
 
-# Share of the difference to the coarse result that a carried one is corrected by. More keeps
+# Share of the difference to the coarse result by which a carried result is corrected. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
 PULL_DISPLACEMENT = 0.35
 PULL_COLOUR = 0.5
@@ -28,20 +27,18 @@ PULL_COLOUR = 0.5
 
 @dataclass(frozen=True)
 class Carried:
-    """What a frame's next one starts from: with it a chain goes on as if it had not been cut."""
+    """What the next frame starts from: a sequence continues with it as if it had not been cut."""
 
     time_code: float
-    free: Displacement | None = None  # before it is held below the cap or averaged
+    unclamped: Displacement | None = None  # neither clamped nor averaged
     colours: Tensor | None = None  # display-encoded [N 3] of the painted voxels, not averaged
 
     def to(self, device: torch.device) -> "Carried":
         """The same on a device."""
-        free = self.free
-        return Carried(
-            self.time_code,
-            None if free is None else Displacement(free.values.to(device), free.lattice),
-            None if self.colours is None else self.colours.to(device),
-        )
+        unclamped, colours = self.unclamped, self.colours
+        if unclamped is not None:
+            unclamped = Displacement(unclamped.values.to(device), unclamped.lattice)
+        return Carried(self.time_code, unclamped, None if colours is None else colours.to(device))
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ def start_colours(
     seconds: float,
     seed: int,
 ) -> Tensor | None:
-    """The display-encoded colours to start from, [N 3]; None where there is nothing to start from.
+    """The display-encoded colours to start from, [N 3]; None where there is nothing.
 
     Args:
         before: the neighbour's painted smoke and its colours.
@@ -106,7 +103,7 @@ def start_colours(
         frame: for its velocity.
         painted: this frame's painted smoke.
         seconds: since the neighbour.
-        seed: of the noise for smoke that has come from nowhere.
+        seed: of the noise for new smoke.
     """
     if len(painted.ijk) == 0:
         return None
@@ -125,7 +122,7 @@ def start_colours(
 
 
 def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:
-    """Means over the coarse lattice's voxels, [i j k 3]: what lies beyond the fine box is 0."""
+    """Means over the coarse lattice's voxels, [i j k 3]; 0 beyond the fine box."""
     voxels = fine.lattice.on_voxels(partial(_voxel_of, coarse), fine.values)
     sums, counts = _bin(voxels.view(-1), fine.values.reshape(-1, 3), coarse.shape)
     return (sums / counts.clamp_min(1.0)).view(*coarse.shape, 3).to(fine.values)

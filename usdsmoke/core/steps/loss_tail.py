@@ -1,4 +1,4 @@
-"""What the end of a loss's history tells: how far it would still fall, and how much views differ.
+"""Estimates from the history of a loss: how far it would still fall, and how much views differ.
 
 Plain numbers, no tensors: a few milliseconds for hundreds of iterations.
 """
@@ -12,14 +12,14 @@ __all__ = ["FEWEST", "remaining_decrease", "spread_of_mean"]
 
 FEWEST = 10  # iterations from which a tail can be fitted
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
-_SEPARABLE = 48  # iterations from which a tail can be told from the steps' own part
+_SEPARABLE = 48  # iterations that separate a tail from the steps' own part
 _BOWL = 0.1  # weight of an exponential beside a tail of the other kind
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
-_SHORTEST = 8  # iterations whose spread can be told from a slope
+_SHORTEST = 8  # iterations that separate a spread from a slope
 
 
 def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float:
-    """How far the loss would still fall if its optimisation went on for ever, in its unit.
+    """How far the loss would still fall with infinitely many iterations, in its unit.
 
     Tails L + A / (1 + s / a) + B r and L + A exp(-s / T) + B r with A, B >= 0 are fitted by least
     squares to all but the first third of the history for several a and T. Here s is the length of
@@ -64,8 +64,8 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
 def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
     """Standard error of the mean loss over a pool of views, relative to that mean.
 
-    The last passage through the pool is looked at, or eight iterations; every iteration has drawn
-    other views, and the loss changes little meanwhile: a straight line is taken off.
+    From the last pass through the pool, or eight iterations. Every iteration draws other views, and
+    the loss changes little meanwhile: a straight line is subtracted.
 
     Args:
         losses: one an iteration, each the mean over ``count`` views.

@@ -1,14 +1,13 @@
 """Density moved by a displacement: with which voxels, how accurately, and with what mass."""
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import Estimate, TransportReport
-from usdsmoke.base.settings import Config
+from usdsmoke.base.sections import ShapeConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice, field_from_box
 from usdsmoke.core.fields.potential import Displacement, border_mask
@@ -43,60 +42,71 @@ def move_density(
     density: DenseField,
     source: ActiveSmoke,
     displacement: Displacement,
-    config: Config,
+    shape: ShapeConfig,
+    strength: float,
     share: Tensor | None = None,
     is_part: bool = False,
 ) -> tuple[DenseField, TransportReport]:
-    """The full density moved by the accurate scheme, and what that did to it.
+    """The full density moved by the accurate scheme, and the errors of that.
 
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
         displacement: on the box that ``lattice.surround(source, PADDING)`` gives.
-        config: strength, scheme and correction of mass.
+        shape: scheme and correction of mass.
+        strength: factor of the displacement.
         share: the mask's values on that box; where it is 0 the source stays bit for bit.
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
     """
+    # move the box by its share of the displacement
     lattice = displacement.lattice
     box = lattice.fill(source)
-    sides = box.new_tensor(lattice.spacing)
-    u = lattice.from_stage(displacement.values).mul_(config.optimize.strength)
-    report = TransportReport(largest_displacement=float(u.norm(dim=-1).max()))
-    u.div_(sides)
-    moved = warp(box, u, scheme=config.shape.interpolation).clamp_min(0)
-    # round-off of the spline is no smoke: it would fill the box with active voxels
+    u = lattice.from_stage(displacement.values).mul_(strength)
+    largest = float(u.norm(dim=-1).max())
+    u.div_(box.new_tensor(lattice.spacing))
+    scheme = shape.interpolation
+    moved = warp(box, u, scheme=scheme).clamp_min(0)
+    # round-off of the spline is not smoke: it would fill the box with active voxels
     moved = torch.where(moved > LEAST_SHARE * box.max(), moved, torch.zeros_like(moved))
-    if config.shape.interpolation != "linear":
+
+    # measure the errors of the scheme
+    linear = None
+    if scheme != "linear":
         active = torch.nonzero((box > 0) | (moved > 0))
         cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
         difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
-        report = replace(report, linear_difference=float(difference))
+        linear = float(difference)
     started = time.perf_counter()
-    error = warp_error(box, u, moved, config.shape.interpolation)
+    error = warp_error(box, u, moved, scheme)
     # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
-    linear = report.linear_difference
     value = error.value if linear is None else min(error.value, linear)
-    seconds = time.perf_counter() - started
+    estimate = Estimate(value, time.perf_counter() - started, error.order)
     del u
-    result, mass_error = _with_mass(moved, box, config, share)
-    estimate = Estimate(value, seconds, error.order)
-    report = replace(report, error=estimate, mass_error=mass_error)
+
+    # restore the mass, and put the box into the field
+    result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
+    report = TransportReport(
+        largest_displacement=largest,
+        linear_difference=linear,
+        error=estimate,
+        mass_error=mass_error,
+    )
     return field_from_box(density, values, low), report
 
 
 def _with_mass(
-    moved: Tensor, box: Tensor, config: Config, share: Tensor | None
+    moved: Tensor, box: Tensor, is_corrected: bool, share: Tensor | None
 ) -> tuple[Tensor, float]:
-    """The moved density with the mass it had where asked for, and the error it had before."""
+    """The moved density, with the mass it had if that is corrected, and the error before."""
     if share is None:
         corrected, error = correct_mass(moved, box)
-        return corrected if config.shape.mass_correction else moved, error
+        return corrected if is_corrected else moved, error
     # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
     here, result = share > 0, box.clone()
     corrected, error = correct_mass(moved[here], box[here])
-    result[here] = corrected if config.shape.mass_correction else moved[here]
+    result[here] = corrected if is_corrected else moved[here]
     return result, error
 
 

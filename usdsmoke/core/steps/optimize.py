@@ -1,4 +1,4 @@
-"""Adam that keeps the best it had: rolls back, slows down and stops when converged.
+"""Adam that keeps the best state: it rolls back, slows down and stops when converged.
 
 It minimises any objective and knows nothing of smoke, so it can be tested on a quadratic bowl.
 """
@@ -14,15 +14,13 @@ from torch import Tensor
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.machine import give_back_memory
 
-__all__ = ["Adam", "Minimum", "minimize"]
+__all__ = ["Adam", "Descent", "Minimum", "minimize"]
 
-BLOW_UP = 10.0  # a loss this many times the best recent one counts as a step gone wrong
+BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wrong
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
 MOST_ROLLBACKS = 12
 REMEMBER_EVERY = 8  # iterations between two states to roll back to
-WORSE = (
-    1.05  # an end this much above the best remembered state gives way to it; views differ by less
-)
+WORSE = 1.05  # a last state this much above the best one is replaced by it; views differ by less
 
 
 @dataclass
@@ -81,8 +79,18 @@ def _root_mean_square(tensors: list[Tensor]) -> float:
 
 
 @dataclass(frozen=True)
+class Descent:
+    """How an objective is minimised; see ``minimize``."""
+
+    rate: float
+    n_iterations: int
+    tolerance: float = 0.0
+    epsilon: float = Adam.epsilon
+
+
+@dataclass(frozen=True)
 class Minimum:
-    """Where an optimisation stands; yielded after every good iteration, the last is the result."""
+    """The state of an optimisation, yielded after every good iteration; the last is the result."""
 
     iteration: int
     loss: float
@@ -107,14 +115,14 @@ def minimize(
     """Minimises ``objective`` over ``parameters`` in place; one item per good iteration.
 
     A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
-    and moments back to the last good state and halves the rate; but not where that state would
-    have had such a loss in this iteration too: views differ, the more so the nearer a loss is to
-    nothing. The run ends early when the
-    smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of the iterations.
-    At the end the best remembered state comes back if the last one is clearly worse.
+    and moments back to the last good state and halves the rate; but not where that state has such a
+    loss in this iteration too: views differ, the more so the nearer a loss is to 0. The run ends
+    early when the smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of
+    the iterations. At the end the best remembered state is restored if the last one is clearly
+    worse.
 
     Args:
-        objective: iteration -> scalar loss; draws whatever it draws by that number.
+        objective: iteration -> scalar loss; its random draws depend on that number.
         parameters: leaf tensors that require gradients; changed in place.
         rate: Adam's step; full for the first half, then linearly down to a tenth.
         n_iterations: at most this many; 0 yields nothing.
@@ -162,7 +170,7 @@ def _evaluate(
     """The loss and its gradients; NaN and none where something on the way was not finite."""
     try:
         loss = objective(iteration)
-    except NonFiniteError:  # parameters that overflow; whoever noticed cannot know of them
+    except NonFiniteError:  # parameters that overflow
         return math.nan, []
     if not loss.requires_grad:  # nothing in it depends on the parameters
         return float(loss), [torch.zeros_like(p) for p in parameters]
@@ -185,7 +193,7 @@ def _schedule(fraction: float) -> float:
 
 
 class _State:
-    """Where an optimisation stands, and where it stood when all was well."""
+    """The present state of an optimisation, and the states to return to."""
 
     def __init__(self, parameters: list[Tensor], adam: Adam, rate: float) -> None:
         self.parameters, self.adam, self.rate = parameters, adam, rate
@@ -229,7 +237,7 @@ class _State:
             raise NonFiniteError(
                 f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best "
                 f"{self._best:.3g}, after {MOST_ROLLBACKS} halvings of the learning rate from "
-                f"{self._first_rate:g}; lower it and look for extreme values in the inputs"
+                f"{self._first_rate:g}. Lower it, or check the inputs for extreme values."
             )
         self._put(self._good[0])
         self.adam.restore(self._good[1])
@@ -253,8 +261,8 @@ class _State:
         """
         if latest is None:
             raise NonFiniteError(
-                f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations; "
-                "look for extreme values in the inputs"
+                f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations. "
+                "Check the inputs for extreme values."
             )
         worse = self.rollbacks > 0 and not self._is_sound(last_loss())
         restored = worse or self.smoothed > WORSE * self._kept_loss

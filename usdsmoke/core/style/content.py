@@ -1,9 +1,9 @@
-r"""How much of its content a picture keeps: its features, its edges, its local colours.
+r"""Distances of a picture from its content picture: in features, in edges, in local colours.
 
-Pictures are [H W 3], display-encoded. A guide T [H W] >= 0 says where the smoke is: pixels count
-with T^2, as in ``losses.gram_matrix``, and those of T = 0 have no influence. Every distance is
-normalised by the guided area, so that a masked region and a whole picture compare, is 0 for an
-empty guide, and has no gradient but through the picture.
+Pictures are [H W 3], display-encoded. A guide T [H W] >= 0 says where the smoke is: pixels are
+weighted by T^2, as in ``losses.gram_matrix``, and those of T = 0 have no influence. Every distance
+is normalised by the guided area, so that a masked region and a whole picture compare, is 0 for an
+empty guide, and has a gradient through the picture only.
 
 - features: relative distance of feature maps [Gatys2016; Christen2020, eq. 2];
 - edges: distance of the Laplacians of mean-pooled pictures [Li2017];
@@ -37,13 +37,13 @@ def content_distance(
     r"""Relative distance of feature maps [Gatys2016; Christen2020, eq. 2], guided; scalar, >= 0.
 
     sum_l w_l |T (F - F_C)| / |T F_C| with the 2-norm over channels and pixels, rooted and relative
-    so that every layer counts alike. |T F_C| is at least what features of rms 5e-3 have, and the
+    so that layers have equal weight. |T F_C| is at least what features of rms 5e-3 have, and the
     root is smoothed below 1e-4, where the distance is quadratic: 0 and flat at the content itself.
 
     Args:
         maps: features of the picture by layer, [1 C h w].
         content_maps: those of the content.
-        weights: w_l by layer; layers of weight 0 are not looked at.
+        weights: w_l by layer; layers of weight 0 are skipped.
         guide: T, [H W], any size; averaged to the maps' size. None means 1 everywhere.
 
     Gradients: through ``maps``.
@@ -113,7 +113,7 @@ def photorealism_distance(
         picture: [H W 3], display-encoded.
         content: the same shape.
         guide: T, [H W]. None means 1 everywhere.
-        epsilon: how strongly steep recolouring is held back, > 0; contents whose contrast in a
+        epsilon: > 0, penalises steep recolouring; contents whose contrast in a
             window is below its root / 3 count as flat.
 
     Gradients: through ``picture``; those of the best a and b vanish, as J_k is least there.
@@ -224,8 +224,8 @@ def _single(values: Tensor) -> Tensor:
 def _check_same(what: str, found: Tensor, wanted: Tensor) -> None:
     if found.shape != wanted.shape:
         raise ShapeError(
-            f"{what}: {list(found.shape)} does not fit the content's {list(wanted.shape)}; "
-            "make both of the same size"
+            f"{what}: {list(found.shape)} does not fit the content's {list(wanted.shape)}. "
+            "Give both the same size."
         )
 
 
@@ -233,6 +233,6 @@ def _check_pictures(what: str, picture: Tensor, content: Tensor, guide: Tensor |
     _check_same(f"{what}: the picture", picture, content)
     if guide is not None and guide.shape != picture.shape[:2]:
         raise ShapeError(
-            f"{what}: the guide is {list(guide.shape)}, the picture {list(picture.shape)}; "
-            "make the guide [H W] of the same size"
+            f"{what}: the guide is {list(guide.shape)}, the picture {list(picture.shape)}. "
+            "Give a guide [H W] of the same size."
         )

@@ -1,7 +1,7 @@
 """The fixed numbers that the embedded features are made of, and a hash of them; without torch.
 
-Who raises, lowers or adds a number here changes what every result is compared by. A change of the
-method that no number shows raises ``REVISION``.
+Every change of a number changes all results. Increase ``REVISION`` for a change of the method that
+changes no number.
 """
 
 import hashlib
@@ -56,8 +56,8 @@ WHITENING_FLOOR = 0.02  # of the largest eigenvalue
 DEVIATION_SHARE = 0.1  # of the largest deviation: a floor for that of a filter's response
 COLOUR_RELATIVE = 0.1  # of the largest eigenvalue of the colours
 
-# Only styles of (nearly) one colour come below these. Whatever is painted differs from such a style
-# by hundreds of its deviations, and three and more layers of that do not fit float32.
+# Only styles of (nearly) one colour are below these. Any picture differs from such a style by
+# hundreds of its deviations, and three or more layers of that overflow float32.
 LEAST_VARIANCE = 1e-4  # of colour
 LEAST_POWER = 0.1  # variance of all patches; pictures have 50 and more
 LEAST_DEVIATION = 0.05  # of a filter's response; pictures have 0.4 and more

@@ -1,12 +1,25 @@
-"""Which of a network's layers pictures are compared by; torch is not needed to tell."""
+"""What a network offers, without loading torch: its layers, and the file of its weights."""
 
-from usdsmoke.base.errors import ConfigError
+import os
+from pathlib import Path
+
+from usdsmoke.base.errors import ConfigError, FeatureError
 from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
-__all__ = ["VGG19_BLOCKS", "content_layers", "layer_names", "style_layers", "vgg19_layers"]
+__all__ = [
+    "VGG19_BLOCKS",
+    "VGG19_FILE_NAME",
+    "content_layers",
+    "find_vgg19_file",
+    "layer_names",
+    "named_vgg19_file",
+    "style_layers",
+    "vgg19_layers",
+]
 
 VGG19_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
+VGG19_FILE_NAME = "vgg19-dcbb9e9d.pth"  # as torchvision names it
 VGG19_STYLE = ("relu2_1", "relu3_1")  # [Christen2020, section 4]
 
 
@@ -37,20 +50,20 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
     for name in names:
         if name not in known:
             raise ConfigError(
-                f"features.layers names {name!r}, which the {config.network} network has not; "
-                f"it has: {', '.join(known)}"
+                f"features.layers names {name!r}, which the {config.network} network does not "
+                f"have. Choose from: {', '.join(known)}."
             )
     weights = config.weights or [1.0] * len(names)
     if len(weights) != len(names):
         raise ConfigError(
             f"features.weights holds {len(weights)} numbers for {len(names)} style layers "
-            f"({', '.join(names)}); give one for each or none"
+            f"({', '.join(names)}). Give one for each, or none."
         )
     used = {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}
     if not used:
         raise ConfigError(
-            f"features.weights are all 0 for the style layers {', '.join(names)}; wanted at least "
-            "one above 0, or losses.style=0 to leave the style out"
+            f"features.weights are all 0 for the style layers {', '.join(names)}. Set at least "
+            "one above 0, or losses.style=0 to leave the style out."
         )
     return used
 
@@ -65,9 +78,32 @@ def content_layers(config: FeaturesConfig) -> tuple[str, ...]:
     for name in config.content_layers:
         if name not in known:
             raise ConfigError(
-                f"features.content_layers names {name!r}, which the {config.network} network has "
-                f"not; it has: {', '.join(known)}"
+                f"features.content_layers names {name!r}, which the {config.network} network "
+                f"does not have. Choose from: {', '.join(known)}."
             )
     if config.content_layers:
         return tuple(config.content_layers)
     return (max(style_layers(config), key=known.index),)
+
+
+def named_vgg19_file(configured: str = "") -> str:
+    """The file that was asked for, by setting or by ``USDSMOKE_VGG19``; "" if none was."""
+    return configured or os.environ.get("USDSMOKE_VGG19", "")
+
+
+def find_vgg19_file(configured: str = "") -> Path:
+    """The weights file: as configured, from ``USDSMOKE_VGG19``, or in torch's hub cache.
+
+    Raises:
+        FeatureError: there is none; the message lists where it was looked for.
+    """
+    cache = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch"))
+    named = named_vgg19_file(configured)
+    places = [Path(named)] if named else [cache / "hub" / "checkpoints" / VGG19_FILE_NAME]
+    for place in places:
+        if place.is_file():
+            return place
+    raise FeatureError(
+        f"no VGG-19 weights at {places[0]}. Give torchvision's {VGG19_FILE_NAME} or a safetensors "
+        "file as features.vgg19_file or in USDSMOKE_VGG19, or set features.network=embedded."
+    )

@@ -1,4 +1,4 @@
-r"""The style statistics that pictures are compared by.
+r"""The loss of a picture: the distance of its features from a style, and what it keeps of itself.
 
 The style loss of a layer compares Gram matrices G = F F^T / sum T^2 of guided features T * F
 [Christen2020, eqs. 3 and 7; Gatys2017]. Deviations from the paper, each for stability or speed of
@@ -7,30 +7,214 @@ convergence:
 - normalised by the guided area, so that a masked region and a whole image compare;
 - channels are scaled by their rms on the style, and a constant channel is appended, so that the
   Gram matrix holds the means too and colour cannot drift;
-- relative and rooted, |G - G_S| / |G_S| in the Frobenius norm, so that every layer counts alike and
-  a bad start does not explode;
+- relative and rooted, |G - G_S| / |G_S| in the Frobenius norm, so that every layer has the same
+  weight and a bad start does not explode;
 - sums are accumulated in float32 at least.
 
-Instead of Gram matrices, or beside them, the distributions of the features are compared: channel by
+Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
 [Heitz2021]).
 """
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.sections import LossesConfig
-from usdsmoke.core.style.content import content_distance
+from usdsmoke.core.smoke.srgb import luminance
+from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 
-__all__ = ["StyleTarget", "gram_matrix", "total_variation"]
+__all__ = ["Content", "PictureLoss", "StyleTarget", "gram_matrix", "total_variation"]
 
 N_DRAWS = 16  # sets of directions of sliced Wasserstein, taken in turn
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is known of a view's content picture: the smoke's own, before anything is changed."""
+
+    grey: Tensor  # [H W 3], three equal channels
+    maps: tuple[dict[str, Tensor], ...]  # by style image: the embedded network depends on it
+
+
+class PictureLoss:
+    """Weighted sum of the losses of a picture; a loss of weight 0 is not evaluated.
+
+    The content is a grey picture. Features and edges are compared with those of the picture's
+    luminance, so that they keep light and dark and leave the colours to the style.
+
+    Args:
+        targets: one for each style image.
+        shares: of the style images, adding up to 1.
+        losses: the other weights.
+    """
+
+    def __init__(
+        self, targets: Sequence["StyleTarget"], shares: Sequence[float], losses: LossesConfig
+    ) -> None:
+        self._targets = tuple(zip(shares, targets, strict=True))
+        self._losses = losses
+
+    @property
+    def uses_content(self) -> bool:
+        """Whether any loss looks at the content picture."""
+        losses = self._losses
+        return losses.content > 0 or losses.laplacian > 0 or losses.photorealism > 0
+
+    def content(self, grey: Tensor) -> Content:
+        """What the losses need of a content picture [H W 3], display-encoded grey."""
+        targets = self._targets if self._losses.content else ()
+        return Content(grey, tuple(target.content_maps(grey) for _, target in targets))
+
+    def __call__(
+        self, picture: Tensor, guide: Tensor, content: Content | None = None, draw: int = 0
+    ) -> Tensor:
+        """The loss of a picture, a scalar.
+
+        Args:
+            picture: [H W 3], display-encoded.
+            guide: T of the guidance mask, [H W] in [0, 1].
+            content: from ``content``; None leaves out the losses that need it.
+            draw: picks random directions where a loss has any, e.g. the iteration.
+
+        Gradients: through ``picture``.
+        """
+        total = picture.new_zeros(())
+        for share, target in self._targets:
+            total = total + share * target.loss(picture, guide, draw)
+        if self._losses.total_variation:
+            total = total + self._losses.total_variation * total_variation(picture)
+        return total if content is None else total + self._content_loss(picture, guide, content)
+
+    def _content_loss(self, picture: Tensor, guide: Tensor, content: Content) -> Tensor:
+        losses, total = self._losses, picture.new_zeros(())
+        grey = luminance(picture)[..., None].expand(-1, -1, 3)
+        if losses.content:
+            for (share, target), maps in zip(self._targets, content.maps, strict=True):
+                total = total + share * losses.content * target.content_loss(grey, maps, guide)
+        if losses.laplacian:
+            total = total + losses.laplacian * laplacian_distance(grey, content.grey, guide)
+        if losses.photorealism:
+            distance = photorealism_distance(picture, content.grey, guide)
+            total = total + losses.photorealism * distance
+        return total
+
+
+class StyleTarget:
+    """The features of one style image at one size, and the losses measured by its network.
+
+    Args:
+        style: [H W 3], display-encoded.
+        network: feature maps by name.
+        layers: weight of each style layer; one of weight 0 is not evaluated.
+        losses: which statistic, and the weight of the histograms.
+        content_layers: for ``content_loss``.
+        seed: of the directions of sliced Wasserstein.
+    """
+
+    def __init__(
+        self,
+        style: Tensor,
+        network: Network,
+        layers: Mapping[str, float],
+        losses: LossesConfig | None = None,
+        content_layers: Iterable[str] = (),
+        seed: int = 0,
+    ) -> None:
+        self._network, self._losses = network, losses or LossesConfig()
+        self._weights = {name: weight for name, weight in layers.items() if weight != 0}
+        self._content_layers = frozenset(content_layers)
+        with torch.no_grad():
+            maps = network(style, frozenset(self._weights))
+            self._layers = {name: _LayerTarget(maps[name], seed) for name in self._weights}
+
+    def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
+        """Weighted sum over the style layers; scalar, (nearly) 0 for the style itself.
+
+        Args:
+            picture: [H W 3], display-encoded.
+            guide: [H W] in [0, 1], where the smoke is.
+            draw: picks the directions of sliced Wasserstein, e.g. the iteration.
+
+        Gradients: through ``picture``.
+        """
+        maps, losses = self._network(picture, frozenset(self._weights)), self._losses
+        total = picture.new_zeros(())
+        for name, weight in self._weights.items():
+            layer = self._layers[name]
+            scaled = maps[name] * layer.scale
+            if losses.statistic == "sliced_wasserstein":
+                distance = layer.sliced_distance(scaled, guide, draw % N_DRAWS)
+            else:
+                distance = layer.gram_distance(scaled, guide)
+            if losses.histogram:
+                distance = distance + losses.histogram * layer.histogram_distance(scaled, guide)
+            total = total + weight * distance
+        return total
+
+    def content_maps(self, picture: Tensor) -> dict[str, Tensor]:
+        """Feature maps of a content picture [H W 3], for ``content_loss``."""
+        with torch.no_grad():
+            return self._network(picture, self._content_layers)
+
+    def content_loss(
+        self, picture: Tensor, content: Mapping[str, Tensor], guide: Tensor | None
+    ) -> Tensor:
+        """Distance of a picture's features from a content picture's ``content_maps``; scalar.
+
+        Gradients: through ``picture``.
+        """
+        maps = self._network(picture, self._content_layers)
+        return content_distance(maps, content, dict.fromkeys(self._content_layers, 1.0), guide)
+
+
+class _LayerTarget:
+    """One layer's features of the style; each statistic is made when it is first used.
+
+    The distances take a picture's maps [1 C h w], multiplied by ``scale``.
+    """
+
+    def __init__(self, maps: Tensor, seed: int) -> None:
+        rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
+        self.scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(maps.dtype)[None, :, None, None]
+        self._style, self._seed = (maps * self.scale)[0].flatten(1), seed  # [C P]
+        self._slices: dict[int, tuple[Tensor, Tensor]] = {}
+
+    @cached_property
+    def _gram(self) -> Tensor:
+        return gram_matrix(_with_ones(self._style[None, :, :, None]))
+
+    @cached_property
+    def _table(self) -> Tensor:
+        return quantile_table(self._style)
+
+    def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
+        """|G - G_S| / |G_S|, smoothed at 0."""
+        difference = gram_matrix(_with_ones(maps), guide) - self._gram
+        return torch.sqrt(difference.square().sum() + 1e-8) / self._gram.square().sum().sqrt()
+
+    def histogram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
+        """Root mean square way from the picture's features to the style's, channel by channel."""
+        weights = None if guide is None else _small(guide, maps).square()[0]
+        return torch.sqrt(quantile_distance(maps[0].flatten(1), weights, self._table) + 1e-8)
+
+    def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
+        """The same along a draw of random directions."""
+        if draw not in self._slices:
+            n = len(self._style)
+            axes = random_directions(n, n, self._seed + draw, self._style)
+            self._slices[draw] = axes, quantile_table(axes @ self._style.to(axes))
+        axes, table = self._slices[draw]
+        weights = None if guide is None else _small(guide, maps).square()[0]
+        values = axes @ maps[0].flatten(1).to(axes)
+        return torch.sqrt(quantile_distance(values, weights, table) + 1e-8)
 
 
 def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
@@ -62,109 +246,6 @@ def total_variation(picture: Tensor) -> Tensor:
     across = (picture[:, 1:] - picture[:, :-1]).abs()
     down = (picture[1:] - picture[:-1]).abs()
     return (across.sum() + down.sum()) / max(across.numel() + down.numel(), 1)
-
-
-class StyleTarget:
-    """The style statistics of one image, and the losses that its network measures.
-
-    Args:
-        style: [H W 3], display-encoded.
-        network: feature maps by name.
-        layers: weight of each style layer; one of weight 0 is not evaluated.
-        losses: which statistic, and the weight of the histograms.
-        content_layers: what ``kept`` compares by.
-        seed: of the directions of sliced Wasserstein.
-    """
-
-    def __init__(
-        self,
-        style: Tensor,
-        network: Network,
-        layers: Mapping[str, float],
-        losses: LossesConfig | None = None,
-        content_layers: Iterable[str] = (),
-        seed: int = 0,
-    ) -> None:
-        self._network, self._losses, self._seed = network, losses or LossesConfig(), seed
-        self._layers = {name: weight for name, weight in layers.items() if weight != 0}
-        self._content_layers = frozenset(content_layers)
-        self._scale: dict[str, Tensor] = {}
-        self._style: dict[str, Tensor] = {}  # scaled maps [C P]
-        self._made: dict[Hashable, Tensor] = {}  # statistics of the style
-        with torch.no_grad():
-            for name, maps in network(style, frozenset(self._layers)).items():
-                rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
-                self._scale[name] = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(maps.dtype)
-                self._style[name] = self._scaled(name, maps)[0].flatten(1)
-
-    def content(self, picture: Tensor) -> dict[str, Tensor]:
-        """Feature maps of a content picture [H W 3], for ``kept``."""
-        with torch.no_grad():
-            return self._network(picture, self._content_layers)
-
-    def kept(self, picture: Tensor, content: Mapping[str, Tensor], guide: Tensor | None) -> Tensor:
-        """How far a picture's features are from those that ``content`` gave; scalar.
-
-        Gradients: through ``picture``.
-        """
-        maps = self._network(picture, self._content_layers)
-        return content_distance(maps, content, dict.fromkeys(self._content_layers, 1.0), guide)
-
-    def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
-        """Weighted sum over the style layers; scalar, (nearly) 0 for the style itself.
-
-        Args:
-            picture: [H W 3], display-encoded.
-            guide: [H W] in [0, 1], where the smoke is.
-            draw: picks the directions of sliced Wasserstein, e.g. the iteration.
-
-        Gradients: through ``picture``.
-        """
-        maps = self._network(picture, frozenset(self._layers))
-        total = picture.new_zeros(())
-        for name, weight in self._layers.items():
-            scaled = self._scaled(name, maps[name])
-            distance = self._distance(name, scaled, guide, draw)
-            if self._losses.histogram:
-                distance = distance + self._losses.histogram * self._transport(name, scaled, guide)
-            total = total + weight * distance
-        return total
-
-    def _scaled(self, name: str, maps: Tensor) -> Tensor:
-        return maps * self._scale[name][None, :, None, None]
-
-    def _distance(self, name: str, scaled: Tensor, guide: Tensor | None, draw: int) -> Tensor:
-        if self._losses.statistic == "sliced_wasserstein":
-            return self._transport(name, scaled, guide, draw % N_DRAWS)
-        wanted = self._remembered(
-            name, lambda: gram_matrix(_with_ones(self._style[name][None, :, :, None]))
-        )
-        difference = gram_matrix(_with_ones(scaled), guide) - wanted
-        return torch.sqrt(difference.square().sum() + 1e-8) / wanted.square().sum().sqrt()
-
-    def _transport(
-        self, name: str, scaled: Tensor, guide: Tensor | None, draw: int | None = None
-    ) -> Tensor:
-        """Root mean square way from the picture's features to the style's, one axis at a time.
-
-        The axes are the channels (histograms), or a draw of directions (sliced Wasserstein).
-        """
-        values, style = scaled[0].flatten(1), self._style[name]
-        if draw is not None:
-            axes = self._remembered(
-                (name, draw, "axes"),
-                lambda: random_directions(len(style), len(style), self._seed + draw, style),
-            )
-            values, style = axes @ values.to(axes), axes @ style.to(axes)
-        table = self._remembered((name, draw), lambda: quantile_table(style))
-        weights = None if guide is None else _small(guide, scaled).square()[0]
-        return torch.sqrt(quantile_distance(values, weights, table) + 1e-8)
-
-    def _remembered(self, key: Hashable, make: Callable[[], Tensor]) -> Tensor:
-        if key not in self._made:
-            with torch.no_grad():
-                self._made[key] = make()
-        return self._made[key]
 
 
 def _with_ones(maps: Tensor) -> Tensor:

@@ -41,8 +41,8 @@ def quantile_table(values: Tensor, n: int = 256) -> Tensor:
     """
     if values.ndim != 2 or values.shape[1] < 1 or n < 1:
         raise ShapeError(
-            f"quantile_table: values are {list(values.shape)} and n is {n}; "
-            "wanted [C P] with P >= 1, and n >= 1"
+            f"quantile_table: values are {list(values.shape)} and n is {n}. "
+            "Give [C P] with P >= 1, and n >= 1."
         )
     ascending = _ascending(_single(values.detach()))
     return _at_shares(ascending, _middles(n, ascending))
@@ -173,10 +173,10 @@ def _check_shapes(values: Tensor, weights: Tensor | None, table: Tensor) -> None
     if not fits or table.shape[1] < 1:
         raise ShapeError(
             f"quantile_distance: values are {list(values.shape)} and the table is "
-            f"{list(table.shape)}; wanted [C P] and [C n] of the same channels, n >= 1"
+            f"{list(table.shape)}. Give [C P] and [C n] of the same channels, n >= 1."
         )
     if weights is not None and weights.shape != values.shape[1:]:
         raise ShapeError(
             f"quantile_distance: weights are {list(weights.shape)} for {values.shape[1]}"
-            " samples; wanted one weight a sample"
+            " samples. Give one weight for each sample."
         )

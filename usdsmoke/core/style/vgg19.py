@@ -1,6 +1,6 @@
-"""VGG-19 feature maps for those who have the weights; nothing is downloaded.
+"""VGG-19 feature maps, from a file of weights; nothing is downloaded.
 
-Takes torchvision's state dict (``vgg19-dcbb9e9d.pth``) or the same tensors in a safetensors file,
+Reads torchvision's state dict (``vgg19-dcbb9e9d.pth``) or the same tensors in a safetensors file,
 from the configured path, the environment variable ``USDSMOKE_VGG19`` or torch's hub cache, in this
 order.
 """
@@ -16,8 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.style.layers import VGG19_BLOCKS, vgg19_layers
-from usdsmoke.core.style.vgg19_file import FILE_NAME, find_vgg19_file
+from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
 
 __all__ = ["Vgg19Features"]
 
@@ -59,12 +58,12 @@ def _reason(error: Exception, file_path: Path) -> str:
     if isinstance(error, OSError):
         return error.strerror or "the system refused"
     if file_path.suffix == ".safetensors":
-        return "it is no whole safetensors file of numbers"
-    return "it is damaged, or holds more than tensors, and no code of a file is run"
+        return "it is not a complete safetensors file of numbers"
+    return "it is damaged or holds more than tensors, and code in a file is never run"
 
 
 def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, Tensor]]:
-    """Weight and bias of each convolution by layer name; what else the file holds is not needed."""
+    """Weight and bias of each convolution by layer name; the rest is ignored."""
     parameters = {}
     for name, index, n_in, n_out in _convolutions():
         pair = []
@@ -74,13 +73,13 @@ def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, T
             if not isinstance(tensor, Tensor) or tuple(tensor.shape) != wanted:
                 found = list(tensor.shape) if isinstance(tensor, Tensor) else "missing"
                 raise FeatureError(
-                    f"{key} in {file_path} is {found}; wanted {list(wanted)} as in torchvision's "
-                    "VGG-19 without batch normalisation: give that file"
+                    f"{key} in {file_path} is {found}, not {list(wanted)}. Give the file of "
+                    "torchvision's VGG-19 without batch normalisation."
                 )
             if not torch.isfinite(tensor).all():
                 raise FeatureError(
-                    f"{key} in {file_path} holds NaN or infinity; wanted finite numbers: the file "
-                    "is damaged, fetch it again"
+                    f"{key} in {file_path} holds NaN or infinity: the file is damaged. Download "
+                    "it again."
                 )
             pair.append(tensor.float())
         parameters[name] = (pair[0], pair[1])
@@ -107,13 +106,13 @@ class Vgg19Features:
             FeatureError: no file, not readable, or not VGG-19's tensors.
         """
         file_path = find_vgg19_file(configured)
-        if file_path.name == FILE_NAME:
+        if file_path.name == VGG19_FILE_NAME:
             with file_path.open("rb") as file:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             if not sha256.startswith("dcbb9e9d"):
                 raise FeatureError(
-                    f"{file_path} has SHA-256 {sha256[:8]}..., wanted dcbb9e9d... as in its name; "
-                    "the file is damaged, fetch it again"
+                    f"{file_path} has SHA-256 {sha256[:8]}..., not dcbb9e9d... as in its name: it "
+                    "is damaged. Download it again."
                 )
         try:
             if file_path.suffix == ".safetensors":
@@ -122,8 +121,8 @@ class Vgg19Features:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file
             raise FeatureError(
-                f"cannot read VGG-19 weights from {file_path}: {_reason(error, file_path)}; wanted "
-                "torchvision's state dict or a safetensors file"
+                f"cannot read VGG-19 weights from {file_path}: {_reason(error, file_path)}. Give "
+                "torchvision's state dict or a safetensors file."
             ) from None
         return cls(_pick_parameters(tensors, file_path))
 

@@ -19,8 +19,9 @@ from usdsmoke.core.sequence.coarse import (
 )
 from usdsmoke.core.sequence.coherence import colour_error
 from usdsmoke.core.sequence.controls import coarse_factor
-from usdsmoke.core.sequence.frame_loop import run_chain
-from usdsmoke.core.sequence.stylize import make_job, open_frame, stylize_window
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import make_context
+from usdsmoke.core.sequence.stylize import stylize_window
 
 BOX = (20, 16, 16)
 STEP = 2  # voxels a frame
@@ -83,8 +84,8 @@ def test_a_chain_follows_the_smoke_more_closely_than_frames_alone():
     scene = scene_of(FRAMES, config, "Y")
     links = []
     for frame in FRAMES:
-        job = make_job([random_style()], scene, config, None, 24.0, None, 1)
-        links += list(run_chain([frame], job, open_frame))
+        job = make_context([random_style()], scene, config, None, 24.0, None, 1)
+        links += list(run_frames([frame], job))
     alone = [
         colour_error(before.paint, *link.paint, before.frame, 1 / 24)
         for before, link in pairwise(links)

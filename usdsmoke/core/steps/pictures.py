@@ -1,0 +1,143 @@
+"""The pictures that the steps compare: opacity of moving smoke in grey, painted smoke in colour.
+
+Grey pictures need column sums only, which are linear in density. [Christen2020, eq. 9] A coloured
+picture is a fixed sparse linear map of the voxel colours, computed once per view and octave.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.memory import LazyList, accumulate
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.style.losses import Content
+from usdsmoke.core.views.cameras import View, draw_views
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import SparseImage, colour_map
+
+__all__ = ["ColourView", "GreyView", "ViewPool", "grey_view", "prepare_views"]
+
+# Exposed opacity at which the guidance mask is one half, and a pixel half background
+THIN = 0.05
+
+AnyView = TypeVar("AnyView")
+
+
+@dataclass(frozen=True)
+class ViewPool(Generic[AnyView]):
+    """The views of one octave, of which every iteration draws some."""
+
+    views: Sequence[AnyView]
+    n_drawn: int = 1  # in one iteration
+    seed: int = 0  # of the order
+
+    def mean_loss(
+        self, shared: Tensor, iteration: int, loss: Callable[[AnyView, Tensor], Tensor]
+    ) -> Tensor:
+        """Mean of ``loss(view, shared)`` over an iteration's views, in the memory of one view.
+
+        Gradients: through ``shared``.
+        """
+        n = min(self.n_drawn, len(self.views))  # the same view twice adds nothing
+        drawn = draw_views(iteration, n, len(self.views), self.seed)
+        return accumulate(shared, [partial(loss, self.views[number]) for number in drawn]) / n
+
+
+@dataclass(frozen=True)
+class GreyView:
+    """A view's sums over the voxels that smoke can come to, and the unmoved picture [H W]."""
+
+    image: SparseImage
+    gamma_w: float
+    exposure: float
+    grey: Tensor
+    guide: Tensor  # T of the guidance mask, [H W]: 1 in all but the thinnest smoke, 0 outside
+    content: Content | None = None
+
+    def picture(self, density: Tensor) -> Tensor:
+        """Exposed opacity [H W] of the density [N]."""
+        return opacity(self.gamma_w * self.image.apply(density[:, None])[..., 0]) * self.exposure
+
+    def over_grey(self, grey: Tensor, background: float) -> Tensor:
+        """What the network sees, [H W 3]: a grey level beyond the silhouette instead of black.
+
+        Against black the silhouette's edge is the strongest structure of the picture, and the
+        optimiser sees little else.
+        """
+        seen = self.grey / (self.grey + THIN)
+        return (grey + (1 - seen) * background)[..., None].expand(-1, -1, 3)
+
+    def outside_change(self, grey: Tensor) -> Tensor:
+        """Mean change of the picture where there was no smoke."""
+        return ((grey - self.grey).abs() * (1 - self.grey).clamp_min(0)).mean()
+
+
+def grey_view(
+    image: SparseImage, density: Tensor, share: Tensor | None, gamma_w: float, exposure: float
+) -> GreyView:
+    """The view of unmoved density [N]; ``share`` [N] is the effect mask there."""
+    columns = image.apply(density[:, None])[..., 0]
+    grey = opacity(gamma_w * columns) * exposure
+    guide = grey / (grey + THIN)
+    if share is not None:
+        masked = image.apply((density * share)[:, None])[..., 0]
+        guide = guide * masked / columns.clamp_min(torch.finfo(columns.dtype).tiny)
+    return GreyView(image, gamma_w, exposure, grey, guide)
+
+
+@dataclass(frozen=True)
+class ColourView:
+    """A view's linear map from the painted voxels' colours to its picture."""
+
+    image: SparseImage
+    alpha: Tensor  # [H W], opacity of the painted smoke in this view
+    thin: float = THIN  # opacity at which a pixel of the unpremultiplied picture is half background
+    content: Content | None = None
+
+    @property
+    def guide(self) -> Tensor:
+        """T of the guidance mask, [H W] in [0, 1): the share of smoke in the picture."""
+        return self.alpha / (self.alpha + self.thin)
+
+    def unpremultiplied(self, colours: Tensor, background: Tensor) -> Tensor:
+        """Display-encoded picture [H W 3] of linear colours [N 3], divided by their opacity.
+
+        Where there is (nearly) no smoke it tends to the linear background [3]. This is what the
+        network sees: thin smoke is then painted like thick smoke. Seen through its opacity, it
+        would have to take impossible colours to look like the style, and ends in tints that the
+        style does not have.
+        """
+        alpha = self.alpha[..., None]
+        light = self.image.apply(colours) + self.thin * background
+        return encode_srgb(light / (alpha + self.thin))
+
+
+def prepare_views(
+    smoke: ActiveSmoke,
+    views: Sequence[View],
+    gamma_w: float,
+    exposure: float = 1.0,
+    share: Tensor | None = None,
+) -> Sequence[ColourView]:
+    """The linear maps of all views of one octave, each made when it is first used.
+
+    Args:
+        smoke: all of it, painted or not.
+        gamma_w: extinction per density, 1/stage unit.
+        exposure: see ``Scene``.
+        share: of the effect mask, see ``project.colour_map``.
+    """
+    positions, step = smoke.positions, smoke.voxel_size
+
+    def make(number: int) -> ColourView:
+        image, alpha = colour_map(
+            positions, smoke.density, smoke.voxel_volume, gamma_w, views[number], step, share
+        )
+        return ColourView(image, alpha, THIN / exposure)
+
+    return LazyList(len(views), make)

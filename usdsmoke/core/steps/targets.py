@@ -1,0 +1,135 @@
+"""What a step works on: a frame's smoke, and the loss of its pictures at every octave."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.base.sections import LossesConfig, StyleConfig
+from usdsmoke.base.settings import Config, style_shares
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.srgb import decode_srgb, luminance, match_grey, scale_style
+from usdsmoke.core.style.features import build_network
+from usdsmoke.core.style.layers import content_layers, style_layers
+from usdsmoke.core.style.losses import PictureLoss, StyleTarget
+from usdsmoke.core.views.scene import Scene
+from usdsmoke.core.views.visibility import EffectMask
+
+__all__ = ["StepProblem", "StyleImage", "StyleTargets", "make_targets"]
+
+
+class StyleImage:
+    """A style image and what is measured on it, once, whatever its share.
+
+    Args:
+        pixels: display-encoded [H W 3] in [0, 1].
+        make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
+    """
+
+    def __init__(
+        self, pixels: np.ndarray, make_target: Callable[[np.ndarray, int, bool], StyleTarget]
+    ) -> None:
+        self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
+        #: factor, grey -> what pictures 1/factor of full size are compared with
+        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """Linear mean colour [3], on the CPU."""
+        return decode_srgb(self._pixels).mean(dim=(0, 1))
+
+    @cached_property
+    def brightness(self) -> tuple[float, float]:
+        """Mean and deviation of the luminance, display-encoded."""
+        light = luminance(self._pixels)
+        return float(light.mean()), float(light.std(correction=0))
+
+
+@dataclass(frozen=True, eq=False)
+class StyleTargets:
+    """Style images with their shares; what is measured on an image is kept."""
+
+    images: tuple[StyleImage, ...]
+    shares: tuple[float, ...]  # of the images, adding up to 1
+    losses: LossesConfig
+    device: torch.device
+
+    def weighted(self, config: StyleConfig) -> "StyleTargets":
+        """The same images with other ``weights``.
+
+        Raises:
+            ConfigError: see ``config.style_shares``.
+        """
+        return replace(self, shares=tuple(style_shares(config, len(self.images))))
+
+    @cached_property
+    def background(self) -> Tensor:
+        """Mean colour of the styles, linear [3]: the background of the smoke in the pictures."""
+        means = torch.stack([share * image.mean for share, image in self._used])
+        return means.sum(0).to(self.device, torch.float32)
+
+    @property
+    def brightness(self) -> tuple[float, float]:
+        """Mean and deviation of the styles' luminance, display-encoded."""
+        mean = sum(share * image.brightness[0] for share, image in self._used)
+        return mean, sum(share * image.brightness[1] for share, image in self._used)
+
+    def at(self, factor: int, grey: bool = False) -> PictureLoss:
+        """The loss of pictures 1/factor of full size.
+
+        Raises:
+            FeatureError: see ``features.build_network``.
+        """
+        targets = [image.target(factor, grey) for _, image in self._used]
+        return PictureLoss(targets, [share for share, _ in self._used], self.losses)
+
+    @property
+    def _used(self) -> list[tuple[float, StyleImage]]:
+        pairs = zip(self.shares, self.images, strict=True)
+        return [(share, image) for share, image in pairs if share > 0]
+
+
+@dataclass(frozen=True)
+class StepProblem:
+    """What one frame's shape or colour step works on."""
+
+    smoke: ActiveSmoke
+    targets: StyleTargets
+    scene: Scene
+    config: Config
+    mask: EffectMask | None = None  # share of the effect; None: 1 everywhere
+
+
+def make_targets(
+    styles: Sequence[np.ndarray], scene: Scene, config: Config, device: torch.device
+) -> StyleTargets:
+    """The targets of one run.
+
+    Args:
+        styles: display-encoded images [H W 3] in [0, 1].
+        scene: sets the pictures' size and the grey level that grey styles are matched to.
+        config: style, features, losses and the seed.
+        device: where the features are computed.
+
+    Raises:
+        ConfigError: see ``layers.style_layers`` and ``config.style_shares``.
+    """
+    features, seed = config.features, config.optimize.seed
+    layers = {name: config.losses.style * weight for name, weight in style_layers(features).items()}
+    content = content_layers(features)
+    like = torch.zeros((), device=device)
+    # made when it is first used: a window of empty frames does not read VGG-19's weights
+    network_for = cache(partial(build_network, features, seed))
+
+    def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
+        style = scale_style(pixels, scene.image_size / factor, config.style, like)
+        if grey:
+            style = match_grey(style, scene.grey_mean, scene.grey_deviation)
+        return StyleTarget(style, network_for()(style), layers, config.losses, content, seed)
+
+    images = tuple(StyleImage(pixels, make_target) for pixels in styles)
+    shares = tuple(style_shares(config.style, len(images)))
+    return StyleTargets(images, shares, config.losses, device)
