@@ -210,7 +210,7 @@ def test_a_slab_is_seen_once_and_moved_and_sampled_along_two_axes(
 ) -> None:
     n_axes, channels = set(), set()
     watch_calls(
-        monkeypatch, f"{CORE}.fields.gather:_find_taps",
+        monkeypatch, f"{CORE}.fields.gather:_find_weights",
         lambda _, __, ___, axes, *____, **_____: n_axes.add(len(axes)),
     )  # fmt: skip
     watch_calls(
