@@ -71,7 +71,7 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     core.before_frame = fail
     assert main(shot.arguments()) == 1
     err = capsys.readouterr().err
-    assert "unexpected IndexError: list index out of range; --verbose shows where" in err
+    assert "unexpected IndexError: list index out of range" in err and "--verbose" in err
     assert "Traceback" not in err
     assert not shot.output.exists()
 

@@ -8,7 +8,7 @@ from pxr import Usd
 
 from tests.farm_fixtures import WINDOWS, outcome, windows_in
 from tests.pipeline_fixtures import Shot, contents, run
-from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.pipeline import assemble
 
 

@@ -1,1 +1,15 @@
-"""What every room stands on: errors, settings, records, names, files. No pxr, OpenVDB or torch."""
+"""What every other part uses: errors, settings, records, names, files, the machine.
+
+Nothing here loads USD, OpenVDB or torch.
+
+- ``errors``: every error that usdsmoke raises on purpose
+- ``sections``: every setting with its default, limits and meaning
+- ``setting_model``, ``settings``: what a setting is; all settings of a run, and which are explicit
+- ``resolve``: settings from files, mappings and texts, in order of precedence
+- ``volume``: records of Volumes, fields and frames
+- ``frame_report``, ``progress``: what the core reports of a frame, and while it works
+- ``record_format``, ``json_records``: digests, run ids and dates; records as JSON
+- ``time_codes``, ``naming``: timeCodes and frame ranges; names of files, grids and paths
+- ``publish``, ``locks``: files that appear whole or not at all; one process at a time
+- ``machine``: processors, memory, disk, installed packages
+"""

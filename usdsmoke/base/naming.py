@@ -1,6 +1,7 @@
 """What a result's files and grids are called: a stem per Volume, a number per timeCode."""
 
 import math
+import os
 import re
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ __all__ = [
     "colour_names",
     "frame_file_names",
     "look_suffix",
+    "relative_asset_path",
     "run_record_files",
     "volume_stems",
 ]
@@ -151,3 +153,23 @@ def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
 def run_record_files(output: Path) -> Iterator[Path]:
     """The records of the runs in an output folder, finished or not, in the order of names."""
     yield from sorted(output.glob(f"vdb/*/{RUN_RECORD}"))
+
+
+def relative_asset_path(file_path: str | Path, folder: Path) -> str:
+    """``file_path`` as seen from ``folder``, with / and a leading dot; absolute across drives.
+
+    The leading dot tells USD to look beside the layer and nowhere else. Where links lead to the
+    file's folder, the shorter way counts, with the links as they are or followed: it stays right
+    from wherever a tree that holds both is reached.
+
+    >>> relative_asset_path("/shot/look/vdb/smoke.0001.vdb", Path("/shot/look"))
+    './vdb/smoke.0001.vdb'
+    """
+    target, start = os.path.abspath(file_path), os.path.abspath(folder)
+    followed = os.path.join(os.path.realpath(os.path.dirname(target)), os.path.basename(target))
+    try:
+        ways = [os.path.relpath(place, start).replace(os.sep, "/") for place in (target, followed)]
+    except ValueError:  # there is no relative way from one Windows drive to another
+        return target.replace(os.sep, "/")
+    relative = min(ways, key=lambda way: way.count("/"))
+    return relative if relative.startswith("../") else f"./{relative}"

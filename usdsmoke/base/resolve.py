@@ -13,8 +13,8 @@ from typing import Any, cast
 
 import yaml
 
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.setting_model import extra_of, range_text, type_text
 from usdsmoke.base.settings import SECTIONS, Config, declared_settings, flatten_settings
 

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
-from usdsmoke.base.naming import colour_names, run_record_files
+from usdsmoke.base.naming import colour_names, relative_asset_path, run_record_files
 from usdsmoke.base.resolve import (
     FilePath,
     Settings,

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.machine import package_versions, platform_name
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import Provenance, RunFacts, build_provenance
 from usdsmoke.base.resolve import settings_record
 from usdsmoke.base.sections import GridsConfig

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Usd
 
-from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.usd.values import value_at
 
 __all__ = ["anchored_asset", "asset_value", "vdb_problem"]

@@ -17,8 +17,8 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import LayerError, WriteFailed
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import RunFacts, build_provenance
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import WrittenFrame

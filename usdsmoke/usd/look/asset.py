@@ -16,9 +16,8 @@ from pathlib import Path
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import LayerError
-from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
+from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET, relative_asset_path
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from pxr import Sdf, Vt
 
-from usdsmoke.base.asset_paths import relative_asset_path
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import SOFTWARE_PACKAGE, authorship_inputs, short_run_id
 from usdsmoke.usd import schema
 from usdsmoke.usd.look.records import StylizedVolume

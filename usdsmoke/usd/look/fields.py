@@ -12,8 +12,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
-from usdsmoke.base.asset_paths import relative_asset_path
-from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
+from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS, relative_asset_path
 from usdsmoke.usd.asset_paths import asset_value
 from usdsmoke.usd.look.field_prims import FieldTarget
 from usdsmoke.usd.look.records import StylizedVolume

@@ -6,9 +6,8 @@ from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.base.asset_paths import relative_asset_path
 from usdsmoke.base.errors import LayerError, WriteFailed
-from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.base.naming import ORIGINAL, VARIANT_SET, relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.time_codes import format_time_codes

@@ -10,8 +10,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
-from usdsmoke.base.asset_paths import relative_asset_path
-from usdsmoke.base.naming import ASSET_SOURCE
+from usdsmoke.base.naming import ASSET_SOURCE, relative_asset_path
 from usdsmoke.usd.look.digests import RECORD_KEY
 
 __all__ = ["author_root", "copied_layer_data", "copy_stage_metadata"]
