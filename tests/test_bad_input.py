@@ -152,11 +152,10 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "package": (shows("./all.usdz[smoke.vdb]"), "AssetNotResolved", "is inside the package"),
     "Houdini path": (shows("op:/obj/pyro/out"), "AssetNotResolved", "node inside Houdini"),
     "empty path": (shows(""), "AssetNotResolved", "</World/smoke/density>"),
-    "instance": (instanced, "StageError", "it lies inside the instance </Copy>"),
+    "instance": (instanced, "StageError", "it is inside the instance </Copy>"),
     "no Volume": (no_volume, "VolumeNotFound", "no Volume on the stage"),
     "wrong prim": (with_arguments("--prim", "/World/fog"), "VolumeNotFound", "</World/smoke>"),
-    "no density": (no_density, "FieldNotFound", 'no relationship "field:density"; it has: '
-        "field:heat"),
+    "no density": (no_density, "FieldNotFound", "(found: field:heat)"),
     "wrong frames": (with_arguments("--frames", "7-9"), "StageError", "1-3"),
     "unread frames": (with_arguments("--frames", "1to4"), "ConfigError", "'1to4'"),
     "not a stage": (not_a_stage, "StageError", "shot.usda"),

@@ -193,7 +193,7 @@ REFUSED = {
     ),
     "inherits": (
         'def "World"\n{\n def "a" (inherits = </Base>)\n {\n }\n}\ndef "Base"\n{\n}',
-        r"</Base>, which is no class and which </World/a> inherits from",
+        r"</Base>, which is not a class and which </World/a> inherits from",
     ),
     "instance": (
         'def "Looks"\n{\n}\ndef "Protos"\n{\n def "tree"\n {\n  def "leaf"\n  {\n'

@@ -25,7 +25,7 @@ def sheet_files(stems: Sequence[str], output: Path, look: str = DEFAULT_LOOK) ->
     Args:
         stems: of the Volumes' VDB files.
         output: the output folder.
-        look: the look's name; it stands first, so that no Volume's name can be taken for it.
+        look: the look's name; it comes first, so that no Volume's name can be taken for it.
     """
     before = f"look{look_suffix(look)}_" if look_suffix(look) else ""
     if len(stems) == 1:
@@ -59,8 +59,8 @@ def compose_sheet(
     for name, pictures in rows:
         if len(pictures) != len(columns):
             raise ShapeError(
-                f"row {name!r} has {len(pictures)} pictures for {len(columns)} columns; "
-                "wanted one for each"
+                f"row {name!r} has {len(pictures)} pictures for {len(columns)} columns. "
+                "Give one for each column."
             )
     cells = [
         [
@@ -137,7 +137,7 @@ def _paste(
 ) -> None:
     """Scale a picture into a box, upper left corner fixed, and put it on the sheet."""
     if picture.ndim != 3 or picture.shape[2] != 3 or 0 in picture.shape:
-        raise ShapeError(f"a picture has shape {list(picture.shape)}; wanted [H W 3]")
+        raise ShapeError(f"a picture has shape {list(picture.shape)}, not [H W 3].")
     levels = np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
     scale = min(width / levels.shape[1], height / levels.shape[0])
     size = (max(1, round(levels.shape[1] * scale)), max(1, round(levels.shape[0] * scale)))

@@ -80,14 +80,14 @@ def _checked(where: str, name: str, letters: str, array: np.ndarray) -> np.ndarr
     found = found[..., None] if found.ndim == 2 else found
     if found.ndim != 3 or found.shape[2] != len(letters) or 0 in found.shape:
         raise ImageError(
-            f"cannot write {where}: the part {name} has the shape {list(np.shape(array))}; wanted "
+            f"cannot write {where}: the part {name} has the shape {list(np.shape(array))}, not "
             f"[H W {len(letters)}] for the channels {', '.join(letters)}"
         )
     count = int((~np.isfinite(found)).sum())
     if count:
         raise ImageError(
-            f"cannot write {where}: the part {name} has {count} numbers that are NaN or infinite; "
-            "wanted finite ones: look at the grids' values"
+            f"cannot write {where}: the part {name} has {count} numbers that are NaN or infinite. "
+            "Check the values of the grids."
         )
     return found
 

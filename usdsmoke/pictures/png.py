@@ -59,15 +59,14 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
             sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise ImageError(
-            f"cannot read the style image {where}: {error.strerror or error}; check the path and "
-            "its permissions"
+            f"cannot read the style image {where}: {error.strerror or error}. Check the path and "
+            "its permissions."
         ) from None
     pixels, alpha = _read_exr(where) if is_exr else _read_pillow(where)
     if alpha is not None:
         if alpha.max() <= 0.0:
             raise ImageError(
-                f"the style image {where} is fully transparent; wanted visible pixels: "
-                "save it without its alpha channel"
+                f"the style image {where} is fully transparent. Save it without its alpha channel."
             )
         share = alpha[..., None].astype(np.float64)
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
@@ -121,14 +120,14 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
                 return _pillow_pixels(where, ImageOps.exif_transpose(image))
     except UnidentifiedImageError:
         raise ImageError(
-            f"{where} is no image that can be read; wanted one of EXR, {', '.join(formats)}: "
-            "save it as PNG"
+            f"{where} is not a readable image of the formats EXR, {', '.join(formats)}. "
+            "Save it as PNG."
         ) from None
     except Image.DecompressionBombError as error:
-        raise ImageError(f"the style image {where} is too large: {error}; scale it down") from None
+        raise ImageError(f"the style image {where} is too large: {error}. Scale it down.") from None
     except _READ_ERRORS as error:
         raise ImageError(
-            f"the style image {where} cannot be decoded: {error}; save it again, as PNG"
+            f"the style image {where} cannot be decoded: {error}. Save it again, as PNG."
         ) from None
 
 
@@ -137,8 +136,8 @@ def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndar
         grey = np.asarray(image).astype(np.float32)
         if grey.min() < 0.0 or grey.max() > 65535.0:
             raise ImageError(
-                f"the style image {where} has values from {grey.min():g} to {grey.max():g}; "
-                "wanted 0 to 65535: save it with 8 or 16 bits"
+                f"the style image {where} has values from {grey.min():g} to {grey.max():g}, "
+                "outside 0 to 65535. Save it with 8 or 16 bits."
             )
         return _grey_to_rgb(grey / 65535.0), None
     if image.mode == "F":  # floating point means linear light, as in OpenEXR
@@ -163,13 +162,13 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
         channels = _exr_channels(where)
     except _READ_ERRORS as error:
         raise ImageError(
-            f"the style image {where} cannot be decoded: {error}; save it again, as PNG or EXR"
+            f"the style image {where} cannot be decoded: {error}. Save it again, as PNG or EXR."
         ) from None
     names = ("R", "G", "B") if {"R", "G", "B"} <= set(channels) else ("Y", "Y", "Y")
     if names[0] not in channels or {"RY", "BY"} & set(channels):
         raise ImageError(
-            f"the style image {where} has the channels {', '.join(channels) or 'none'}; "
-            "wanted R, G and B, or Y alone: save it with one of these sets"
+            f"the style image {where} has the channels {', '.join(channels) or 'none'}. "
+            "Save it with R, G and B, or with Y alone."
         )
     linear = np.stack([channels[name].astype(np.float32) for name in names], axis=-1)
     _check_finite(f"the style image {where}", linear)
@@ -189,8 +188,8 @@ def _exr_channels(file_path: Path) -> dict[str, np.ndarray]:
 def _check_size(where: Path, width: int, height: int) -> None:
     if width * height > _MAX_PIXELS:
         raise ImageError(
-            f"the style image {where} has {width} x {height} pixels; wanted at most "
-            f"{_MAX_PIXELS // 1_000_000} million: scale it down"
+            f"the style image {where} has {width} x {height} pixels, of at most "
+            f"{_MAX_PIXELS // 1_000_000} million. Scale it down."
         )
 
 
@@ -198,8 +197,7 @@ def _check_finite(what: str, values: np.ndarray) -> None:
     count = int((~np.isfinite(values)).sum())
     if count:
         raise ImageError(
-            f"{what} has {count} numbers that are NaN or infinite; wanted finite ones: mend it in "
-            "a compositor"
+            f"{what} has {count} numbers that are NaN or infinite. Repair it in a compositor."
         )
 
 
@@ -209,7 +207,7 @@ def _check_pixels(
     if pixels.ndim != 3 or pixels.shape[2] not in components or 0 in pixels.shape:
         raise ImageError(
             f"cannot write {os.fspath(file_path)}: the pixels have the shape "
-            f"{list(pixels.shape)}; wanted [H W C] with C one of {', '.join(map(str, components))}"
+            f"{list(pixels.shape)}, not [H W C] with C one of {', '.join(map(str, components))}"
         )
     _check_finite(f"cannot write {os.fspath(file_path)}: it", pixels)
 
@@ -218,6 +216,6 @@ def _check_same(file_path: str | os.PathLike[str], written: np.ndarray, found: n
     """Compare what came back from disk: the library does not report a short write for certain."""
     if not np.array_equal(written, found):
         raise WriteFailed(
-            f"{os.fspath(file_path)} did not come back from disk as it was written; look "
-            "whether the disk is full, and write it again"
+            f"{os.fspath(file_path)} read back differently from what was written. Check "
+            "whether the disk is full, and write it again."
         )

@@ -40,7 +40,7 @@ _BYTES = 60  # a voxel of the boxes, density and emission; measured
 
 @dataclass
 class Smoke:
-    """The Volumes of a stage, ready to be looked at; remembers what it has measured and met."""
+    """The Volumes of a stage, ready to be drawn; keeps what it has measured, and notes."""
 
     stage: Usd.Stage
     selected: StageSource  # the frames that were asked for
@@ -78,8 +78,8 @@ class Smoke:
         if needed > there:
             raise PlanError(
                 f"drawing timeCode {format_time_code(time_code)} needs about {needed:.1f} GiB of "
-                f"memory for {n_voxels:,} voxels; there are {there:.1f} GiB: draw fewer Volumes "
-                "(--prim), or on a larger machine"
+                f"memory for {n_voxels:,} voxels; there are {there:.1f} GiB. Draw fewer Volumes "
+                "(--prim), or use a larger machine."
             )
 
     def points(self, time_codes: Iterable[float]) -> np.ndarray:
@@ -92,13 +92,13 @@ class Smoke:
         Raises:
             StageError, GridError: a field of these cannot be used; others are passed over then.
         """
-        wanted = set(time_codes)
+        drawn = set(time_codes)
         corners = []
-        for time_code in sorted(wanted | set(_time_codes(self.whole))):
+        for time_code in sorted(drawn | set(_time_codes(self.whole))):
             try:
-                corners += self._corners(time_code, time_code in wanted)
+                corners += self._corners(time_code, time_code in drawn)
             except UsdSmokeError:
-                if time_code in wanted:
+                if time_code in drawn:
                     raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
@@ -139,8 +139,8 @@ class Smoke:
         if grid.value_type == "vec3s":
             return volume
         self.notes[
-            f"the emission of <{volume.prim_path}> holds {grid.value_type} values and no colours; "
-            "it is left out"
+            f"the emission of <{volume.prim_path}> holds {grid.value_type} values and no colours. "
+            "It is left out."
         ] = None
         return replace(volume, emission=None)
 
@@ -160,7 +160,7 @@ class Smoke:
     def _absolute(
         self, volume: ComposedVolume, density: DenseField, light: DenseField
     ) -> DenseField | None:
-        """Emission that is added as it stands; it may be stored divided by the density."""
+        """Absolute emission; the file may store it divided by the density."""
         if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
             return light
         places = [
@@ -171,7 +171,7 @@ class Smoke:
             return absolute_emission(density, light, volume.emission_mode)
         self.notes[
             f"the emission of <{volume.prim_path}> is stored per density and has other voxels than "
-            "the density; it is left out"
+            "the density. It is left out."
         ] = None
         return None
 

@@ -20,28 +20,30 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
     The text continues a sentence that names the path; only the path is looked at, not the file.
 
     Args:
-        authored_path: as it stands in the layer.
+        authored_path: as the layer has it.
         file_path: what it resolves to; "" for nothing.
     """
     if not authored_path and not file_path:
-        return "wanted the path of a .vdb file"
+        return "it is empty. Author the path of a .vdb file."
     if authored_path.startswith("op:"):
         return (
-            "that is a node inside Houdini, unknown outside it; "
-            "write the volumes to files there (USD ROP) and use the stage it writes"
+            "that is a node inside Houdini, unknown outside it. "
+            "Write the volumes to files there (USD ROP), and use the stage it writes."
         )
     if Ar.IsPackageRelativePath(file_path) or Ar.IsPackageRelativePath(authored_path):
         package = Ar.SplitPackageRelativePathOuter(file_path or authored_path)[0]
         return (
-            f"that is inside the package {package}, and OpenVDB reads plain files only; "
-            "unpack it (a .usdz is a zip) and use the stage inside"
+            f"that is inside the package {package}, and OpenVDB reads plain files only. "
+            "Unpack it (a .usdz is a zip), and use the stage inside."
         )
     if not file_path:
-        return "nothing is found there; check the path and that the files came along"
+        return "nothing is found there. Check the path, and whether the files were copied too."
     if os.path.isdir(file_path):
-        return f"{file_path} is a folder; wanted a .vdb file"
+        return f"{file_path} is a folder. Author the path of a .vdb file."
     if not os.path.isfile(file_path):
-        return f"it resolves to {file_path}, where there is no file; check the resolver or the disk"
+        return (
+            f"it resolves to {file_path}, where there is no file. Check the resolver and the disk."
+        )
     return ""
 
 

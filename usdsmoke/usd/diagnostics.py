@@ -1,4 +1,4 @@
-"""OpenUSD's own diagnostics, kept off the terminal and turned into messages people can use."""
+"""OpenUSD's own diagnostics, kept off the terminal and turned into messages."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ def open_quietly(file_path: str) -> Usd.Stage:
         except Tf.ErrorException as error:
             raise StageError(_refusal(file_path, error)) from None
     if not stage:
-        raise StageError(f"cannot open the stage {file_path}; check that it is a USD file")
+        raise StageError(f"cannot open the stage {file_path}. Check that it is a USD file.")
     return stage
 
 
@@ -56,6 +56,6 @@ def _refusal(file_path: str, error: Tf.ErrorException) -> str:
     if reason.startswith("Failed to open layer"):
         reason = "it is missing, may not be read, or is of no format that USD knows"
     return (
-        f"cannot open the stage {file_path}: {reason}; "
-        "wanted a readable .usda, .usdc, .usd or .usdz file"
+        f"cannot open the stage {file_path}: {reason}. "
+        "Give a readable .usda, .usdc, .usd or .usdz file."
     )

@@ -1,4 +1,4 @@
-"""What is on a stage: Volumes, fields, files, frames, grids, sizes; from USD and file headers."""
+"""What a stage holds: Volumes, fields, files, frames, grids, sizes, settings; from headers only."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -65,8 +65,8 @@ def inspect(
 def _notes(source: StageSource) -> list[str]:
     """Worth knowing, and no problem."""
     ignored = [
-        f"{', '.join(volume.request.ignored)} of <{volume.prim_path}> do not count: "
-        f"{STYLE_API} is not applied to the prim; apply it"
+        f"{', '.join(volume.request.ignored)} of <{volume.prim_path}> are ignored: "
+        f"{STYLE_API} is not applied to the prim. Apply it."
         for volume in source.volumes
         if volume.request.ignored
     ]
@@ -178,7 +178,7 @@ def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list
 def _camera_problems(
     stage: Usd.Stage, source: StageSource, requests: Sequence[Mapping[str, Any]]
 ) -> list[str]:
-    """What keeps smoke from being seen through the cameras that count, each once."""
+    """What keeps smoke from being seen through the cameras in use, each once."""
     found: dict[str, None] = {}
     for volume, request in zip(source.volumes, requests, strict=True):
         camera = request["settings"]["views.camera"]["value"]

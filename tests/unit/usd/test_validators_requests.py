@@ -64,7 +64,7 @@ def test_a_request_without_the_schema_applied_is_a_warning(tmp_path: Path) -> No
     (finding,) = findings(tmp_path, "double @@strength = 2", meta="")
     assert (finding.severity, finding.rule) == (Severity.WARN, "RequestNotApplied")
     assert finding.prim_path == "/World/smoke"
-    assert "usdSmoke:request:strength do not count" in finding.message
+    assert "usdSmoke:request:strength" in finding.message
 
 
 def test_a_request_on_a_prim_that_is_no_volume_is_a_warning(tmp_path: Path) -> None:
@@ -72,4 +72,4 @@ def test_a_request_on_a_prim_that_is_no_volume_is_a_warning(tmp_path: Path) -> N
     found = validate(write_text(tmp_path / "s.usda", text))
     (finding,) = [item for item in found if item.rule == "RequestMisplaced"]
     assert (finding.severity, finding.prim_path) == (Severity.WARN, "/World/m")
-    assert "of type Mesh, where it does not count" in finding.message
+    assert "of type Mesh" in finding.message

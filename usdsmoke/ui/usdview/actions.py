@@ -38,7 +38,7 @@ class UsdviewApi(Protocol):
 
     @property
     def selectedPrims(self) -> Sequence[Usd.Prim]:
-        """What is selected; the pseudo-root alone stands for nothing."""
+        """What is selected; the pseudo-root alone means nothing is selected."""
 
 
 class Window(Protocol):
@@ -58,7 +58,7 @@ class Window(Protocol):
 
 
 def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
-    """Do what a menu item stands for; whatever goes wrong becomes a message in the window.
+    """Run a menu item's action; errors become messages in the window.
 
     Args:
         name: a key of this module's actions: inspect, provenance, validate, toggle, copy_frame or
@@ -69,7 +69,7 @@ def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
     """
     try:
         if not api.stage:
-            raise StageError("no stage is open; open one first")
+            raise StageError("no stage is open. Open one first.")
         _ACTIONS[name](api, window)
     except UsdSmokeError as error:
         window.warn(label, str(error))

@@ -19,8 +19,8 @@ def selects_everything(selected: Sequence[Usd.Prim]) -> bool:
 def selected_volumes(stage: Usd.Stage, selected: Sequence[Usd.Prim]) -> list[Usd.Prim]:
     """The Volumes that selected prims stand for, in the stage's order; all where none is selected.
 
-    A field prim stands for the Volumes that show it, another prim for itself and the Volumes below
-    it, or else for the one it lies in. Volumes inside instances count where there are no others.
+    A field prim means the Volumes that show it. Another prim means itself and the Volumes below it,
+    or else the one it is in. Volumes inside instances are taken only if there are no others.
 
     Args:
         stage: any; only what is loaded and active is seen.
@@ -57,4 +57,4 @@ def _refusal(stage: Usd.Stage, selected: Sequence[Usd.Prim], volumes: Sequence[U
         return f"there is no Volume on this stage{hint}"
     names = ", ".join(f"<{prim.GetPath()}>" for prim in selected) or "what is selected"
     there = ", ".join(f"<{prim.GetPath()}>" for prim in volumes)
-    return f"there is no Volume at {names}; wanted one of {there}, or nothing selected{hint}"
+    return f"there is no Volume at {names}{hint}. Select one of {there}, or nothing."

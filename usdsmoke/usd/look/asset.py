@@ -1,6 +1,6 @@
 """An asset around the source: each root prim by reference, and a variant for every look.
 
-A variant is weaker than what stands locally, so it can only replace opinions that come from
+A variant is weaker than local opinions, so it can only replace opinions that come from
 further away. The source's root prims are therefore referenced, one by one and under their own
 paths, and the variants of the set ``look`` reference the look layers. ``original`` is empty.
 
@@ -24,7 +24,7 @@ from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 __all__ = ["author_asset", "check_asset"]
 
 _EXPRESSION = Sdf.ValueTypeNames.PathExpression
-_ADVICE = "set layer.mode to sublayer (--mode sublayer), or"
+_ADVICE = "Set layer.mode to sublayer (--mode sublayer), or"
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class _ExternalTargets:
 
 @dataclass(frozen=True)
 class _Look:
-    """A look layer of the folder, as far as the asset has to know it."""
+    """A look layer of the folder, as far as the asset needs it."""
 
     file_path: Path
     roots: tuple[Sdf.Path, ...]  # root prims that it has opinions on
@@ -61,8 +61,8 @@ def _checked_targets(stage: Usd.Stage) -> _ExternalTargets:
     for prim in external.roots:
         if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
             raise LayerError(
-                f"<{prim.GetPath()}> has a variant set {VARIANT_SET!r} of its own, which an "
-                "asset's looks would be mixed with; set layer.mode to sublayer (--mode sublayer)"
+                f"<{prim.GetPath()}> has a variant set {VARIANT_SET!r} of its own, which "
+                "an asset's looks would mix with. Set layer.mode to sublayer (--mode sublayer)."
             )
     return external
 
@@ -148,7 +148,7 @@ def _author_variants(
 def _author_targets(
     layer: Sdf.Layer, stage: Usd.Stage, external: _ExternalTargets, looks: Mapping[str, _Look]
 ) -> None:
-    """Say again what references have dropped: of the source, and of each look in its variant."""
+    """Author what references drop: of the source, and of each look in its variant."""
     by_looks = {path for look in looks.values() for path in look.relationships}
     for path, targets in external.relationships.items():
         if path not in by_looks:
@@ -215,9 +215,9 @@ def _find_external_targets(stage: Usd.Stage) -> _ExternalTargets:
             found.roots.append(prim)
         elif prim.IsDefined() and not prim.IsAbstract():
             raise LayerError(
-                f"an asset cannot hold <{prim.GetPath()}>, which is no class and which "
+                f"an asset cannot hold <{prim.GetPath()}>, which is not a class and which "
                 f"<{bases[prim.GetPath()]}> inherits from: referenced, it would be stronger than "
-                f"that prim; {_ADVICE} make it a class"
+                f"that prim. {_ADVICE} make it a class."
             )
     return found
 
@@ -250,7 +250,7 @@ def _look_at(item: Usd.Property, found: _ExternalTargets) -> None:
     if item.GetPrim().IsInstanceProxy():
         raise LayerError(
             f"an asset cannot hold <{item.GetPath()}>, which leads from inside an instance to "
-            f"{', '.join(f'<{path}>' for path in targets)} in another root prim; {_ADVICE} bring "
-            "both below one root prim"
+            f"{', '.join(f'<{path}>' for path in targets)} in another root prim. {_ADVICE} put "
+            "both below one root prim."
         )
     noted[item.GetPath()] = list(targets)

@@ -49,7 +49,7 @@ def choose_field_prims(
     """A prim for every field of a result, the density first.
 
     The source's field prim is overridden in place unless other Volumes show it too; they must keep
-    what they have. A new prim stands beside the density's field prim and copies its xform ops, so
+    what they have. A new prim is a sibling of the density's field prim and copies its xform ops, so
     that the two share their place in space at every moment. A colour field that the source has
     already is kept up only where it lies in that same place.
 
@@ -66,8 +66,8 @@ def choose_field_prims(
     density = _field_prim(prim, volume.source.density)
     if density is None:
         raise LayerError(
-            f"Volume <{volume.source.prim_path}> has lost its density field since it was read; "
-            "open the stage anew"
+            f"Volume <{volume.source.prim_path}> has lost its density field since it was read. "
+            "Open the stage again."
         )
     names = sorted(volume.grids, key=lambda name: (name != volume.source.density, name))
     targets = []
@@ -119,6 +119,6 @@ def _free_path(
         if path not in taken and not stage.GetPrimAtPath(path):
             return path
     raise LayerError(
-        f"no free name for the field {name} below <{parent}>: {longer} to {candidates[-1]} exist; "
-        "rename some of them"
+        f"no free name for the field {name} below <{parent}>: {longer} to {candidates[-1]} exist. "
+        "Rename some of them."
     )

@@ -58,7 +58,7 @@ def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
         found = field_prim(volume.GetStage(), targets, _FIELD_BASE)
         if isinstance(found, str):
             where = f"{volume.GetPath()}.field:{name}"
-            message = f"the relationship {found}; wanted one OpenVDBAsset prim: correct its target"
+            message = f"the relationship {found}. Correct its target: one OpenVDBAsset prim."
             problems.append(Problem(Severity.ERROR, where, message))
     return problems
 
@@ -96,7 +96,7 @@ def check_grids(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
 
 
 def check_types(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
-    """``fieldDataType`` says what the grid holds; USD's own documentation wants it authored."""
+    """``fieldDataType`` describes the grid; USD's documentation says to author it."""
     problems = []
     for field in collect_fields(volume, interval):
         wrong, missing = {}, {}
@@ -105,13 +105,13 @@ def check_types(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             fitting = _DATA_TYPES.get(grid.value_type, ())
             if not token:
                 missing[code] = (
-                    f'fieldDataType is not authored; the grid "{grid.label}" is {grid.value_type}: '
-                    f"author {' or '.join(fitting) or 'its type'}"
+                    f'fieldDataType is not authored; the grid "{grid.label}" is {grid.value_type}. '
+                    f"Author {' or '.join(fitting) or 'its type'}."
                 )
             elif fitting and token not in fitting:
                 wrong[code] = (
                     f'fieldDataType is "{token}" but the grid "{grid.label}" holds '
-                    f"{grid.value_type}; wanted {' or '.join(fitting)}"
+                    f"{grid.value_type}. Author {' or '.join(fitting)}."
                 )
         problems += grouped(Severity.ERROR, field.prim_path, wrong)
         problems += grouped(Severity.INFO, field.prim_path, missing)
@@ -124,11 +124,11 @@ def check_classes(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     for field in collect_fields(volume, interval):
         troubles = {}
         for code, grid in _grids(field):
-            wanted = _CLASSES.get(_token(field.prim, "fieldClass", code))
-            if wanted and grid.grid_class in _CLASSES.values() and grid.grid_class != wanted:
+            meant = _CLASSES.get(_token(field.prim, "fieldClass", code))
+            if meant and grid.grid_class in _CLASSES.values() and grid.grid_class != meant:
                 troubles[code] = (
-                    f'fieldClass means a {wanted} but the grid "{grid.label}" is a '
-                    f"{grid.grid_class}; correct the one or the other"
+                    f'fieldClass means a {meant} but the grid "{grid.label}" is a '
+                    f"{grid.grid_class}. Correct one of them."
                 )
         problems += grouped(Severity.WARN, field.prim_path, troubles)
     return problems
@@ -142,7 +142,7 @@ def check_tokens(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             attribute = field.prim.GetAttribute(name)
             allowed = attribute.GetMetadata("allowedTokens") or ()
             troubles = {
-                code: f'{name} is "{token}"; wanted one of {", ".join(map(str, allowed))}'
+                code: f'{name} is "{token}". Use one of {", ".join(map(str, allowed))}.'
                 for code in attribute.GetTimeSamples() or [None]
                 if (token := _token(field.prim, name, code)) and token not in allowed
             }
@@ -160,8 +160,8 @@ def check_gaps(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             if sample.time_code is not None and not sample.blocked
         ]
         troubles: dict[float | None, str] = {
-            before: f"the files go from timeCode {format_time_code(before)} straight to "
-            f"{format_time_code(after)}; between them the first one is held, or nothing is shown"
+            before: f"no file between the timeCodes {format_time_code(before)} and "
+            f"{format_time_code(after)}. The first one is held there; add files, or block a sample."
             for before, after in _holes(codes)
         }
         problems += grouped(Severity.WARN, field.prim_path, troubles)
@@ -181,7 +181,7 @@ def check_absolute_paths(volume: Usd.Prim, interval: Gf.Interval) -> list[Proble
             continue
         code = min(paths, key=lambda item: -1e300 if item is None else item)
         many = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-        message = f"@{paths[code]}@{many} is absolute; wanted a path relative to its layer"
+        message = f"@{paths[code]}@{many} is absolute. Use a path relative to its layer."
         problems.append(Problem(Severity.WARN, field.prim_path, message, code))
     return problems
 
@@ -204,7 +204,7 @@ def _grids(field: FieldFacts) -> list[tuple[float | None, GridHeader]]:
 
 
 def _token(prim: Usd.Prim, name: str, time_code: float | None) -> str:
-    """The authored token; schema fallbacks such as the role's None do not count."""
+    """The authored token; schema fallbacks such as the role's None are ignored."""
     attribute = prim.GetAttribute(name)
     if not attribute.HasAuthoredValue():
         return ""

@@ -37,7 +37,7 @@ def check_extent(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     """The Volume has an extent; USD cannot work one out, and without it nothing frames it."""
     if volume.GetAttribute("extent").HasAuthoredValue():
         return []
-    message = "no extent is authored, so the Volume has empty bounds; author the box of its fields"
+    message = "no extent is authored, so the Volume has empty bounds. Author the box of its fields."
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 
 
@@ -55,7 +55,7 @@ def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             )
             troubles[code] = (
                 f"the fields come from {len(files)} files ({listed}), of which several programs "
-                "read only one; keep a frame's grids in one file"
+                "read only one. Keep a frame's grids in one file."
             )
     first = dict(list(troubles.items())[:1])  # the file names differ at every timeCode
     problems = grouped(Severity.WARN, str(volume.GetPath()), first)
@@ -118,22 +118,22 @@ def check_request(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
 
 
 def check_request_applied(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
-    """Attributes of a request stand on a prim with the API applied; they do not count otherwise."""
+    """Style attributes are ignored unless the API is applied to the prim."""
     ignored = ignored_attributes(volume)
     if not ignored:
         return []
-    message = f"{STYLE_API} is not applied, so that {', '.join(ignored)} do not count; apply it"
+    message = f"{', '.join(ignored)}: ignored, as {STYLE_API} is not applied. Apply it."
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 
 
 def check_request_placed(prim: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
-    """The API is applied to Volumes; on a prim of another type nobody reads it."""
+    """The API is applied to Volumes; on other prims it is ignored."""
     if not has_request(prim) or prim.IsA(UsdVol.Volume):
         return []
     kind = prim.GetTypeName() or "none"
     message = (
-        f"{STYLE_API} is applied to a prim of type {kind}, where it does not count; wanted a "
-        "Volume: apply it there"
+        f"{STYLE_API} is applied to a prim of type {kind}, where it is ignored. Apply it "
+        "to a Volume."
     )
     return [Problem(Severity.WARN, str(prim.GetPath()), message)]
 
@@ -149,7 +149,7 @@ def _moments(
 
 
 def _is_empty(sample: FieldSample) -> bool:
-    """A grid without voxels is missed by nobody, wherever it is."""
+    """A grid without voxels shows nothing, wherever it is."""
     grid = sample_grid(sample)
     return grid is not None and grid.active_voxels == 0
 

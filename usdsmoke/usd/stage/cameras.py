@@ -1,4 +1,4 @@
-"""What a stage's Camera shows at one timeCode: its place, its film and its lens."""
+"""A stage's cameras at one timeCode: place, film and lens."""
 
 import math
 from collections.abc import Sequence
@@ -94,11 +94,11 @@ def seen_through(
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
     listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage)) or "none"
-    advice = f"wanted one of the stage's cameras: {listed}"
-    prim = named_prim(stage, path, "a camera, as /World/camera is", advice, StageError)
+    advice = f"Use one of the stage's cameras: {listed}"
+    prim = named_prim(stage, path, "a camera, such as /World/camera", advice, StageError)
     if not prim.IsA(UsdGeom.Camera):
         kind = prim.GetTypeName() or "none"
-        raise StageError(f"the prim <{path}> is of type {kind}, no Camera; {advice}")
+        raise StageError(f"the prim <{path}> is of type {kind}, not a Camera. {advice}")
     return UsdGeom.Camera(prim)
 
 
@@ -113,21 +113,21 @@ def _check_camera(source: CameraSource, time_code: float) -> None:
         sizes.append(("focalLength", source.focal_length))
     for name, value in sizes:
         if not (math.isfinite(value) and value > 0):
-            raise StageError(f"{where} has {name} {value:g}; wanted a number above 0: set it")
+            raise StageError(f"{where} has {name} {value:g}. Set a number above 0.")
     for name, value in (
         ("horizontalApertureOffset", source.horizontal_offset),
         ("verticalApertureOffset", source.vertical_offset),
     ):
         if not math.isfinite(value):
-            raise StageError(f"{where} has {name} {value:g}; wanted a finite number: set it")
+            raise StageError(f"{where} has {name} {value:g}. Set a finite number.")
     near, far = source.clipping_range
     if not (math.isfinite(near) and near < far):
         raise StageError(
-            f"{where} has clippingRange ({near:g}, {far:g}); wanted two ascending numbers: set it"
+            f"{where} has clippingRange ({near:g}, {far:g}). Set two ascending numbers."
         )
     axes = source.camera_to_stage[:3, :3]
     if not (np.isfinite(source.camera_to_stage).all() and abs(np.linalg.det(axes)) > 0):
         raise StageError(
-            f"{where} is placed by a matrix that is singular or not finite; correct the "
-            "transforms of the camera and its parents"
+            f"{where} is placed by a matrix that is singular or not finite. Correct the "
+            "transforms of the camera and its parents."
         )

@@ -19,13 +19,13 @@ __all__ = ["ComposedVolume", "composed_volumes"]
 
 @dataclass(frozen=True)
 class ComposedVolume:
-    """What a Volume shows at one timeCode, whatever is sampled there: values hold as USD holds."""
+    """What a Volume shows at one timeCode, between time samples too."""
 
     prim_path: str
     density: FieldSource
     emission: FieldSource | None  # None: it has no such field, or a gap there
-    extinction: float | None  # usdSmoke:extinctionPerDensity; None when nobody has authored it
-    emission_mode: str = ""  # usdSmoke:emissionMode; "" when nobody has authored it
+    extinction: float | None  # usdSmoke:extinctionPerDensity; None if not authored
+    emission_mode: str = ""  # usdSmoke:emissionMode; "" if not authored
 
 
 def composed_volumes(
@@ -94,6 +94,7 @@ def _extinction(prim: Usd.Prim, time_code: float) -> float | None:
     if not (math.isfinite(value) and value >= 0):
         raise StageError(
             f"<{prim.GetPath()}> has {EXTINCTION_PER_DENSITY} {value:g} at timeCode "
-            f"{format_time_code(time_code)}; wanted a number, 0 or more: correct or remove it"
+            f"{format_time_code(time_code)}. Set a number of 0 or more, or "
+            "remove the attribute."
         )
     return float(value)

@@ -40,15 +40,15 @@ class VolumeFields:
     others: tuple[str, ...]  # relationships that are left alone
 
 
-def velocity_relationships(names: Sequence[str], wanted: str = "") -> tuple[str, ...]:
+def velocity_relationships(names: Sequence[str], chosen: str = "") -> tuple[str, ...]:
     """The relationships that hold the velocity: one vector, three scalars x, y, z, or none.
 
     Args:
         names: relationship names without ``field:``.
-        wanted: the name from the settings; empty tries vel, v and velocity in this order. Scalars
+        chosen: the name from the settings; empty tries vel, v and velocity in this order. Scalars
             are called like the vector plus _x, :x or x.
     """
-    for base in (wanted,) if wanted else VELOCITY_NAMES:
+    for base in (chosen,) if chosen else VELOCITY_NAMES:
         if base in names:
             return (base,)
         for separator in ("_", ":", ""):
@@ -81,13 +81,13 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
         relationships[mask] = list(volume.GetRelationship(mask).GetForwardedTargets())
     if density not in relationships:
         raise FieldNotFound(
-            f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}"; '
-            f"it has: {_listed(relationships)}; name the density's with stage.density"
+            f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}" '
+            f"(found: {_listed(relationships)}). Set stage.density to the density's name."
         )
     prims = {density: _density_prim(volume, density, relationships[density])}
     mask = mask if mask in relationships else ""
     if mask:
-        prims[mask] = _wanted_prim(volume, mask, relationships[mask])
+        prims[mask] = _required_prim(volume, mask, relationships[mask])
     names = velocity_relationships(sorted(relationships), velocity)
     found = {name: _openvdb_prim(volume, relationships[name]) for name in names}
     if all(isinstance(prim, Usd.Prim) for prim in found.values()):
@@ -99,7 +99,7 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
 
 
 def describe_instance(prim: Usd.Prim) -> str:
-    """The instance that an instance proxy belongs to, where its opinions stand, what to do.
+    """The instance that an instance proxy belongs to, the source of its opinions, and what to do.
 
     Layers are named relative to the stage's file.
     """
@@ -108,9 +108,9 @@ def describe_instance(prim: Usd.Prim) -> str:
         instance = instance.GetParent()
     source = prim.GetPrimStack()[0]
     return (
-        f"it lies inside the instance <{instance.GetPath()}>, whose prims cannot be changed one by "
-        f"one; stylize its source, <{source.path}> in {_beside_root(source.layer, prim)}, "
-        f"or set instanceable = false on <{instance.GetPath()}>"
+        f"it is inside the instance <{instance.GetPath()}>, whose prims cannot be changed one by "
+        f"one. Stylize its source, <{source.path}> in {_beside_root(source.layer, prim)}, "
+        f"or set instanceable = false on <{instance.GetPath()}>."
     )
 
 
@@ -126,7 +126,7 @@ def _beside_root(layer: Sdf.Layer, prim: Usd.Prim) -> str:
 
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
-    prim = _wanted_prim(volume, density, targets)
+    prim = _required_prim(volume, density, targets)
     if prim.IsInstanceProxy():
         raise StageError(
             f"cannot change the field <{prim.GetPath()}> of the {_where(volume, density)}: "
@@ -135,12 +135,12 @@ def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Us
     return prim
 
 
-def _wanted_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.Prim:
+def _required_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.Prim:
     """The field prim of a relationship that has to lead to one."""
     prim = _openvdb_prim(volume, targets)
     if isinstance(prim, str):
         raise FieldNotFound(
-            f"the {_where(volume, name)} {prim}; wanted one OpenVDBAsset prim: correct its target"
+            f"the {_where(volume, name)} {prim}. Correct its target: one OpenVDBAsset prim."
         )
     return prim
 
@@ -219,4 +219,4 @@ def _layer_name(layer: Sdf.Layer) -> str:
 
 def _also(time_codes: Iterable[float]) -> str:
     codes = list(time_codes)
-    return f" (the same trouble at timeCodes {format_time_codes(codes)})" if codes else ""
+    return f" (the same at timeCodes {format_time_codes(codes)})" if codes else ""

@@ -64,15 +64,15 @@ def layer_files(stage: Usd.Stage) -> list[str]:
 
 
 def named_prim(
-    stage: Usd.Stage, path: str, wanted: str, advice: str, error: type[UsdSmokeError]
+    stage: Usd.Stage, path: str, what: str, advice: str, error: type[UsdSmokeError]
 ) -> Usd.Prim:
     """The active prim at a path, of whatever type.
 
     Args:
         stage: composed.
         path: as it was given.
-        wanted: what it is to be the path of, with an example.
-        advice: the end of every message: what there is to choose from.
+        what: what the path should lead to, with an example.
+        advice: the last sentence of every message: what to choose from.
         error: what to raise.
 
     Raises:
@@ -81,10 +81,10 @@ def named_prim(
     if not (
         path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
     ):
-        raise error(f"{path!r} is no path of {wanted}; {advice}")
+        raise error(f"{path!r} is not the path of {what}. {advice}")
     prim = stage.GetPrimAtPath(path)
     if not prim:
-        raise error(f"no prim <{path}> on the stage; {advice}")
+        raise error(f"no prim <{path}> on the stage. {advice}")
     if not prim.IsActive():
-        raise error(f"the prim <{path}> is inactive; activate it, or {advice}")
+        raise error(f"the prim <{path}> is inactive. Activate it, or choose another. {advice}")
     return prim

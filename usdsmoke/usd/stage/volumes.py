@@ -91,8 +91,8 @@ def find_volumes(
         )
         if config.prims:
             raise StageError(
-                f"Volume <{outline.prim.GetPath()}> was named, but {reason}; "
-                "choose other frames or leave it out"
+                f"Volume <{outline.prim.GetPath()}> was named, but {reason}. "
+                "Choose other frames, or leave it out."
             )
         omitted[str(outline.prim.GetPath())] = reason
     return _describe_stage(stage, tuple(volumes), omitted)
@@ -143,7 +143,7 @@ def _choose_volumes(
             "belongs to. Use the root stage that was written beside it, NAME_look.usda."
         )
     raise VolumeNotFound(
-        f"no Volume on the stage {stage.GetRootLayer().identifier}; wanted a prim of type Volume "
+        f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
         f"with a density field{_composition_hint(stage)}"
     )
 
@@ -152,17 +152,17 @@ def _composition_hint(stage: Usd.Stage) -> str:
     """What to look at when an arc is broken: the Volume may lie behind it."""
     errors = stage.GetCompositionErrors()
     if not errors:
-        return "; usdsmoke does not make smoke of meshes or particles"
-    return f"; a part of the stage is missing, perhaps that one: {' '.join(str(errors[0]).split())}"
+        return "; usdsmoke does not turn meshes or particles into smoke."
+    return f", or repair the stage, of which a part is missing: {' '.join(str(errors[0]).split())}"
 
 
 def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
     listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
-    advice = f"wanted one of the stage's Volumes: {listed}"
-    prim = named_prim(stage, path, "a prim, as /World/smoke is", advice, VolumeNotFound)
+    advice = f"Use one of the stage's Volumes: {listed}"
+    prim = named_prim(stage, path, "a prim, such as /World/smoke", advice, VolumeNotFound)
     if not prim.IsA(UsdVol.Volume):
         kind = prim.GetTypeName() or "none"
-        raise VolumeNotFound(f"the prim <{path}> is of type {kind}; {advice}")
+        raise VolumeNotFound(f"the prim <{path}> is of type {kind}. {advice}")
     if prim.IsInstanceProxy():
         raise StageError(f"cannot use Volume <{path}>: {describe_instance(prim)}")
     return prim
@@ -187,7 +187,7 @@ def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
     if not existing:
         raise AssetNotResolved(
             f"the field <{density.GetPath()}> of Volume <{prim.GetPath()}> has no filePath at any "
-            "timeCode; wanted a default or time samples that name .vdb files"
+            "timeCode. Author a default or time samples that name .vdb files."
         )
     return _Outline(prim, fields, tuple(codes), existing, animated)
 
@@ -207,7 +207,7 @@ def _select_time_codes(
     ]
     if not everywhere_missing and any(selections):
         return selections
-    wanted = (
+    missing = (
         f"timeCode {', '.join(format_time_code(code) for code in sorted(everywhere_missing))}"
         if everywhere_missing
         else f"any timeCode in {text!r}"
@@ -216,7 +216,7 @@ def _select_time_codes(
         f"<{outline.prim.GetPath()}> has {format_time_codes(outline.existing)}"
         for outline in outlines
     )
-    raise StageError(f"no density is authored at {wanted}; {there}; choose frames among these")
+    raise StageError(f"no density is authored at {missing} ({there}). Choose frames among these.")
 
 
 def _read_volume(
@@ -251,14 +251,14 @@ def _read_volume(
 
 
 def _check_mask(outline: _Outline, fields: Mapping[str, FieldSource], time_code: float) -> None:
-    """A mask that was asked for may have no gap where there is smoke: all of it, or none?"""
+    """A requested mask must have a file wherever the density has one."""
     mask = outline.fields.mask
     if mask and mask not in fields:
         raise AssetNotResolved(
             f"the mask <{outline.fields.prims[mask].GetPath()}> of Volume "
             f"<{outline.prim.GetPath()}> has no filePath at timeCode "
-            f"{format_time_code(time_code)}; wanted a .vdb file wherever the density has one: "
-            "author it, or select other frames"
+            f"{format_time_code(time_code)}. Author a .vdb file wherever the density has one, "
+            "or select other frames."
         )
 
 
