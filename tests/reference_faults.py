@@ -17,7 +17,7 @@ OPTIMIZE = "tests/unit/core/test_optimize.py::"
 OPTICS = "tests/unit/core/test_optics.py::"
 SCENE = "tests/unit/core/test_scene.py::"
 VIEWS = "tests/unit/core/test_views.py::"
-WARM = "tests/unit/core/test_warm.py::"
+WARM = "tests/unit/core/test_departures.py::"
 IMAGES = "tests/unit/pictures/test_png.py::"
 PROJECTION = "tests/numerics/test_projection.py::"
 

@@ -24,7 +24,7 @@ VELOCITY = "tests/unit/vdb/test_velocity.py::"
 REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
 STAGES = "tests/test_extreme_stages.py::"
 MASK = "tests/unit/test_mask.py::"
-WARM = "tests/unit/core/test_warm.py::"
+WARM = "tests/unit/core/test_departures.py::"
 WINDOWS = "tests/unit/test_windows.py::"
 
 

@@ -2,14 +2,14 @@
 
 ``controls`` needs no torch: planning reads it.
 
-- stylize: the stylized frames of one window
-- frame_state: one immutable record for each phase of a frame
-- frame_loop: the phases: opened, shaped, moved, painted, finished
-- controls: the settings of each frame, and which frames are computed
-- start: where a frame's optimisation starts: its neighbour and the coarse step
-- coherence: results carried along by the velocity, compared, averaged
-- coarse: the shared coarse step and its files
-- motion, motion_energy: the velocity of smoke that comes without one
-- error_estimates, picture_errors, storage_error: what is left of a frame's errors
-- calibrate: the errors of other settings, measured on one frame
+- ``stylize``: the stylized frames of one window
+- ``frame_state``: one immutable record for each phase of a frame
+- ``frame_loop``: the phases: opened, shaped, moved, painted, finished
+- ``controls``: the settings of each frame, and which frames are computed
+- ``start``: where a frame's optimisation starts: its neighbour and the coarse step
+- ``coherence``: results carried along by the velocity, compared, averaged
+- ``coarse``: the shared coarse step and its files
+- ``motion``, ``motion_energy``: the velocity of smoke that comes without one
+- ``error_estimates``, ``picture_errors``, ``storage_error``: what is left of a frame's errors
+- ``calibrate``: the errors of other settings, measured on one frame
 """

@@ -1,10 +1,10 @@
 """The two optimisation steps of a frame, and the optimiser that both use.
 
-- targets: what a step works on: smoke, scene, and the loss of its pictures at every octave
-- pictures: the pictures that are compared: grey opacity, colours divided by their opacity
-- shape: the shape step: a displacement of the density
-- move: the density moved by that displacement
-- colour: the colour step: colours of the voxels
-- optimize: Adam with rollbacks, for any objective
-- loss_tail: by how much a loss would still fall, from its history
+- ``targets``: what a step works on: smoke, scene, and the loss of its pictures at every octave
+- ``pictures``: the pictures that are compared: grey opacity, colours divided by their opacity
+- ``shape``: the shape step: a displacement of the density
+- ``move``: the density moved by that displacement
+- ``colour``: the colour step: colours of the voxels
+- ``optimize``: Adam with rollbacks, for any objective
+- ``loss_tail``: by how much a loss would still fall, from its history
 """

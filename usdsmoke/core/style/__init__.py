@@ -2,11 +2,11 @@
 
 ``definition`` and ``layers`` need no torch: planning reads them.
 
-- definition: the numbers that the embedded network is made of, and their hash
-- layers: the layers of each network, the defaults, the file of VGG-19's weights
-- features: feature maps of a picture; the embedded network
-- vgg19: the VGG-19 network
-- quantiles: one-dimensional optimal transport between distributions of features
-- content: distances of a picture from its content picture
-- losses: the loss of a picture: Gram matrices or distributions, content, total variation
+- ``definition``: the numbers that the embedded network is made of, and their hash
+- ``layers``: the layers of each network, the defaults, the file of VGG-19's weights
+- ``features``: feature maps of a picture; the embedded network
+- ``vgg19``: the VGG-19 network
+- ``quantiles``: one-dimensional optimal transport between distributions of features
+- ``content``: distances of a picture from its content picture
+- ``losses``: the loss of a picture: Gram matrices or distributions, content, total variation
 """
