@@ -68,7 +68,7 @@ def _describe(stage: Usd.Stage) -> dict[str, Any]:
         "rates": [stage.GetTimeCodesPerSecond(), stage.GetFramesPerSecond()],
         "range": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
         "layers": [layer.identifier for layer in stage.GetLayerStack(False)],
-        "errors": [str(error) for error in stage.GetCompositionErrors()],
+        "errors": [str(error) for error in getattr(stage, "GetCompositionErrors", list)()],
     }
 
 

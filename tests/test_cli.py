@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.pipeline_fixtures import Shot
-from tests.usd_fixtures import file_hashes, write_text
+from tests.usd_fixtures import file_hashes, needs_usd, write_text
 from usdsmoke.base.resolve import read_settings, resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.main import main
@@ -118,6 +118,7 @@ def test_a_dry_run_reads_no_voxel(shot: Shot, monkeypatch: pytest.MonkeyPatch) -
     assert main(shot.arguments("--dry-run", "--json")) == 0
 
 
+@needs_usd(26, 5)
 def test_inspect_validate_and_dry_runs_load_no_torch(shot: Shot) -> None:
     (shot.stage.parent / "shot.usda").write_text(
         shot.stage.read_text().replace(
@@ -165,6 +166,7 @@ def test_inspect_reports_problems_in_place_and_exits_with_1(
     assert f"problem: {problems[1]}" in capsys.readouterr().out
 
 
+@needs_usd(26, 5)
 @pytest.mark.usefixtures("core")
 def test_validate_tells_a_sound_result_from_a_damaged_one(
     shot: Shot, capsys: pytest.CaptureFixture[str]
@@ -191,6 +193,7 @@ def test_settings_prints_a_file_that_can_be_given_back(
     assert json.loads(capsys.readouterr().out) == Config().model_dump()
 
 
+@needs_usd(26, 5)
 @pytest.mark.usefixtures("core")
 def test_relative_paths_mean_the_folder_one_is_in(
     shot: Shot, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

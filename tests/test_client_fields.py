@@ -9,7 +9,7 @@ from pxr import Usd
 from tests.client_fixtures import ALL, CD, PARTS, SPLIT, VECTORS, fields_of
 from tests.grids_fixtures import openvdb
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run, shown_files
-from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
+from tests.usd_fixtures import density_prim, needs_usd, sequence, volume_prim, world, write_text
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.usd.rules import Severity, validate
 
@@ -49,6 +49,7 @@ def test_every_field_says_what_it_is_by_one_name(plume: Shot) -> None:
     assert volume.GetAttribute("usdSmoke:emissionMode").Get() == "perDensity"
 
 
+@needs_usd(26, 5)
 def test_where_the_source_is_shown_every_colour_is_empty(plume: Shot) -> None:
     result = run(plume, *ALL, "stage.frames=3-5")
     stage = Usd.Stage.Open(str(result.root_stage))
@@ -64,6 +65,7 @@ def test_where_the_source_is_shown_every_colour_is_empty(plume: Shot) -> None:
     assert {item.severity for item in validate(result.root_stage)} <= {Severity.INFO}
 
 
+@needs_usd(26, 5)
 def test_our_validators_have_nothing_to_say_about_all_options(plume: Shot) -> None:
     assert validate(run(plume, *ALL, "grids.half=true").root_stage) == []
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import Shot, make_shot
-from tests.usd_fixtures import file_hashes
+from tests.usd_fixtures import file_hashes, needs_usd
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -73,6 +73,7 @@ def test_the_files_hold_smoke_and_its_colours(finished: tuple[Shot, dict[str, ob
         assert (np.add(emission.ijk_min, emission.values.shape[:3]) <= high).all()
 
 
+@needs_usd(26, 5)
 @pytest.mark.slow
 def test_the_result_is_found_sound_by_every_validator(
     finished: tuple[Shot, dict[str, object]],

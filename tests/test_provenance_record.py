@@ -9,7 +9,7 @@ import pytest
 from pxr import Sdf, Usd, UsdMedia
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot, run
-from tests.usd_fixtures import write_text
+from tests.usd_fixtures import needs_usd, write_text
 from usdsmoke import verify
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import GridsConfig
@@ -105,6 +105,7 @@ def test_a_result_as_source_does_not_pass_its_own_record_on(shot: Shot, tmp_path
     assert again["usdsmoke:source_sha256"] != metadata["usdsmoke:source_sha256"]
 
 
+@needs_usd(26, 11)
 @pytest.mark.usefixtures("core")
 def test_the_authorship_record_has_versions_and_figures(shot: Shot) -> None:
     stage = Usd.Stage.Open(str(run(shot).root_stage))

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd
 
 from usdsmoke.base.record_format import RunFacts, build_provenance
@@ -12,6 +13,7 @@ from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.usd.look import LookFiles, StylizedVolume, author_look
 from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.binding import find_binding
 from usdsmoke.vdb.write import write_frame
 
@@ -214,7 +216,14 @@ def write_empty(file_path: Path) -> None:
     openvdb.write(str(file_path), grids=[grid])
 
 
+def needs_usd(year: int, month: int) -> pytest.MarkDecorator:
+    """Marks a test of what OpenUSD has since a release."""
+    return pytest.mark.skipif(
+        Usd.GetVersion()[1:] < (year, month), reason=f"needs OpenUSD {year}.{month:02}"
+    )
+
+
 def shown_file(stage: Usd.Stage, prim_path: str, time_code: float) -> str | None:
     """The resolved file of a field prim at a time; None when it is blocked."""
-    asset = stage.GetPrimAtPath(prim_path).GetAttribute("filePath").Get(time_code)
+    asset = value_at(stage.GetPrimAtPath(prim_path).GetAttribute("filePath"), time_code)
     return None if asset is None else str(asset.resolvedPath)

@@ -9,6 +9,7 @@ would have filled in.
 
 import argparse
 import importlib.util
+import re
 import subprocess
 import sys
 import tempfile
@@ -76,6 +77,16 @@ def run_generator(schema: Path, out_folder: Path) -> None:
         sys.exit(f"usdGenSchema refused {schema}:\n{done.stdout}{done.stderr}")
 
 
+def with_aliases(plug_info: str) -> str:
+    """``plugInfo.json`` with other names for the types, and the schemas' names as their aliases.
+
+    OpenUSD before 24.11 finds a codeless schema only by an alias, and no type may have that name.
+    """
+    pattern = re.compile(r'^( +)"(UsdSmoke\w+API)": \{$', re.MULTILINE)
+    alias = r'\1"UsdSmoke\2": {\n\1    "alias": {\n\1        "UsdSchemaBase": "\2"\n\1    },'
+    return pattern.sub(alias, plug_info)
+
+
 def generate(plugin_folder: Path, schema: Path) -> list[Path]:
     """Write the schema, and plugInfo.json and generatedSchema.usda below ``plugin_folder``."""
     schema.write_text(schema_text(), encoding="utf-8")
@@ -85,6 +96,7 @@ def generate(plugin_folder: Path, schema: Path) -> list[Path]:
         generated = (Path(scratch) / "generatedSchema.usda").read_text(encoding="utf-8")
     for placeholder, value in PLACEHOLDERS.items():
         plug_info = plug_info.replace(placeholder, value)
+    plug_info = with_aliases(plug_info)
     contents = {
         plugin_folder / "plugInfo.json": plug_info,
         plugin_folder / RESOURCES / "generatedSchema.usda": generated,

@@ -13,6 +13,7 @@ from tests.usd_fixtures import (
     density_prim,
     file_hashes,
     make_look,
+    needs_usd,
     plume_stage,
     sequence,
     volume_prim,
@@ -180,6 +181,7 @@ def test_neither_source_nor_looks_are_touched_by_another_look(big: BigShot) -> N
     assert str(big.folder) not in (big.output / "shot_asset.usda").read_text()
 
 
+@needs_usd(26, 5)
 def test_the_asset_passes_every_validator(big: BigShot) -> None:
     asset = make_asset(big, "ember", ours=True)
     assert [item for item in validate(asset) if item not in validate(big.stage)] == []

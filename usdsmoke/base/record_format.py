@@ -13,9 +13,9 @@ import json
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, BinaryIO
 
 from usdsmoke.base.errors import FileUnreadable
 
@@ -27,6 +27,7 @@ __all__ = [
     "authorship_inputs",
     "build_provenance",
     "hash_file",
+    "hash_stream",
     "new_run_id",
     "short_run_id",
     "utc_now",
@@ -86,7 +87,7 @@ def short_run_id(run_id: str) -> str:
 
 def utc_now() -> str:
     """The time in UTC to the second, ISO 8601: 2026-01-31T12:00:00Z."""
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def hash_file(file_path: str | Path) -> str:
@@ -98,16 +99,21 @@ def hash_file(file_path: str | Path) -> str:
     Raises:
         FileUnreadable: the file cannot be read.
     """
-    digest = hashlib.sha256()
     try:
         with open(file_path, "rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
+            return hash_stream(stream)
     except OSError as error:
         raise FileUnreadable(
             f"cannot read {file_path} to take its hash: {error.strerror or error}; "
             "check the path and its permissions"
         ) from None
+
+
+def hash_stream(stream: BinaryIO) -> str:
+    """SHA-256 of the rest of an open file as 64 hexadecimal digits."""
+    digest = hashlib.sha256()
+    while block := stream.read(1 << 20):
+        digest.update(block)
     return digest.hexdigest()
 
 

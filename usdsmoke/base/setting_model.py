@@ -9,7 +9,7 @@ import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -35,6 +35,7 @@ __all__ = [
     "type_text",
 ]
 
+_Section = TypeVar("_Section", bound="Section")  # typing.Self came with Python 3.11
 _TYPES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
@@ -106,7 +107,9 @@ class Section(BaseModel):
         return value
 
     @classmethod
-    def checked(cls, name: str, values: Mapping[str, Any], sources: Mapping[str, str]) -> Self:
+    def checked(
+        cls: type[_Section], name: str, values: Mapping[str, Any], sources: Mapping[str, str]
+    ) -> _Section:
         """A section of these values; the others are defaults.
 
         Args:
@@ -123,7 +126,7 @@ class Section(BaseModel):
             first = error.errors(include_url=False)[0]
             raise ConfigError(cls.explain(name, {**first}, sources)) from None
 
-    def replace(self, **values: Any) -> Self:
+    def replace(self: _Section, **values: Any) -> _Section:
         """The section with other values, for code: nothing is checked or becomes explicit."""
         if unknown := values.keys() - type(self).model_fields.keys():
             raise TypeError(f"{type(self).__name__} has no {', '.join(sorted(unknown))}")

@@ -1,7 +1,7 @@
 """The settings of a run by section, and which of them the user gave explicitly."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Self
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -100,7 +100,7 @@ class Config(BaseModel):
             if name in explicit or value != defaults[name]
         }
 
-    def replace(self, **sections: Section) -> Self:
+    def replace(self, **sections: Section) -> "Config":
         """The configuration with other sections, for code: nothing becomes explicit.
 
         >>> config = Config()
@@ -114,7 +114,7 @@ class Config(BaseModel):
         values: Mapping[str, Any],
         sources: Mapping[str, str] | None = None,
         explicit: bool = False,
-    ) -> Self:
+    ) -> "Config":
         """The configuration with other values.
 
         Args:
@@ -137,7 +137,7 @@ class Config(BaseModel):
             changed[name] = checked.model_construct(set(names), **checked.__dict__)
         return self.replace(**changed)
 
-    def with_explicit(self, names: Iterable[str] | None = None) -> Self:
+    def with_explicit(self, names: Iterable[str] | None = None) -> "Config":
         """The configuration in which exactly these dotted names are explicit; None: no setting."""
         known, names = set(declared_settings()), set(names or ())
         sections = {}

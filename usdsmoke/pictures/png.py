@@ -5,7 +5,6 @@ files are scene-linear; they are clipped to [0, 1] and encoded, so that the netw
 screen would show them. Embedded colour profiles are not applied: sRGB is taken for granted.
 """
 
-import hashlib
 import os
 import warnings
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from usdsmoke.base.errors import ImageError, WriteFailed
 from usdsmoke.base.publish import publish_file
+from usdsmoke.base.record_format import hash_stream
 
 __all__ = ["StyleImage", "encode_srgb", "read_style_image", "write_png"]
 
@@ -56,7 +56,7 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         with open(where, "rb") as stream:
             is_exr = stream.read(4) == _EXR_MAGIC
             stream.seek(0)
-            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+            sha256 = hash_stream(stream)
     except OSError as error:
         raise ImageError(
             f"cannot read the style image {where}: {error.strerror or error}. Check the path and "

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from usdsmoke.pictures.preview_smoke import Smoke, find_smoke
 from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from usdsmoke.core.views.cameras import View
     from usdsmoke.core.views.march import Picture
 
@@ -58,7 +60,7 @@ def preview(
     output: str | PathLike[str],
     *,
     progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[PreviewOptions],
+    **options: "Unpack[PreviewOptions]",
 ) -> PreviewResult:
     """Draw a stage's Volumes, all of them in one picture, and write the picture.
 

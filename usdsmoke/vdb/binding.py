@@ -16,6 +16,7 @@ from types import ModuleType
 import numpy as np
 
 from usdsmoke.base.errors import BindingMissing
+from usdsmoke.base.machine import python_command
 
 __all__ = ["binding_version", "check_bindings", "find_binding"]
 
@@ -24,7 +25,10 @@ _INSTALL = (
     "Install conda-forge's openvdb, or Debian's python3-openvdb and link its pyopenvdb*.so into "
     "this environment, or run inside Houdini or Blender."
 )
-_TRIAL = "import numpy, {0}; {0}.FloatGrid().copyFromArray(numpy.ones((2, 2, 2), numpy.float32))"
+_TRIAL = (
+    "import numpy, {0}; print('loaded', flush=True); "
+    "{0}.FloatGrid().copyFromArray(numpy.ones((2, 2, 2), numpy.float32))"
+)
 _TRIAL_LIMIT_S = 60.0
 
 
@@ -77,14 +81,15 @@ def _check_array(name: str) -> None:
     search = os.pathsep.join(entry for entry in sys.path if entry)
     try:
         trial = subprocess.run(
-            [sys.executable, "-P", "-c", _TRIAL.format(name)],
+            python_command(_TRIAL.format(name)),
             env={**os.environ, "PYTHONPATH": search},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=_TRIAL_LIMIT_S,
             check=False,
         )
-        fits = trial.returncode == 0
+        # If the module did not even load, find_binding reports why.
+        fits = trial.returncode == 0 or b"loaded" not in trial.stdout
     except subprocess.TimeoutExpired:
         fits = False
     if not fits:

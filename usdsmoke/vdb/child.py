@@ -29,6 +29,7 @@ from typing import IO, Any
 import numpy as np
 
 from usdsmoke.base import errors
+from usdsmoke.base.machine import python_command
 from usdsmoke.base.sections import GridsConfig
 
 __all__ = ["ChildFailure", "end_worker", "run_child"]
@@ -103,7 +104,7 @@ class _Worker:
         self.messages: IO[bytes] = tempfile.TemporaryFile()  # a file: they cannot fill memory
         with _interrupts_held():  # Ctrl-C is for the parent, which then ends the worker
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "usdsmoke.vdb.worker"],
+                python_command("from usdsmoke.vdb.worker import main; sys.exit(main())"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self.messages,

@@ -137,7 +137,7 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
         if not part.is_empty:
             start = np.subtract(part.ijk_min, low)
             box = tuple(slice(a, a + n) for a, n in zip(start, part.values.shape, strict=True))
-            values[(*box, axis)] = part.values
+            values[..., axis][box] = part.values
     return dataclasses.replace(
         first,
         name=first.name[:-2],

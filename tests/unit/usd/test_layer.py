@@ -11,6 +11,7 @@ from tests.usd_fixtures import (
     HEADER,
     finish_frame,
     make_look,
+    needs_usd,
     plume_stage,
     volume_prim,
     world,
@@ -82,6 +83,7 @@ def test_the_extinction_has_time_samples_where_it_changes_and_only_there(tmp_pat
     assert found["moving"] == (0.5, [1.0, 2.0, 3.0], [0.5, 0.25, 2.0])
 
 
+@needs_usd(26, 11)
 def test_the_authorship_record_is_usds_own(tmp_path):
     stage = open_stage(make_look(plume_stage(tmp_path), tmp_path / "out").root_stage)
     (record,) = UsdMedia.AuthorshipAPI.GetAllOnStage(stage)

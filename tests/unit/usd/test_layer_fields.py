@@ -7,6 +7,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 from tests.usd_fixtures import (
     density_prim,
     make_look,
+    needs_usd,
     sequence,
     shown_file,
     volume_prim,
@@ -14,6 +15,7 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
+from usdsmoke.base.errors import StageError
 from usdsmoke.usd.stage import open_stage
 
 CODES = [1, 2]
@@ -67,23 +69,35 @@ def test_the_emission_moves_exactly_with_the_density(tmp_path, code):
     assert density != Gf.Matrix4d(1.0) or code == 1
 
 
-def test_an_xform_that_follows_a_spline_is_copied_as_one(tmp_path):
-    write_sequence(tmp_path, CODES)
-    extra = """
+SPLINE = """
             double xformOp:translateX.spline = {
                 bezier,
                 1: 0; post curve (0.3, 4),
                 2: 8; pre (0.3, 0),
             }
             uniform token[] xformOpOrder = ["xformOp:translateX"]"""
+
+
+@needs_usd(25, 8)
+def test_an_xform_that_follows_a_spline_is_copied_as_one(tmp_path):
+    write_sequence(tmp_path, CODES)
     stage_file = write_text(
-        tmp_path / "shot.usda", world(volume_prim(density_prim(sequence(CODES), extra=extra)))
+        tmp_path / "shot.usda", world(volume_prim(density_prim(sequence(CODES), extra=SPLINE)))
     )
     stage = open_stage(make_look(stage_file, tmp_path / "out").root_stage)
     for code in (1, 1.25, 1.5, 2):
         moved = place(stage, "/World/smoke/emission", code)
         assert moved == place(stage, "/World/smoke/density", code)
     assert place(stage, "/World/smoke/emission", 1.5) != place(stage, "/World/smoke/emission", 1)
+
+
+@needs_usd(25, 5)
+def test_a_spline_that_usd_cannot_copy_is_refused_with_nothing_written(tmp_path, monkeypatch):
+    monkeypatch.delattr(Sdf.AttributeSpec, "SetSpline", raising=False)  # it came with 25.08
+    body = volume_prim(density_prim(sequence(CODES), extra=SPLINE))
+    with pytest.raises(StageError, match=r"translateX> .*spline"):
+        look(tmp_path, body)
+    assert not list(tmp_path.glob("out/*.usd*"))
 
 
 def test_a_density_outside_the_volume_gets_its_emission_beside_it(tmp_path):

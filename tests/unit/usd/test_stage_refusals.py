@@ -4,6 +4,7 @@ import os
 import zipfile
 
 import pytest
+from pxr import Usd
 
 from tests.usd_fixtures import (
     HEADER,
@@ -50,6 +51,11 @@ def test_a_file_that_is_no_stage_is_refused_in_one_line(tmp_path, capfd, name, c
 
 def test_a_stage_without_volumes_is_refused(tmp_path):
     refuse(tmp_path, 'def Mesh "m" {}', VolumeNotFound, "no Volume on the stage .*meshes")
+
+
+def test_a_stage_without_volumes_is_refused_also_by_the_oldest_usd(tmp_path, monkeypatch):
+    monkeypatch.delattr(Usd.Stage, "GetCompositionErrors", raising=False)  # it came with 24.08
+    refuse(tmp_path, 'def Mesh "m" {}', VolumeNotFound, "no Volume on the stage")
 
 
 def test_a_broken_arc_is_named_where_the_volume_may_lie_behind_it(tmp_path, capfd):

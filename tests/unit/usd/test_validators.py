@@ -5,11 +5,12 @@ import subprocess
 import sys
 
 import pytest
-from pxr import Usd, UsdValidation
+from pxr import Usd
 
 import usdsmoke
 from tests.usd_fixtures import (
     density_prim,
+    needs_usd,
     plume_stage,
     sampled,
     sequence,
@@ -22,6 +23,9 @@ from tests.usd_fixtures import (
 )
 from usdsmoke.base.errors import StageError
 from usdsmoke.usd.rules import PREFIX, Severity, facts, register_validators, validate
+
+UsdValidation = pytest.importorskip("pxr.UsdValidation")
+pytestmark = needs_usd(26, 5)
 
 DENSITY = "/World/smoke/density"
 FILE = "asset filePath = @./cache/smoke.0001.vdb@"
@@ -275,6 +279,13 @@ def test_stock_validators_are_heard_too_and_nothing_is_said_twice(tmp_path, capf
     order = [list(Severity).index(item.severity) for item in found]
     assert order == sorted(order)
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_older_usd_is_refused_with_both_versions(tmp_path, monkeypatch):
+    monkeypatch.delattr(UsdValidation.ValidationRegistry, "RegisterPrimValidator")
+    _, year, month = Usd.GetVersion()
+    with pytest.raises(StageError, match=rf"26\.05.*{year}\.{month:02}"):
+        validate(plume_stage(tmp_path))
 
 
 def test_what_is_no_stage_is_refused(tmp_path):

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
+from tests.usd_fixtures import density_prim, needs_usd, sequence, world, write_sequence, write_text
 from usdsmoke.usd.rules import Finding, Severity, validate
+
+pytestmark = needs_usd(26, 5)
 
 APPLIED = '(prepend apiSchemas = ["UsdSmokeStyleAPI"])'
 

@@ -2,10 +2,12 @@
 
 from pxr import Usd
 
-from tests.usd_fixtures import dense_field, make_look, plume_stage, write_text, write_vdb
+from tests.usd_fixtures import dense_field, make_look, needs_usd, plume_stage, write_text, write_vdb
 from usdsmoke.usd.rules import Severity, validate
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.write import write_frame
+
+pytestmark = needs_usd(26, 5)
 
 
 def ours(stage_file):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.usd_fixtures import make_look, plume_stage
+from tests.usd_fixtures import make_look, needs_usd, plume_stage
 from tests.usdview_fixtures import STAND_IN
 from usdsmoke.ui.usdview import PLUGIN_FOLDER
 
@@ -52,6 +52,7 @@ print(json.dumps([list(builder.menus), builder.menus["usdsmoke"].items, labels, 
     assert heavy == []
 
 
+@needs_usd(26, 5)
 def test_every_menu_item_works_through_its_callback_and_loads_no_torch(tmp_path: Path) -> None:
     files = make_look(plume_stage(tmp_path), tmp_path / "out", ours=True)
     found = in_usdview(f"""

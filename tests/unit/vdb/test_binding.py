@@ -66,7 +66,11 @@ def test_missing_bindings_say_what_to_install(only) -> None:
     assert "python3-openvdb" in str(caught.value)
 
 
-def test_bindings_that_do_not_load_say_why(only) -> None:
+@pytest.mark.parametrize("numpy_version", ["1.26.4", "2.3.1"])
+def test_bindings_that_do_not_load_say_why(
+    only, monkeypatch: pytest.MonkeyPatch, numpy_version: str
+) -> None:
+    monkeypatch.setattr(np, "__version__", numpy_version)
     only(openvdb="raise ImportError('libtbb.so.12: cannot open shared object file')")
     with pytest.raises(BindingMissing, match=r"openvdb .*ImportError: libtbb\.so\.12"):
         find_binding()

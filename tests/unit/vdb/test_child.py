@@ -1,6 +1,5 @@
 """The process that opens VDB files: damage, hunger and endless loops end in a named error."""
 
-import dataclasses
 import os
 import signal
 import subprocess
@@ -88,7 +87,7 @@ def test_memory_limit_ends_a_hungry_file(tmp_path: Path, good_file: bytes) -> No
     place = tree_start(good_file) + 12
     file_path = tmp_path / "hungry.vdb"
     file_path.write_bytes(good_file[:place] + b"\xff" * 4 + good_file[place + 4 :])
-    patient = dataclasses.replace(HASTY, time_limit_s=120.0)
+    patient = HASTY.replace(time_limit_s=120.0)
     with pytest.raises(DamagedFile, match=r"needs more than 1 GiB of memory.*memory_limit_gib"):
         read_grids(file_path, DENSITY, patient)
 

@@ -5,7 +5,6 @@ from the configured path, the environment variable ``USDSMOKE_VGG19`` or torch's
 order.
 """
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.base.record_format import hash_stream
 from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
 
 __all__ = ["Vgg19Features"]
@@ -108,7 +108,7 @@ class Vgg19Features:
         file_path = find_vgg19_file(configured)
         if file_path.name == VGG19_FILE_NAME:
             with file_path.open("rb") as file:
-                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+                sha256 = hash_stream(file)
             if not sha256.startswith("dcbb9e9d"):
                 raise FeatureError(
                     f"{file_path} has SHA-256 {sha256[:8]}..., not dcbb9e9d... as in its name: it "

@@ -78,7 +78,7 @@ def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
     except ImportError as error:
         window.warn(
             label,
-            f"{error}. usdsmoke needs OpenUSD 26.11 or later, NumPy, PyYAML, pydantic and rich: "
+            f"{error}. usdsmoke needs OpenUSD 24.05 or later, NumPy, PyYAML, pydantic and rich: "
             "install them into usdview's Python.",
         )
     except MemoryError:

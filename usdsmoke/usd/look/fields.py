@@ -12,6 +12,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
+from usdsmoke.base.errors import StageError
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS, relative_asset_path
 from usdsmoke.usd.asset_paths import asset_value
 from usdsmoke.usd.look.field_prims import FieldTarget
@@ -146,9 +147,26 @@ def _copy_attribute(spec: Sdf.PrimSpec, composed: Usd.Attribute) -> None:
     default = composed.Get(Usd.TimeCode.Default())
     if default is not None:
         copy.default = default
-    if composed.HasSpline():
-        copy.SetSpline(composed.GetSpline())
+    if _copy_spline(copy, composed):
         return
     for code in composed.GetTimeSamples():
         value = value_at(composed, code)
         spec.layer.SetTimeSample(copy.path, code, Sdf.ValueBlock() if value is None else value)
+
+
+def _copy_spline(copy: Sdf.AttributeSpec, composed: Usd.Attribute) -> bool:
+    """Copy the spline of an attribute; False if it has none.
+
+    Raises:
+        StageError: this OpenUSD has splines, but cannot write them from Python.
+    """
+    if not hasattr(composed, "HasSpline") or not composed.HasSpline():  # splines came with 24.11
+        return False
+    if not hasattr(copy, "SetSpline"):
+        _, year, month = Usd.GetVersion()
+        raise StageError(
+            f"<{composed.GetPath()}> has a spline, which OpenUSD {year}.{month:02} cannot copy "
+            "from Python. Use OpenUSD 25.08 or newer, or bake the spline into time samples."
+        )
+    copy.SetSpline(composed.GetSpline())
+    return True

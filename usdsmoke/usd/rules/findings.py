@@ -2,19 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum
 
 from usdsmoke.base.time_codes import format_time_codes
 
 __all__ = ["Finding", "Problem", "Severity", "grouped"]
 
 
-class Severity(StrEnum):
+class Severity(str, Enum):
     """How bad a finding is; only an error says that the stage cannot be used as it is."""
 
     ERROR = "error"
     WARN = "warn"
     INFO = "info"
+
+    def __str__(self) -> str:
+        return str(self.value)
 
 
 @dataclass(frozen=True)

@@ -150,7 +150,8 @@ def _choose_volumes(
 
 def _composition_hint(stage: Usd.Stage) -> str:
     """What to look at when an arc is broken: the Volume may lie behind it."""
-    errors = stage.GetCompositionErrors()
+    # OpenUSD 24.05 lacks the function. It prints the errors when it opens the stage.
+    errors = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
     if not errors:
         return "; usdsmoke does not turn meshes or particles into smoke."
     return f", or repair the stage, of which a part is missing: {' '.join(str(errors[0]).split())}"
