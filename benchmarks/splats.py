@@ -1,4 +1,4 @@
-"""Pictures of finished fields: what the optimiser saw, from any camera."""
+"""Pictures of finished fields from any camera, as the optimiser draws them."""
 
 import math
 from dataclasses import replace
@@ -68,7 +68,7 @@ def render_fields(
     gamma_w: float,
     view: View,
 ) -> np.ndarray:
-    """The picture that a view has of the fields.
+    """The picture of the fields in a view.
 
     Voxels larger than the pixels are subdivided first, or gaps would show between them.
 
@@ -99,7 +99,7 @@ def render_fields(
 def _colours(
     smoke: ActiveSmoke, emission: DenseField | None, factor: int, gamma_w: float
 ) -> Tensor:
-    """Linear colours [N 3] of smoke that was refined by ``factor``, which emission was not yet."""
+    """Linear colours [N 3] of smoke that was refined by ``factor``; emission is not refined yet."""
     if emission is None:
         return torch.ones(len(smoke.ijk), 3)
     light = _values_at(refine_field(emission, factor), smoke.ijk)
@@ -119,7 +119,7 @@ def _values_at(field: DenseField, ijk: Tensor) -> Tensor:
 def display_picture(
     picture: np.ndarray, background: float | tuple[float, float, float] = 0.0
 ) -> np.ndarray:
-    """A premultiplied linear picture [H W 4] over a linear background, fit for a screen.
+    """A premultiplied linear picture [H W 4] over a linear background, encoded for display.
 
     Returns:
         [H W 3], display-encoded, in [0, 1].
@@ -129,7 +129,7 @@ def display_picture(
 
 
 def grey_picture(picture: np.ndarray) -> np.ndarray:
-    """A picture's opacity as grey level, [H W 3] in [0, 1]: what the shape step looks at."""
+    """A picture's opacity as grey level, [H W 3] in [0, 1]: the shape step's pictures."""
     return np.repeat(picture[..., 3:], 3, axis=-1)
 
 

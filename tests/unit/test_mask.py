@@ -128,9 +128,9 @@ def test_a_missing_mask_file_and_a_gap_are_refused_with_their_timecode(tmp_path:
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
-        ("vector", "3 components per voxel; wanted 1"),
-        ("level set", "is a level set; wanted a fog volume"),
-        ("bool", "holds bool values; wanted float"),
+        ("vector", "3 components per voxel.* 1"),
+        ("level set", "is a level set"),
+        ("bool", "holds bool values.*float"),
     ],
 )
 def test_a_grid_that_is_no_field_of_numbers_is_no_mask(

@@ -44,12 +44,12 @@ def test_rounding_of_a_layer_offset_does_not_lose_a_time_code():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("all", "'all' .* wanted timeCodes and ranges such as 1-24"),
+        ("all", "'all' .* such as 1-24"),
         ("1,,2", "'' in the frames"),
         ("1-", "'1-' in the frames"),
         ("1-4y2", "'1-4y2'"),
-        ("24-1", "runs backwards; wanted the smaller timeCode first: 1-24"),
-        ("1-9x0", "the step .* is 0; wanted one above 0"),
+        ("24-1", "'24-1' .*backwards.* 1-24"),
+        ("1-9x0", "the step .*1-9x0.* is 0"),
         ("1-9x-2", "the step .* is -2"),
         ("1e3", "'1e3'"),
     ],

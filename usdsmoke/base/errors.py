@@ -1,8 +1,8 @@
-"""Every error usdsmoke raises on purpose.
+"""All error classes of usdsmoke.
 
     UsdSmokeError
       ConfigError         also ValueError: a setting is unknown, of the wrong type or out of range
-      StageError          the stage cannot give what was asked for
+      StageError          the stage cannot be opened or lacks what is needed
         VolumeNotFound
         FieldNotFound
         AssetNotResolved
@@ -16,7 +16,7 @@
       FileUnreadable      any other file that a run reads, or has written, cannot be read
       FeatureError        the feature network's parameter file is missing or wrong
       ShapeError          also ValueError: two arrays do not fit together
-      NonFiniteError      also ArithmeticError: NaN or infinity, named where it is born
+      NonFiniteError      also ArithmeticError: NaN or infinity, reported where it first occurs
       PlanError           the scene does not fit the machine or its limits
       LayerError          the result cannot be written
         OutputExists
@@ -25,7 +25,7 @@
       MissingPackage      a package that a command needs is not installed
       Interrupted         the user stopped the run
 
-A message says what, where, what was found against what was wanted, and what to do.
+A message has two parts: what is wrong (what was found), and what to do.
 """
 
 __all__ = [
@@ -65,11 +65,11 @@ class ConfigError(UsdSmokeError, ValueError):
 
 
 class StageError(UsdSmokeError):
-    """The stage cannot be opened or cannot give what was asked for."""
+    """The stage cannot be opened or lacks what is needed."""
 
 
 class VolumeNotFound(StageError):
-    """No Volume prim at the path that was named, or none on the stage at all."""
+    """No Volume prim at the given path, or none on the stage at all."""
 
 
 class FieldNotFound(StageError):
@@ -85,7 +85,7 @@ class GridError(UsdSmokeError):
 
 
 class GridNotFound(GridError):
-    """The file has no grid of that name and index; the message lists those it has."""
+    """The file has no grid of that name and index; the message lists its grids."""
 
 
 class UnsupportedGrid(GridError):
@@ -93,7 +93,7 @@ class UnsupportedGrid(GridError):
 
 
 class DamagedFile(GridError):
-    """Not a VDB file, truncated, or damaged so that reading it fails, hangs or eats memory."""
+    """Not a VDB file, truncated, or so damaged that reading it fails, hangs or exhausts memory."""
 
 
 class GridTooLarge(GridError):
@@ -113,7 +113,7 @@ class FileUnreadable(UsdSmokeError):
 
 
 class FeatureError(UsdSmokeError):
-    """The feature network's parameter file is missing, damaged or not the one asked for."""
+    """The feature network's parameter file is missing, damaged or not the requested one."""
 
 
 class ShapeError(UsdSmokeError, ValueError):
@@ -121,11 +121,11 @@ class ShapeError(UsdSmokeError, ValueError):
 
 
 class NonFiniteError(UsdSmokeError, ArithmeticError):
-    """NaN or infinity where a number was needed."""
+    """NaN or infinity where a finite number is needed."""
 
 
 class PlanError(UsdSmokeError):
-    """What the scene needs does not fit the machine or the limits that were set."""
+    """The scene needs more than the machine has or than the configured limits allow."""
 
 
 class LayerError(UsdSmokeError):
@@ -133,7 +133,7 @@ class LayerError(UsdSmokeError):
 
 
 class OutputExists(LayerError):
-    """There is a result already, and it was not asked to be replaced."""
+    """A result exists already, and replacing it was not requested."""
 
 
 class WriteFailed(LayerError):

@@ -1,8 +1,8 @@
-"""Who may write where: one process alone in an output folder, or several on pieces of a run.
+"""Locks: one process alone in an output folder, or several on parts of a run.
 
-Locks are ``flock`` on open files: the system releases them when a process ends, however rudely. On
-a file system without them nothing is held. Files are still published whole, and equal work gives
-equal bits, so only time is lost.
+Locks are ``flock`` on open files: the system releases them when a process ends, even if it is
+killed. On a file system without locks nothing is locked. Files are still published whole, and equal
+work gives equal bits, so only time is lost.
 """
 
 import os
@@ -17,13 +17,13 @@ from usdsmoke.base.publish import make_folders, remove_empty
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing keeps a second process out there
+except ImportError:  # Windows: a second process is not kept out there
     pass
 
 __all__ = ["OutputLock", "hold_file", "lock_output"]
 
-_PATIENCE = 1.0  # seconds: another process may hold the folder just to tidy up when it ends
-_LONG_PATIENCE = 300.0  # of tasks of a queue, which may be started twice, or a little early
+_PATIENCE = 1.0  # seconds: another process may lock the folder briefly to clean up when it ends
+_LONG_PATIENCE = 300.0  # for tasks of a queue, which may be started twice, or a little early
 
 
 class OutputLock:
@@ -31,8 +31,8 @@ class OutputLock:
 
     Args:
         handle: the open folder.
-        alone: whether no other process may hold it at the same time.
-        real: whether the file system has locks.
+        alone: True if no other process may hold it at the same time.
+        real: True if the file system has locks.
     """
 
     def __init__(self, handle: int, alone: bool, real: bool = True) -> None:
@@ -42,13 +42,13 @@ class OutputLock:
 
     @property
     def excludes_others(self) -> bool:
-        """Whether it is certain that no other process is at work in the folder."""
+        """True if certainly no other process is working in the folder."""
         return self._alone and self._real
 
     def is_alone(self) -> bool:
-        """Whether no other process is at work in the folder; then none can begin any more.
+        """True if no other process is working in the folder; from then on none can begin.
 
-        Ask when the work is over: a shared lock may be lost by asking.
+        Call it when the work is over: the call may lose a shared lock.
         """
         self._alone = self._alone or _take(self._handle, alone=True) is not False
         return self._alone
@@ -58,12 +58,12 @@ class OutputLock:
 def lock_output(
     output: Path, alone: bool = True, waits: Callable[[], None] | None = None
 ) -> Iterator[OutputLock]:
-    """Hold an output folder; it is made if missing, and removed if left empty.
+    """Lock an output folder; it is made if missing, and removed if left empty.
 
     Args:
         output: the folder.
         alone: keep every other process out; otherwise others that share it may enter.
-        waits: for a process that waits some minutes for others; called once when it begins to.
+        waits: if given, wait some minutes for other processes; called once when the wait begins.
 
     Raises:
         OutputExists: another process is writing there.
@@ -82,10 +82,10 @@ def lock_output(
 
 @contextmanager
 def hold_file(lock_path: Path) -> Iterator[None]:
-    """Wait until no other process holds a lock file, and hold it.
+    """Wait until no other process locks a lock file, and lock it.
 
     Args:
-        lock_path: made if missing, with its folder; it stays.
+        lock_path: made if missing, with its folder; it is not removed.
 
     Raises:
         WriteFailed: the file cannot be made.
@@ -106,7 +106,7 @@ def hold_file(lock_path: Path) -> Iterator[None]:
 
 
 def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) -> tuple[int, bool]:
-    """The open folder, held, and whether the file system has locks."""
+    """The open and locked folder, and whether the file system has locks."""
     patience = _LONG_PATIENCE if waits is not None else 0.0 if alone else _PATIENCE
     began, told = time.monotonic(), False
     while True:
@@ -114,7 +114,7 @@ def _open_and_take(output: Path, alone: bool, waits: Callable[[], None] | None) 
         try:
             handle = os.open(output, os.O_RDONLY)
         except FileNotFoundError:
-            continue  # it was removed this very moment
+            continue  # it was removed at this moment
         except OSError as error:
             raise WriteFailed(
                 f"cannot open the folder {output}: {error.strerror or error}. Change its "
@@ -143,7 +143,7 @@ def _is_same(handle: int, output: Path) -> bool:
 
 
 def _take(handle: int, alone: bool, waits: bool = False) -> bool | None:
-    """Whether the lock was to be had; None where there are no locks."""
+    """True if the lock was acquired; None if there are no locks."""
     if "fcntl" not in sys.modules:
         return None
     kind = fcntl.LOCK_EX if alone else fcntl.LOCK_SH

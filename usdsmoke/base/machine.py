@@ -1,6 +1,6 @@
-"""The machine under a run: its processors, memory and disk, its packages, and what torch reads.
+"""The machine of a run: its processors, memory, disk, packages, and torch's environment variables.
 
-Nothing heavy is loaded here: not torch, not USD, not OpenVDB.
+It loads nothing heavy: no torch, USD or OpenVDB.
 """
 
 import ctypes
@@ -58,9 +58,9 @@ def usable_cpus() -> int:
 
 
 def available_memory_gib() -> float:
-    """Memory that can still be had, GiB: the machine's or the control group's, whichever is less.
+    """Available memory, GiB: the machine's or the control group's, whichever is less.
 
-    Infinite where the system does not tell.
+    Infinite if the system does not report it.
     """
     candidates = [math.inf]
     for line in _lines("/proc/meminfo"):
@@ -88,11 +88,11 @@ def _lines(file_path: str) -> list[str]:
 
 
 def give_back_memory() -> None:
-    """Let the system have what the C library holds in pieces; does nothing where it cannot.
+    """Return free memory that the C library keeps to the system, if the library can.
 
     Fields of many sizes leave gaps between them. Without this a shot of 72 frames peaked a tenth
     above one of 24 (benchmarks/window_cost.py). It takes about two milliseconds: call it between
-    frames, and before what takes seconds.
+    frames, and before work that takes seconds.
     """
     trim = _find_trim()
     if trim is not None:
@@ -109,7 +109,7 @@ def _find_trim() -> Any | None:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of Python and of the packages that a result depends on, OpenVDB's apart."""
+    """Versions of Python and of the packages that a result depends on, except OpenVDB's."""
     versions = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -120,15 +120,15 @@ def package_versions() -> dict[str, str]:
 
 
 def platform_name() -> str:
-    """System and processor family, such as ``Linux x86_64``; nothing that names the machine."""
+    """System and processor family, such as ``Linux x86_64``; no name of the machine."""
     return f"{platform.system()} {platform.machine()}"
 
 
 def prepare_torch_environment() -> None:
     """Set variables that torch reads when it is imported; a user's own values stay."""
-    # Threads that spin while they wait slow each other down many times where processors are shared.
+    # Threads that spin while they wait slow each other down on shared processors.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Every size of picture leaves its convolutions in a cache, which grows with the shot.
+    # Every picture size adds its convolutions to a cache, which grows with the shot.
     os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "16")
 
 
@@ -142,7 +142,7 @@ def python_command(code: str) -> list[str]:
 
 
 def check_packages(*modules: str) -> None:
-    """Refuse to begin without the packages that the work needs later.
+    """Check that the packages that the work needs later are installed.
 
     Args:
         modules: names of modules; nothing is imported.

@@ -1,4 +1,4 @@
-"""What a result's files and grids are called: a stem per Volume, a number per timeCode."""
+"""Names of a result's files and grids: a stem per Volume, a number per timeCode."""
 
 import math
 import os
@@ -27,25 +27,25 @@ __all__ = [
     "volume_stems",
 ]
 
-# Relationship, field prim and grid of one field are called the same: some renderers look for the
-# one name, some for the other.
+# Relationship, field prim and grid of one field have the same name: renderers differ in which of
+# them they look up.
 EMISSION = "emission"  # Storm's own shader reads this name
 SCATTER_COLOURS = ("Cd", "color")  # Houdini's, and Arnold's by custom; Blender's and Cycles'
 COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
 
-DEFAULT_LOOK = "stylized"  # the look whose files are named after no look
+DEFAULT_LOOK = "stylized"  # the look whose name is not part of its files' names
 VARIANT_SET = "look"  # of an asset: ORIGINAL, and the names of its looks
 RUN_RECORD = "run.json"  # in the folder of a run, OUT/vdb/KEY
 ORIGINAL = "original"  # the variant without a look
 ASSET_SOURCE = "usdsmokeAssetSource"  # in an asset's customLayerData: its source, relative
 
-_DECIMALS = 6  # of a timeCode that is no whole number, at most
+_DECIMALS = 6  # most decimals of a fractional timeCode
 
 
 def channel_names(name: str) -> tuple[str, str, str]:
-    """What the red, green and blue parts of a colour are called.
+    """Names of the red, green and blue parts of a colour.
 
-    Houdini's ``emission.x`` would be no name for a prim or a property of USD.
+    Houdini's ``emission.x`` is not a valid name of a USD prim or property.
 
     >>> channel_names("emission")
     ('emission_r', 'emission_g', 'emission_b')
@@ -66,7 +66,7 @@ def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> 
 
     Args:
         scatter_colours: some of SCATTER_COLOURS.
-        split: whether each colour has three grids of floats beside its grid of vectors.
+        split: True if each colour has three grids of floats beside its grid of vectors.
     """
     vectors = [name for name in COLOUR_VECTORS if name == EMISSION or name in scatter_colours]
     if not split:
@@ -75,14 +75,14 @@ def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> 
 
 
 def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:
-    """A file stem for each Volume, all different, also where upper and lower case are the same.
+    """A file stem for each Volume; all differ even if case is ignored.
 
     >>> volume_stems(["/shot/plume", "/a/fog", "/b/fog"])
     ('plume', 'a_fog', 'b_fog')
 
     Args:
         prim_paths: of the Volumes.
-        name: takes the place of the prim's name; with several Volumes it stands before it.
+        name: replaces the prim's name; with several Volumes it is put before it.
     """
     if name and len(prim_paths) == 1:
         return (name,)
@@ -102,7 +102,7 @@ def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:
 
 
 def look_suffix(look: str) -> str:
-    """What a look's name adds to the stems of its files: nothing for the default one.
+    """The suffix that a look adds to the stems of its files; empty for the default look.
 
     >>> look_suffix("stylized"), look_suffix("ember")
     ('', '_ember')
@@ -115,7 +115,7 @@ def frame_file_names(
 ) -> tuple[str, ...]:
     """``STEM.####.vdb`` for each timeCode; the numbers are the timeCodes, padded to one width.
 
-    With any timeCode that is no whole number, all get the same count of decimals.
+    If any timeCode is fractional, all have the same number of decimals.
 
     >>> frame_file_names("plume", [1, 2])
     ('plume.0001.vdb', 'plume.0002.vdb')
@@ -123,7 +123,7 @@ def frame_file_names(
     ('plume.0001.0.vdb', 'plume.0001.5.vdb')
 
     Raises:
-        LayerError: two timeCodes lie so close that their names would be the same.
+        LayerError: two timeCodes are so close that their names would be the same.
     """
     decimals = 0
     while decimals < _DECIMALS and not _is_exact(time_codes, decimals):
@@ -136,8 +136,8 @@ def frame_file_names(
         names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}{suffix}")
     if len(set(names)) < len(names):
         raise LayerError(
-            f"timeCodes of {stem} lie closer than 1e-{_DECIMALS}; wanted each far enough from the "
-            "next for a file name of its own: select other frames"
+            f"timeCodes of {stem} are closer than 1e-{_DECIMALS}, so that their files would have "
+            "the same name. Select other frames."
         )
     return tuple(names)
 
@@ -151,16 +151,16 @@ def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
 
 
 def run_record_files(output: Path) -> Iterator[Path]:
-    """The records of the runs in an output folder, finished or not, in the order of names."""
+    """The records of the runs in an output folder, finished or not, sorted by name."""
     yield from sorted(output.glob(f"vdb/*/{RUN_RECORD}"))
 
 
 def relative_asset_path(file_path: str | Path, folder: Path) -> str:
-    """``file_path`` as seen from ``folder``, with / and a leading dot; absolute across drives.
+    """``file_path`` relative to ``folder``, with / and a leading dot; absolute across drives.
 
-    The leading dot tells USD to look beside the layer and nowhere else. Where links lead to the
-    file's folder, the shorter way counts, with the links as they are or followed: it stays right
-    from wherever a tree that holds both is reached.
+    The leading dot makes USD look beside the layer only. If symbolic links lead to the file's
+    folder, the shorter of the paths with and without resolved links is used: it stays valid however
+    a tree that contains both is reached.
 
     >>> relative_asset_path("/shot/look/vdb/smoke.0001.vdb", Path("/shot/look"))
     './vdb/smoke.0001.vdb'
@@ -169,7 +169,7 @@ def relative_asset_path(file_path: str | Path, folder: Path) -> str:
     followed = os.path.join(os.path.realpath(os.path.dirname(target)), os.path.basename(target))
     try:
         ways = [os.path.relpath(place, start).replace(os.sep, "/") for place in (target, followed)]
-    except ValueError:  # there is no relative way from one Windows drive to another
+    except ValueError:  # no relative path leads from one Windows drive to another
         return target.replace(os.sep, "/")
     relative = min(ways, key=lambda way: way.count("/"))
     return relative if relative.startswith("../") else f"./{relative}"

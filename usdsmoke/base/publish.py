@@ -1,9 +1,9 @@
-"""Putting a finished file in its place in one step: no reader ever meets a half-written one.
+"""Publishing a finished file in one step: no reader ever sees a half-written one.
 
 The file is written under a hidden temporary name in the folder of the target, synced to the disk,
-checked, renamed over the target, and the folder is synced. Whatever happens before the rename, the
-target keeps what it had. A process that is killed leaves a temporary behind: a process that is
-alone in the folder removes it with ``remove_leftovers``, any other one after a day.
+checked, renamed over the target, and the folder is synced. If anything fails before the rename, the
+target is unchanged. A killed process leaves its temporary file behind: a process that is alone in
+the folder removes it with ``remove_leftovers``, any other one after a day.
 """
 
 import errno
@@ -21,19 +21,19 @@ __all__ = ["make_folders", "publish_file", "publish_new", "remove_empty", "remov
 _LEFTOVER = re.compile(r"\.(.+)\.tmp-[0-9a-f]{8}(\.[^.]*)?")
 
 _ADVICE = {
-    errno.ENOSPC: "free some space or choose another output folder",
-    errno.EDQUOT: "free some of the disk quota or choose another output folder",
-    errno.EFBIG: "raise the file size limit (ulimit -f) or choose another output folder",
-    errno.EACCES: "choose an output folder that may be written to, or change its permissions",
-    errno.EPERM: "choose an output folder that may be written to, or change its permissions",
-    errno.EROFS: "choose an output folder on a file system that is mounted for writing",
+    errno.ENOSPC: "Free some space or choose another output folder",
+    errno.EDQUOT: "Free some of the disk quota or choose another output folder",
+    errno.EFBIG: "Raise the file size limit (ulimit -f) or choose another output folder",
+    errno.EACCES: "Choose an output folder that may be written to, or change its permissions",
+    errno.EPERM: "Choose an output folder that may be written to, or change its permissions",
+    errno.EROFS: "Choose an output folder on a file system that is mounted for writing",
     errno.ENOENT: "make the folder first",
-    errno.ENOTDIR: "choose a folder; a part of this path is a file",
-    errno.EISDIR: "choose another name; there is a folder of this name",
+    errno.ENOTDIR: "Choose another folder: a part of this path is a file",
+    errno.EISDIR: "Choose another name: a folder has this name",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 
-_STALE_S = 24 * 3600.0  # after which a temporary is abandoned: far longer than any writing takes
+_STALE_S = 24 * 3600.0  # age of an abandoned temporary: far longer than any writing takes
 
 # Answers of file systems that cannot sync a folder; the rename itself has succeeded by then.
 _FOLDER_SYNC_UNSUPPORTED = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
@@ -47,17 +47,17 @@ def publish_file(
     write: Callable[[Path], None],
     check: Callable[[Path], None] | None = None,
 ) -> None:
-    """Write a file so that ``target`` is either what it was before or complete and checked.
+    """Write a file so that ``target`` is either unchanged or complete and checked.
 
     Args:
-        target: where the file shall stand; its folder must exist. An old file is replaced.
+        target: path of the file; its folder must exist. An old file is replaced.
         write: called with the temporary's path, which has the target's suffix; makes the file.
         check: called with the temporary's path after it was synced; re-opens and compares it, and
-            raises when it is not what was meant.
+            raises if it is not as intended.
 
     Raises:
         WriteFailed: the operating system refused (full disk, read-only folder, no permission).
-        Exception: whatever ``write`` or ``check`` raise of their own; the temporary is gone then.
+        Exception: any error of ``write`` or ``check``; the temporary is removed first.
     """
     target = Path(target)
     temporary = _temporary_path(target)
@@ -75,14 +75,14 @@ def publish_file(
 
 
 def publish_new(target: Path, write: Callable[[Path], None]) -> bool:
-    """Write a file unless there is one already; of several processes at once one succeeds.
+    """Write a file unless it exists already; of several processes at once one succeeds.
 
     Args:
-        target: where the file shall stand; its folder must exist. An old file stays as it is.
+        target: path of the file; its folder must exist. An old file is kept.
         write: called with the temporary's path; makes the file.
 
     Returns:
-        Whether this call put the file there.
+        True if this call wrote the file.
 
     Raises:
         WriteFailed: the operating system refused.
@@ -120,8 +120,8 @@ def make_folders(folder: Path) -> list[Path]:
     except OSError as error:
         remove_empty(missing)
         raise WriteFailed(
-            f"cannot make the folder {folder}: {error.strerror or error}; "
-            "choose an output folder that may be written to"
+            f"cannot make the folder {folder}: {error.strerror or error}. "
+            "Choose an output folder that may be written to."
         ) from None
     return missing
 
@@ -136,13 +136,13 @@ def remove_empty(folders: Sequence[Path]) -> None:
 
 
 def remove_leftovers(folder: Path, alone: bool = False, of: Collection[str] = ()) -> None:
-    """Remove the temporaries that killed processes have left.
+    """Remove the temporaries of killed processes.
 
     Args:
         folder: the folder to look in, not below it; a folder that does not exist has none.
-        alone: whether no other process can be writing there. Otherwise only temporaries older
-            than a day are removed, because their process may still be running.
-        of: file names that nobody else writes: their temporaries are removed in any case.
+        alone: True if no other process can be writing there. Otherwise only temporaries older than
+            a day are removed, because the process of a newer one may still be running.
+        of: file names that no other process writes: their temporaries are always removed.
     """
     stems = {Path(name).stem for name in of}
     try:
@@ -163,7 +163,7 @@ def _is_stale(leftover: Path) -> bool:
     try:
         return time.time() - leftover.stat().st_mtime > _STALE_S
     except OSError:
-        return False  # gone meanwhile
+        return False  # already removed
 
 
 def _sync(file_path: Path) -> None:
@@ -192,4 +192,4 @@ def _remove_quietly(file_path: Path) -> None:
 def _refusal(target: Path, error: OSError) -> str:
     reason = error.strerror or str(error)
     advice = _ADVICE.get(error.errno or 0, "check the output folder and its disk")
-    return f"cannot write {target.name} in {target.parent}: {reason}; {advice}"
+    return f"cannot write {target.name} in {target.parent}: {reason}. {advice}."

@@ -25,7 +25,7 @@ _PART = re.compile(rf"({_NUMBER})(?:\s*-\s*({_NUMBER})(?:\s*x\s*({_NUMBER}))?)?"
 
 @dataclass(frozen=True)
 class FrameRange:
-    """One part of a selection: the timeCodes from ``first`` to ``last``, both included."""
+    """One part of a selection: the timeCodes from ``first`` to ``last``, inclusive."""
 
     first: float
     last: float
@@ -33,7 +33,7 @@ class FrameRange:
 
     @property
     def is_single(self) -> bool:
-        """True for a timeCode that was named by itself, and so has to exist."""
+        """True for a single timeCode, which has to exist."""
         return self.first == self.last
 
     def holds(self, time_code: float) -> bool:
@@ -47,9 +47,9 @@ class FrameRange:
 
 
 def parse_frames(text: str) -> tuple[FrameRange, ...]:
-    """The ranges that a text such as ``1-24``, ``1,5,9``, ``1-24x2`` or ``-3-5,7.5`` names.
+    """The ranges of a text such as ``1-24``, ``1,5,9``, ``1-24x2`` or ``-3-5,7.5``.
 
-    An empty text gives no range at all, which means every timeCode there is.
+    An empty text gives no range, which selects every timeCode.
 
     >>> parse_frames("-3-5, 8-12x2")
     (FrameRange(first=-3.0, last=5.0, step=None), FrameRange(first=8.0, last=12.0, step=2.0))
@@ -73,7 +73,7 @@ def select_frames(
         time_codes: those that exist, in any order.
 
     Returns:
-        The selected timeCodes, ascending, and the timeCodes that were named singly in vain.
+        The selected timeCodes, ascending, and the single timeCodes that do not exist.
     """
     existing = sorted(time_codes)
     if not ranges:
@@ -88,12 +88,12 @@ def select_frames(
 
 
 def format_time_code(time_code: float) -> str:
-    """A timeCode as people write it: 7 for 7.0, 7.5 for 7.5."""
+    """A timeCode without needless decimals: 7 for 7.0, 7.5 for 7.5."""
     return f"{round(time_code, 6):g}" if abs(time_code) < 1e6 else f"{time_code:.12g}"
 
 
 def format_time_codes(time_codes: Iterable[float]) -> str:
-    """Many timeCodes in the selection's own spelling, runs of three and more joined.
+    """Many timeCodes in the syntax of ``parse_frames``; three or more at one step form a range.
 
     >>> format_time_codes([1, 2, 3, 4, 10, 12, 14, 20])
     '1-4,10-14x2,20'
@@ -140,19 +140,19 @@ def _parse_part(part: str, text: str) -> FrameRange:
     match = _PART.fullmatch(part)
     if match is None:
         raise ConfigError(
-            f"cannot read {part!r} in the frames {text!r}; "
-            "wanted timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5"
+            f"cannot read {part!r} in the frames {text!r}. "
+            "Use timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5."
         )
     first = float(match[1])
     last = float(match[2]) if match[2] is not None else first
     step = float(match[3]) if match[3] is not None else None
     if last < first:
         raise ConfigError(
-            f"the range {part!r} in the frames {text!r} runs backwards; "
-            f"wanted the smaller timeCode first: {match[2]}-{match[1]}"
+            f"the range {part!r} in the frames {text!r} runs backwards. "
+            f"Put the smaller timeCode first: {match[2]}-{match[1]}."
         )
     if step is not None and step <= 0.0:
         raise ConfigError(
-            f"the step of {part!r} in the frames {text!r} is {match[3]}; wanted one above 0"
+            f"the step of {part!r} in the frames {text!r} is {match[3]}. Use a step above 0."
         )
     return FrameRange(first, last, step)

@@ -1,8 +1,8 @@
-"""The plain records that walk through the house: from the stage, through the core, to the layer.
+"""Plain records that all packages share: stage sources, dense fields and results.
 
 Matrices are 4x4 float64 in the row-vector convention that USD and OpenVDB share: a point is a row,
-``[x y z 1] @ a_to_b``, and the translation stands in the last row. Arrays are in index order
-``[i j k]``, as OpenVDB delivers them.
+``[x y z 1] @ a_to_b``, and the translation is in the last row. Arrays are in index order
+``[i j k]``, as in OpenVDB.
 """
 
 from collections.abc import Mapping
@@ -34,13 +34,13 @@ VELOCITY_NAMES = ("vel", "v", "velocity")
 
 @dataclass(frozen=True)
 class FieldSource:
-    """Where a field's values come from at one timeCode; nothing is read from disk but USD."""
+    """The source of a field's values at one timeCode; only USD is read from disk."""
 
-    relationship: str  # what the Volume calls it: "density" for field:density
+    relationship: str  # its name in the Volume: "density" for field:density
     prim_path: str  # the field prim's path
     time_code: float
     file_path: str  # resolved, absolute
-    authored_path: str  # as it stands in the layer
+    authored_path: str  # as authored in the layer
     grid_name: str  # fieldName; "" when not authored
     grid_index: int | None  # fieldIndex; None when not authored
     field_to_stage: np.ndarray  # [4 4] the field prim's local-to-world at time_code
@@ -75,11 +75,11 @@ class FrameControls:
 
 @dataclass(frozen=True)
 class StyleRequest:
-    """What a Volume prim asks for itself; empty where it says nothing."""
+    """Settings authored on a Volume prim; empty if there are none."""
 
     styles: tuple[str, ...] = ()  # image files, absolute
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by section and key
-    ignored: tuple[str, ...] = ()  # attributes that do not count: UsdSmokeStyleAPI is not applied
+    ignored: tuple[str, ...] = ()  # attributes without effect: UsdSmokeStyleAPI is not applied
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class FrameSource:
     time_code: float
     fields: Mapping[str, FieldSource]
     controls: FrameControls = FrameControls()
-    camera: CameraSource | None = None  # None: no shot camera was named
+    camera: CameraSource | None = None  # None: no shot camera is configured
 
 
 @dataclass(frozen=True)
@@ -99,17 +99,17 @@ class VolumeSource:
     prim_path: str
     frames: tuple[FrameSource, ...]  # ascending time_code; one frame when nothing is animated
     animated: bool  # False: the files come from a default, not from time samples
-    time_codes: tuple[float, ...] = ()  # all that the density has, selected or not, gaps included
+    time_codes: tuple[float, ...] = ()  # all of the density, selected or not, gaps included
     density: str = "density"  # relationship name of the density field
     velocity: tuple[str, ...] = ()  # relationship names of the velocity: one vector or x, y, z
-    mask: str = ""  # relationship name of the mask; "" when it has none, or none is asked for
-    other_fields: tuple[str, ...] = ()  # relationship names that are left alone
+    mask: str = ""  # relationship name of the mask; "" when it has none, or none is configured
+    other_fields: tuple[str, ...] = ()  # relationship names that are not used
     request: StyleRequest = StyleRequest()
 
 
 @dataclass(frozen=True)
 class StageSource:
-    """What of a stage usdsmoke needs to know, as plain values."""
+    """What usdsmoke reads from a stage, as plain values."""
 
     file_path: str  # resolved root layer path
     up_axis: str  # "Y" or "Z"
@@ -135,25 +135,25 @@ class StageSource:
 
     @property
     def frame_length(self) -> float:
-        """TimeCodes in a frame; 1 where the stage's rates make no sense."""
+        """TimeCodes per frame; 1 if the stage's rates are invalid."""
         rates = (self.time_codes_per_second, self.frames_per_second)
         return rates[0] / rates[1] if min(rates) > 0 else 1.0
 
 
 @dataclass(frozen=True)
 class EarlierLooks:
-    """Looks that a stage has already, left out while it is read."""
+    """Existing looks of a stage, which are left out when it is read."""
 
-    notes: tuple[str, ...] = ()  # worth knowing, a sentence each
-    layers: tuple[str, ...] = ()  # files of look layers that the stage would have; absolute
-    variants: tuple[str, ...] = ()  # prims whose variant without a look is to be selected
+    notes: tuple[str, ...] = ()  # notes for the user, a sentence each
+    layers: tuple[str, ...] = ()  # files of the look layers that are left out; absolute
+    variants: tuple[str, ...] = ()  # prims whose variant without a look is selected
     # Volume path: names of field relationships that only an earlier look gives it.
     fields: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class DenseField:
-    """A VDB grid's active bounding box as a dense array, never without its place in space.
+    """A VDB grid's active bounding box as a dense array, with its position in space.
 
     ``values`` is float32, [i j k] or [i j k 3], C order; an empty grid has shape (0, 0, 0). A voxel
     is taken as active when it differs from ``background``. ``index_to_world`` maps *grid* index
@@ -173,13 +173,13 @@ class DenseField:
     def __post_init__(self) -> None:
         if self.values.ndim not in (3, 4) or (self.values.ndim == 4 and self.values.shape[3] != 3):
             raise ShapeError(
-                f'grid "{self.name}" has values of shape {list(self.values.shape)}; '
-                "wanted [i j k] or [i j k 3]"
+                f'grid "{self.name}" has values of shape {list(self.values.shape)}. '
+                "Pass [i j k] or [i j k 3]."
             )
         if np.shape(self.index_to_world) != (4, 4):
             raise ShapeError(
                 f'grid "{self.name}" has a transform of shape '
-                f"{list(np.shape(self.index_to_world))}; wanted [4 4]"
+                f"{list(np.shape(self.index_to_world))}. Pass [4 4]."
             )
 
     @property
@@ -197,7 +197,7 @@ class VolumeFrame:
     density_to_stage: np.ndarray  # [4 4] density's *grid world* to stage space
     velocity: DenseField | None = None  # [i j k 3], stage-independent: grid-world units per second
     velocity_to_stage: np.ndarray | None = None
-    # [i j k] as it is in the file: nothing is clamped, and beyond the box its background holds.
+    # [i j k] as in the file: values are not clamped; outside the box it has its background.
     mask: DenseField | None = None
     mask_to_stage: np.ndarray | None = None  # [4 4] mask's grid world to stage space
     controls: FrameControls = FrameControls()

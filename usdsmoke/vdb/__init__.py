@@ -1,8 +1,8 @@
 """VDB files in, dense arrays out, and back. OpenVDB runs in a guarded worker process only.
 
 - ``header``, ``byte_reader``: what a file says about itself, parsed without OpenVDB
-- ``read``: grids as dense arrays, found by name, refused by their header, checked
-- ``store``: grids that were read, kept so that no file is decoded twice
+- ``read``: grids as dense arrays, found by name and checked
+- ``store``: keeps the grids that were read, so that no file is decoded twice
 - ``velocity``: the velocity under its usual names, at voxel centres
 - ``write``: one file of a frame, read back and compared
 - ``child``, ``worker``: both ends of the guarded process

@@ -1,8 +1,8 @@
-"""Finding OpenVDB's Python bindings, and never letting a build for NumPy 1 meet NumPy 2.
+"""Finding OpenVDB's Python bindings, and checking that they fit the installed NumPy.
 
 OpenVDB 11 and later call the module ``openvdb``, 10 and earlier ``pyopenvdb``. The Boost.Python
-builds that Debian and Ubuntu ship import under another major version of NumPy, and end the whole
-interpreter at the first array: so under NumPy 2 one array is tried in a process of its own first.
+builds of Debian and Ubuntu can be imported under another major version of NumPy, but crash the
+interpreter at the first array. Under NumPy 2, a separate process therefore tries one array first.
 """
 
 import functools
@@ -77,7 +77,7 @@ def binding_version() -> str:
 
 
 def _check_array(name: str) -> None:
-    """Copy an array in another process, because a misfit ends the process without a word."""
+    """Copy an array in another process, because a mismatch crashes the process silently."""
     search = os.pathsep.join(entry for entry in sys.path if entry)
     try:
         trial = subprocess.run(

@@ -47,7 +47,8 @@ def blend_frames(
     """
     if len(tail) != len(head):
         raise ShapeError(
-            f"two versions of a frame have {len(tail)} and {len(head)} grids; wanted the same"
+            f"two versions of a frame have {len(tail)} and {len(head)} grids. Run both windows "
+            "again."
         )
     density, *others = [
         _blend_field(one, other, weight) for one, other in zip(tail, head, strict=True)
@@ -131,6 +132,5 @@ def _check_alike(tail: DenseField, head: DenseField) -> None:
     if tail.name != head.name or not (same_shape and same_place and same_background):
         raise ShapeError(
             f'grid "{tail.name}" of one version of a frame and "{head.name}" of the other differ '
-            "in name, components, transform or background; wanted two versions of one grid: run "
-            "both windows again"
+            "in name, components, transform or background. Run both windows again."
         )

@@ -16,8 +16,8 @@ _MAX_BYTES = 33_554_432  # bytes of all headers together
 class ByteReader:
     """Takes bytes from a file after checking that they are there and within the budget.
 
-    Every method that meets numbers that cannot be true raises ``DamagedFile``; ``what`` names the
-    part of the file in its message.
+    Every method raises ``DamagedFile`` for impossible numbers; ``what`` names the part of the file
+    in its message.
     """
 
     def __init__(self, stream: BinaryIO, size: int, where: str) -> None:
@@ -29,10 +29,10 @@ class ByteReader:
         self.where = where
 
     def damage(self, found: str) -> DamagedFile:
-        """The error to raise when ``found`` shows that the file cannot be right."""
+        """The error to raise when ``found`` shows that the file is damaged."""
         return DamagedFile(
-            f"{Path(self.where).name} is not a usable VDB file: {found} (in {self.where}); "
-            "write or copy the file again"
+            f"{Path(self.where).name} is not a usable VDB file: {found} (in {self.where}). "
+            "Write or copy the file again."
         )
 
     def seek(self, position: int, what: str) -> None:
@@ -45,7 +45,7 @@ class ByteReader:
         self._stream.seek(position)
 
     def skip(self, count: int, what: str) -> None:
-        """Pass over bytes without reading them."""
+        """Skip bytes without reading them."""
         self.seek(self.position + count, what)
 
     def take(self, count: int, what: str) -> bytes:

@@ -4,8 +4,8 @@ OpenVDB trusts what it reads: a damaged file can abort the process or make it ta
 this process opens no file with OpenVDB. A worker process does it under a limit of address space
 and of time, and hands arrays over through files in a private folder.
 
-One worker serves all requests of a process, one after the other. It is replaced after anything but
-a success, and when it has grown. It ends when its parent ends, however rudely.
+One worker serves all requests of a process, one after the other. It is replaced after a failure,
+and when its memory has grown. It ends when its parent ends, even if the parent is killed.
 """
 
 import atexit
@@ -35,13 +35,13 @@ from usdsmoke.base.sections import GridsConfig
 __all__ = ["ChildFailure", "end_worker", "run_child"]
 
 _GIB = 2**30
-_PATIENCE = 10  # seconds by the clock for each of the processor: disks and neighbours are slow
+_PATIENCE = 10  # wall-clock seconds per CPU second: disks and other processes are slow
 _OUT_OF_TIME = getattr(signal, "SIGPROF", 0)  # Windows has no such signal
-_STDERR_TAIL = 400  # bytes of the worker's last words that a message quotes
+_STDERR_TAIL = 400  # bytes of the worker's last output that a message quotes
 _PREFIX = "usdsmoke-"  # of folders for temporary files
 _HELD = "held"  # a file in them, locked as long as their process lives
 _STALE = 600.0  # seconds after which a folder that no process holds is removed
-_FAREWELL = 10.0  # seconds that a worker has to end when it is told to
+_FAREWELL = 10.0  # seconds that a worker has to end when asked to
 _PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
@@ -52,12 +52,12 @@ class ChildFailure(Exception):
 def run_child(
     request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: GridsConfig
 ) -> tuple[Any, list[np.ndarray]]:
-    """Ask ``usdsmoke.vdb.worker``, which is started if it does not run. Threads take turns.
+    """Send a request to ``usdsmoke.vdb.worker``, starting it if needed. Threads take turns.
 
     Args:
         request: JSON values; ``action`` names one of the worker's functions.
         arrays: handed over with it, in this order.
-        config: ``memory_limit_gib`` and ``time_limit_s`` hold for this request.
+        config: ``memory_limit_gib`` and ``time_limit_s`` apply to this request.
 
     Returns:
         The answer's JSON values and the arrays that came with it.
@@ -127,14 +127,14 @@ class _Worker:
         waiting = select.poll()
         waiting.register(self.answers, select.POLLIN)
         if not waiting.poll(1000 * seconds):
-            raise ChildFailure(f"it took longer than {seconds:.3g} s and was given up")
+            raise ChildFailure(f"it took longer than {seconds:.3g} s and was stopped")
         word = self.answers.read(16)
         if word:
             return word == b"next\n"
         raise _Ended(self.wait(_FAREWELL))
 
     def last_words(self) -> str:
-        """The last line that it has printed."""
+        """The last line that the worker printed."""
         size = self.messages.seek(0, os.SEEK_END)
         self.messages.seek(max(0, size - _STDERR_TAIL))
         lines = self.messages.read().decode("utf-8", errors="replace").strip().splitlines()
@@ -208,7 +208,7 @@ def _run(folder: str, config: GridsConfig) -> None:
 def _ending(return_code: int, last_words: str, config: GridsConfig) -> str:
     """Why a worker ended."""
     if return_code == -_OUT_OF_TIME:
-        return f"it took more than {config.time_limit_s:.3g} s of the processor and was given up"
+        return f"it took more than {config.time_limit_s:.3g} s of CPU time and was stopped"
     if return_code < 0:
         try:
             ending = f"OpenVDB ended with {signal.Signals(-return_code).name}"
@@ -247,7 +247,7 @@ def _environment() -> dict[str, str]:
 
 @contextmanager
 def _private_folder() -> Iterator[str]:
-    """A folder that goes when it is left; ``_sweep`` finds it if the process is killed before."""
+    """A folder that is removed on exit; ``_sweep`` removes it if the process is killed before."""
     with (
         tempfile.TemporaryDirectory(prefix=_PREFIX) as folder,
         open(Path(folder) / _HELD, "wb") as held,
@@ -259,9 +259,9 @@ def _private_folder() -> Iterator[str]:
 
 @lru_cache(maxsize=4)
 def _sweep(folder: str) -> None:
-    """Remove what killed processes left in a folder for temporary files; once a process."""
+    """Remove what killed processes left in a folder for temporary files; once per process."""
     for path in Path(folder).glob(f"{_PREFIX}*/{_HELD}"):
-        with suppress(OSError):  # somebody else's, or gone meanwhile
+        with suppress(OSError):  # another user's, or already removed
             if time.time() - path.stat().st_mtime < _STALE:
                 continue
             with open(path, "rb") as held:

@@ -1,8 +1,8 @@
-"""The colour grids of a result's files: emission as the settings want it, and what follows from it.
+"""The colour grids of a result's files: emission in the configured form, and scattering colours.
 
 With density d, extinction per density gamma_w and emission E = C gamma_w d, a painted colour C
 
-    absolute    E                   radiance per stage unit; a renderer adds it as it stands
+    absolute    E                   radiance per stage unit; a renderer adds it unchanged
     perDensity  E / d = C gamma_w   for renderers that multiply emission by density
     Cd, color   E / (gamma_w d) = C albedo of the light that is scattered, never above 1
 
@@ -49,7 +49,7 @@ def make_colour_grids(
 
 
 def absolute_emission(density: DenseField, emission: DenseField, mode: str) -> DenseField:
-    """The emission that a renderer adds as it stands, from what a file holds.
+    """The emission that a renderer adds unchanged, from the grids of a file.
 
     Args:
         density: [i j k] of the same file.

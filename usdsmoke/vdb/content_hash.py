@@ -41,8 +41,8 @@ def hash_vdb_file(file_path: str | os.PathLike[str], config: GridsConfig) -> str
         GridError: see ``read_grids``; a single grid that cannot be read is enough.
     """
     header = read_header(file_path)
-    wanted = [GridRequest(grid.name, grid.index) for grid in header.grids]
-    return hash_fields(read_grids(file_path, wanted, config))
+    requests = [GridRequest(grid.name, grid.index) for grid in header.grids]
+    return hash_fields(read_grids(file_path, requests, config))
 
 
 def _add_field(digest: "hashlib._Hash", field: DenseField) -> None:

@@ -24,14 +24,14 @@ __all__ = ["FileHeader", "GridHeader", "read_header"]
 
 _MAGIC = b" BDV\0\0\0\0"
 _OLDEST = 220  # first public release; older layouts differ
-_NEWEST = 299  # beyond every version there is: a number above it is damage, not progress
+_NEWEST = 299  # above every existing version: a larger number means damage, not a newer format
 _MASK_COMPRESSION = 222  # before it, one flag for the file; since then, flags for every grid
 
 _MAX_VALUE = 1_048_576  # bytes of a metadata value that is kept; longer ones are passed over
 
-_SETTLED = 2.0  # seconds: file systems tell no two changes apart that follow each other at once
+_SETTLED = 2.0  # seconds: file systems cannot distinguish changes in quick succession
 
-_SUFFIX = "\x1e"  # OpenVDB tells grids of one name apart by this and a number
+_SUFFIX = "\x1e"  # OpenVDB distinguishes grids of one name by this and a number
 _TREE = re.compile(r"Tree_(?P<value>.+?)_(?P<levels>\d+(?:_\d+)*)(?P<half>_HalfFloat)?")
 _POINT_TYPES = ("ptdataidx32", "ptidx32", "ptdataidx64", "ptidx64")
 
@@ -46,9 +46,9 @@ _VECTOR_FORMATS = {
 
 @dataclass(frozen=True)
 class GridHeader:
-    """One grid of a VDB file, as its header describes it; nothing of it was checked on voxels."""
+    """One grid of a VDB file, as its header describes it; not checked against its voxels."""
 
-    name: str  # without the suffix that tells grids of one name apart
+    name: str  # without the suffix that distinguishes grids of one name
     index: int  # 0, 1, ... among the grids of this name, in the file's order; USD's fieldIndex
     stored_name: str  # as the file keeps it: with a suffix where several grids share the name
     value_type: str  # "float", "vec3s", "int32", "bool", "double", "points", ...
@@ -89,15 +89,15 @@ class FileHeader:
 
 
 def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
-    """The header of a VDB file, of any grid types, without reading a voxel.
+    """The header of a VDB file with any grid types. No voxel is read.
 
-    Costs milliseconds and at most some tens of MiB, whatever the file holds. A file that has not
-    changed for a while is parsed once in a process.
+    Takes milliseconds and at most some tens of MiB, whatever the file holds. A file that has not
+    changed for two seconds is parsed once per process.
 
     Raises:
         AssetNotResolved: the file is missing or may not be read.
-        DamagedFile: not a VDB file, truncated, or with numbers that cannot be true.
-        UnsupportedGrid: a file written as a stream, whose grids cannot be found without reading.
+        DamagedFile: not a VDB file, truncated, or with impossible numbers.
+        UnsupportedGrid: a file written as a stream: it has no table of its grids.
     """
     where = os.fspath(file_path)
     try:
@@ -108,11 +108,11 @@ def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
         return _read_now(where)
     except FileNotFoundError:
         raise AssetNotResolved(
-            f"no file {where}; check the field's filePath and that the file was not moved"
+            f"no file {where}. Check the field's filePath and that the file was not moved."
         ) from None
     except OSError as error:
         raise AssetNotResolved(
-            f"cannot read {where}: {error.strerror or error}; check the file and its permissions"
+            f"cannot read {where}: {error.strerror or error}. Check the file and its permissions."
         ) from None
 
 
@@ -124,16 +124,18 @@ def _read_now(where: str) -> FileHeader:
 
 @lru_cache(maxsize=1024)
 def _read_settled(where: str, identity: tuple[int, ...]) -> FileHeader:
-    """The same, remembered as long as the file is the same one."""
+    """The header, cached while the file does not change."""
     return _read_now(where)
 
 
 def _read_file_header(reader: ByteReader) -> FileHeader:
-    if reader.take(8, "the file's mark") != _MAGIC:
-        raise reader.damage("it does not begin with the mark of VDB files")
+    if reader.take(8, "the file's magic number") != _MAGIC:
+        raise reader.damage("it does not begin with the magic number of VDB files")
     (version,) = reader.unpack("<I", "the format version")
     if not _OLDEST <= version <= _NEWEST:
-        raise reader.damage(f"it claims format version {version}; wanted {_OLDEST} to 224")
+        raise reader.damage(
+            f"it claims format version {version}, known versions are {_OLDEST} to 224"
+        )
     library = reader.unpack("<II", "the library version")
     (has_offsets,) = reader.unpack("<B", "the offsets flag")
     if version < _MASK_COMPRESSION:
@@ -143,8 +145,8 @@ def _read_file_header(reader: ByteReader) -> FileHeader:
     n_grids = reader.count(36, "grids")
     if n_grids and not has_offsets:
         raise UnsupportedGrid(
-            f"{reader.where} was written as a stream, without a table of its grids; "
-            "wanted an ordinary VDB file: load and save it once with an OpenVDB tool"
+            f"{reader.where} was written as a stream, without a table of its grids. "
+            "Load it and save it again with an OpenVDB tool."
         )
     return FileHeader(
         file_path=reader.where,
@@ -182,7 +184,7 @@ def _read_descriptor(reader: ByteReader) -> tuple[str, str, int, int]:
     if not reader.position <= grid_position <= block_position <= end_position:
         raise reader.damage(
             f'the offsets of grid "{name}" are {grid_position}, {block_position}, {end_position}; '
-            f"wanted them to rise from {reader.position}"
+            f"they do not increase from {reader.position}"
         )
     return name, grid_type, grid_position, end_position
 
@@ -191,7 +193,7 @@ def _read_grid(reader: ByteReader, stored_name: str, index: int, grid_type: str)
     name = stored_name.partition(_SUFFIX)[0]
     match = _TREE.fullmatch(grid_type)
     if match is None:
-        raise reader.damage(f'grid "{name}" is of type {grid_type[:80]!r}; wanted Tree_...')
+        raise reader.damage(f'grid "{name}" is of type {grid_type[:80]!r}, not Tree_...')
     metadata = _read_metadata(reader)
     transform_type, index_to_world = _read_transform(reader, name)
     active_voxels = metadata.get("file_voxel_count")

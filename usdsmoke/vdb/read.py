@@ -1,4 +1,4 @@
-"""VDB grids as dense arrays: found by name and index, refused by their header, checked."""
+"""VDB grids as dense arrays: found by name and index, and checked."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -42,29 +42,29 @@ _SMALL_SHARE = 0.15  # small ones this share of it
 
 @dataclass(frozen=True)
 class GridRequest:
-    """Which grid of a file is wanted."""
+    """Which grid of a file to read."""
 
     name: str  # fieldName; "" takes the grid by its index alone
-    index: int | None = None  # fieldIndex: tells grids of one name apart; None takes the first
+    index: int | None = None  # fieldIndex among grids of one name; None takes the first
     where: str = ""  # for messages: 'field </shot/plume/density>, timeCode 42'
-    components: int | None = None  # 1 wants numbers, 3 wants vectors, None takes either
+    components: int | None = None  # 1 for scalars, 3 for vectors, None for either
 
 
-# ``read_grids``, or what takes its place.
+# ``read_grids`` or a replacement for it.
 ReadGrids = Callable[[str | os.PathLike[str], Sequence[GridRequest], GridsConfig], list[DenseField]]
 
 
 def read_grids(
-    file_path: str | os.PathLike[str], wanted: Sequence[GridRequest], config: GridsConfig
+    file_path: str | os.PathLike[str], requests: Sequence[GridRequest], config: GridsConfig
 ) -> list[DenseField]:
-    """The active boxes of the wanted grids, in the order asked for.
+    """The active boxes of the requested grids, in the order of the requests.
 
     OpenVDB opens the file in the worker process under ``config``'s memory and time limits. Values
-    are delivered as they are stored, negative ones too; a non-zero background fills the box.
+    are returned as stored, negative ones too; a non-zero background fills the box.
 
     Args:
         file_path: a VDB file.
-        wanted: which grids; none gives an empty list without opening the file.
+        requests: which grids; without any, the list is empty and the file is not opened.
         config: the limits (a small file gets a share of the time only), and ``repair_nan`` which
             replaces voxels that are not finite.
 
@@ -77,31 +77,32 @@ def read_grids(
         NonFiniteError: NaN or infinite voxels, with their count, while ``repair_nan`` is unset.
         BindingMissing: OpenVDB's bindings are missing or do not fit the installed NumPy.
     """
-    if not wanted:
+    if not requests:
         return []
     header = read_header(file_path)
     grids = []
-    for request in wanted:
+    for request in requests:
         grid = find_grid(header, request)
         check_readable(header, grid, request)
         _check_size(header, grid, request, config)
         grids.append(grid)
-    described, arrays = _open(header, grids, wanted, config)
+    described, arrays = _open(header, grids, requests, config)
     return [
         _dense_field(header, grid, request, entry, values, config)
-        for grid, request, entry, values in zip(grids, wanted, described, arrays, strict=True)
+        for grid, request, entry, values in zip(grids, requests, described, arrays, strict=True)
     ]
 
 
 def find_grid(header: FileHeader, request: GridRequest) -> GridHeader:
     """The grid that a request means.
 
-    The name must agree exactly. The index counts the grids of that name in the file's order and
-    matters only where there are several; without one the first is taken, as OpenVDB does. A request
-    without a name counts the nameless grids or, where all have names, all grids of the file.
+    The name must match exactly. The index is the position among the grids of that name in the
+    file's order and matters only if there are several; without an index the first grid is taken, as
+    in OpenVDB. The index of a request without a name is the position among the nameless grids or,
+    if all have names, among all grids of the file.
 
     Raises:
-        GridNotFound: nothing fits; the message lists what the file has.
+        GridNotFound: no grid matches; the message lists the file's grids.
     """
     same_name = [grid for grid in header.grids if grid.name == request.name]
     if not same_name and not request.name:
@@ -115,13 +116,13 @@ def find_grid(header: FileHeader, request: GridRequest) -> GridHeader:
         return same_name[index]
     labels = ", ".join(_labels(header)) or "no grids at all"
     raise GridNotFound(
-        f"no {_asked_for(request)} in {_place(header, request)}; the file has: {labels}; "
-        "correct the field's fieldName or fieldIndex, or the file"
+        f"no {_asked_for(request)} in {_place(header, request)} (found: {labels}). "
+        "Correct the field's fieldName or fieldIndex, or the file."
     )
 
 
 def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -> None:
-    """Refuse a grid that smoke cannot be read from; nothing but the header is needed.
+    """Refuse a grid that smoke cannot be read from. Only the header is needed.
 
     Raises:
         UnsupportedGrid: a level set, points, another value type, or a transform that is not linear.
@@ -130,39 +131,39 @@ def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -
     components = _COMPONENTS.get(grid.value_type)
     if grid.value_type == "points":
         raise UnsupportedGrid(
-            f"{found} holds points; wanted a fog volume: rasterize the points into a density grid"
+            f"{found} holds points, not a fog volume. Rasterize the points into a density grid."
         )
     if components is None or grid.tree_levels != _STANDARD_TREE:
         kind = grid.value_type + (
             "" if grid.tree_levels == _STANDARD_TREE else f" in a {grid.tree_levels} tree"
         )
         raise UnsupportedGrid(
-            f"{found} holds {kind} values; wanted {' or '.join(_COMPONENTS)} (half too): "
-            "convert it and write the file again"
+            f"{found} holds {kind} values. Convert it to {' or '.join(_COMPONENTS)} (also half) "
+            "and write the file again."
         )
     if request.components not in (None, components):
         raise UnsupportedGrid(
-            f"{found} has {components} component{'s'[: components - 1]} per voxel; wanted "
-            f"{request.components}: name another grid"
+            f"{found} has {components} component{'s'[: components - 1]} per voxel. Name a grid "
+            f"with {request.components}."
         )
     if grid.grid_class == "level set":
         raise UnsupportedGrid(
-            f"{found} is a level set; wanted a fog volume: convert the surface to fog first"
+            f"{found} is a level set, not a fog volume. Convert the surface to fog first."
         )
     if grid.index_to_world is None:
         raise UnsupportedGrid(
-            f"{found} has a {grid.transform_type}, which is not linear; wanted a transform of "
-            "scale, rotation, shear and translation: resample the grid"
+            f"{found} has a {grid.transform_type}, which is not linear. Resample the grid with a "
+            "transform of scale, rotation, shear and translation."
         )
     if abs(np.linalg.det(grid.index_to_world[:3, :3])) == 0.0:
         raise UnsupportedGrid(
-            f"{found} has a transform that flattens space; wanted one that can be inverted: "
-            "correct its voxel size"
+            f"{found} has a transform that flattens space and cannot be inverted. Correct its "
+            "voxel size."
         )
 
 
 def read_binding_version(config: GridsConfig) -> str:
-    """Name and version of OpenVDB's bindings, such as ``pyopenvdb 10.0.1``, asked in a child.
+    """Name and version of OpenVDB's bindings, such as ``pyopenvdb 10.0.1``, from the worker.
 
     Raises:
         BindingMissing: the bindings are missing, do not fit the installed NumPy, or do not load.
@@ -171,8 +172,8 @@ def read_binding_version(config: GridsConfig) -> str:
         version, _ = child.run_child({"action": "describe"}, [], config)
     except ChildFailure as failure:
         raise BindingMissing(
-            f"the OpenVDB bindings cannot be loaded: {failure}; install them again, and raise "
-            "grids.memory_limit_gib if it is below 1"
+            f"the OpenVDB bindings cannot be loaded: {failure}. Install them again, and raise "
+            "grids.memory_limit_gib if it is below 1."
         ) from None
     return str(version)
 
@@ -180,7 +181,7 @@ def read_binding_version(config: GridsConfig) -> str:
 def _open(
     header: FileHeader,
     grids: Sequence[GridHeader],
-    wanted: Sequence[GridRequest],
+    requests: Sequence[GridRequest],
     config: GridsConfig,
 ) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
     request = {
@@ -194,28 +195,29 @@ def _open(
         return child.run_child(request, [], limited)
     except ChildFailure as failure:
         raise DamagedFile(
-            f"cannot read {_place(header, wanted[0])}: {failure}; it is probably damaged: write or "
-            "copy it again, or raise grids.memory_limit_gib or grids.time_limit_s if it is not"
+            f"cannot read {_place(header, requests[0])}: {failure}. The file is probably damaged. "
+            "Write or copy it again. If it is intact, raise grids.memory_limit_gib or "
+            "grids.time_limit_s."
         ) from None
 
 
 def _time_limit(header: FileHeader, config: GridsConfig) -> float:
-    """Seconds for a file of this size: a small one that takes long is caught in a loop."""
+    """Seconds for a file of this size: a small file that takes long is damaged."""
     try:
         size = os.path.getsize(header.file_path)
     except OSError:
-        return config.time_limit_s  # the child will say what is wrong
+        return config.time_limit_s  # the worker reports the error
     return config.time_limit_s * min(1.0, _SMALL_SHARE + size / _LARGE_FILE_BYTES)
 
 
 def _binding_name(header: FileHeader, grid: GridHeader) -> str:
-    """The name by which the bindings find this very grid among those of its name."""
+    """The name by which the bindings find this grid among those of its name."""
     suffix = grid.stored_name[len(grid.name) + 1 :]
     return f"{grid.name}[{suffix}]" if suffix else grid.name
 
 
 def _dense_limit(config: GridsConfig) -> int:
-    """Bytes that one dense array may take: OpenVDB's own copy of the grid needs as many again."""
+    """Bytes that one dense array may take: OpenVDB's own copy of the grid needs the same again."""
     return max(0, int((config.memory_limit_gib * 2**30 - _RESERVE_BYTES) / 2))
 
 
@@ -224,14 +226,14 @@ def _check_size(
 ) -> None:
     shape = grid.box_shape
     if shape is None:
-        return  # the child looks at the tree itself
+        return  # the worker looks at the tree itself
     n_bytes = 4 * _COMPONENTS[grid.value_type] * shape[0] * shape[1] * shape[2]
     if n_bytes > _dense_limit(config):
         raise GridTooLarge(
             f'grid "{grid.label}" in {_place(header, request)} spans '
             f"{shape[0]} x {shape[1]} x {shape[2]} voxels, {n_bytes / 2**30:.1f} GiB as a dense "
-            f"array; {_dense_limit(config) / 2**30:.1f} GiB are allowed: raise "
-            "grids.memory_limit_gib or cut the grid into smaller ones"
+            f"array; {_dense_limit(config) / 2**30:.1f} GiB are allowed. Raise "
+            "grids.memory_limit_gib or cut the grid into smaller ones."
         )
 
 
@@ -283,8 +285,8 @@ def _check_finite(
         first = np.argwhere(bad)[0] + np.asarray(ijk_min)
         what = f"{count} NaN or infinite voxels, the first at index {first.tolist()}"
     raise NonFiniteError(
-        f"{found} has {what}; wanted finite numbers: mend the simulation, or set grids.repair_nan "
-        "(--repair nan=0) to put a number in their place"
+        f"{found} has {what}. Correct the simulation, or set grids.repair_nan (--repair nan=0) to "
+        "replace them with a number."
     )
 
 

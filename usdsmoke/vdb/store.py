@@ -1,4 +1,4 @@
-"""Grids as they were read, kept on disk: no file is decoded twice, and memory does not grow."""
+"""Grids that were read, kept on disk: no file is decoded twice, and memory does not grow."""
 
 import dataclasses
 import os
@@ -18,7 +18,7 @@ from usdsmoke.vdb.read import GridRequest, read_grids
 __all__ = ["GridStore"]
 
 _DISK_TMP = Path("/var/tmp")  # on disk, where /tmp may be in memory
-_RESERVE = 2**30  # bytes of the disk that are left to others
+_RESERVE = 2**30  # bytes of the disk that stay free for other programs
 _ALIGNED = 64  # bytes that an array in the file begins at a multiple of
 _Key = tuple[object, ...]
 
@@ -27,11 +27,11 @@ class GridStore:
     """Reads grids and keeps them, decoded and checked, in one unnamed file.
 
     The file is in TMPDIR, or else in /var/tmp or the system's folder for temporary files. The
-    system removes it when the process ends, however rudely. Where the disk is short, grids are not
-    kept but read again.
+    system removes it when the process ends, even if it is killed. If the disk is nearly full, grids
+    are not kept but read again.
 
     Args:
-        spare_bytes: of the disk, for what the run still writes.
+        spare_bytes: of the disk, reserved for the files that the run still writes.
     """
 
     def __init__(self, spare_bytes: int = 0) -> None:
@@ -40,20 +40,23 @@ class GridStore:
         self._kept: dict[_Key, list[tuple[DenseField, tuple[int, ...], int]]] = {}
 
     def read(
-        self, file_path: str | os.PathLike[str], wanted: Sequence[GridRequest], config: GridsConfig
+        self,
+        file_path: str | os.PathLike[str],
+        requests: Sequence[GridRequest],
+        config: GridsConfig,
     ) -> list[DenseField]:
-        """What ``read_grids`` reads; from the second time on memory-mapped.
+        """What ``read_grids`` returns; memory-mapped from the second time on.
 
         A file that has changed since is read again. Changes to the arrays are not kept.
 
         Raises:
             GridError, NonFiniteError: see ``read_grids``.
         """
-        key = _key(file_path, wanted, config)
+        key = _key(file_path, requests, config)
         if key is not None and key in self._kept:
             return [self._mapped(*entry) for entry in self._kept[key]]
-        fields = read_grids(file_path, wanted, config)
-        if key is not None and _key(file_path, wanted, config) == key:  # not changed meanwhile
+        fields = read_grids(file_path, requests, config)
+        if key is not None and _key(file_path, requests, config) == key:  # not changed meanwhile
             self._keep(key, fields)
         return fields
 
@@ -64,14 +67,14 @@ class GridStore:
                 weakref.finalize(self, self._file.close)
             entries = [self._written(self._file, field) for field in fields]
         except OSError:
-            return  # no room: they are read again
+            return  # the disk is nearly full: they are read again
         if None not in entries:
             self._kept[key] = [entry for entry in entries if entry is not None]
 
     def _written(
         self, file: IO[bytes], field: DenseField
     ) -> tuple[DenseField, tuple[int, ...], int] | None:
-        """The field without its values, their shape and place; None where the disk is short."""
+        """The field without its values, their shape and place; None if the disk is nearly full."""
         if free_disk_bytes(_folder()) < self._spare + field.values.nbytes:
             return None
         start = -(-file.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
@@ -83,20 +86,20 @@ class GridStore:
         assert self._file is not None
         if 0 in shape:
             return bare
-        # "c": private, as torch warns of arrays that may not be written to
+        # "c": private, because torch warns about read-only arrays
         values = np.memmap(self._file, np.float32, mode="c", offset=start, shape=shape)
         return dataclasses.replace(bare, values=np.asarray(values))
 
 
 def _key(
-    file_path: str | os.PathLike[str], wanted: Sequence[GridRequest], config: GridsConfig
+    file_path: str | os.PathLike[str], requests: Sequence[GridRequest], config: GridsConfig
 ) -> _Key | None:
-    """What decides the fields; None where the file cannot be looked at."""
+    """What determines the fields; None if the file's status cannot be read."""
     try:
         status = os.stat(file_path)
     except OSError:
-        return None  # ``read_grids`` says what is wrong
-    grids = tuple((request.name, request.index, request.components) for request in wanted)
+        return None  # ``read_grids`` reports the error
+    grids = tuple((request.name, request.index, request.components) for request in requests)
     identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     return (os.path.abspath(file_path), identity, grids, config.repair_nan)
 

@@ -69,21 +69,21 @@ def read_velocity(
     if not grids:
         if not request.name:
             return None
-        grids = (find_grid(header, request),)  # raises, and says what the file has
+        grids = (find_grid(header, request),)  # raises; the message lists the file's grids
     where = request.where
     if len(grids) == 1:
         index = request.index if request.name else grids[0].index
         vector = GridRequest(grids[0].name, index, where, components=3)
         return centre_staggered(read(file_path, [vector], config)[0])
-    wanted = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
-    return join_components(read(file_path, wanted, config), where or os.fspath(file_path))
+    parts = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
+    return join_components(read(file_path, parts, config), where or os.fspath(file_path))
 
 
 def centre_staggered(field: DenseField) -> DenseField:
-    """The field with every component at the voxel centre; others than staggered stay as they are.
+    """The field with every component at the voxel centre; only staggered fields change.
 
-    In a staggered grid the component along an axis sits on the voxel's lower face across that axis,
-    so the centre has the mean of index i and i + 1; beyond the box the background counts.
+    In a staggered grid the component along an axis is on the voxel's lower face across that axis,
+    so the centre has the mean of index i and i + 1; outside the box it is the background.
     """
     if field.grid_class != "staggered" or field.values.ndim != 4:
         return field
@@ -119,9 +119,8 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
     for part in parts[1:]:
         if not np.allclose(part.index_to_world, first.index_to_world, rtol=0, atol=tolerance):
             raise UnsupportedGrid(
-                f'the grids "{first.name}" and "{part.name}" ({where}) have different transforms; '
-                "wanted the three parts of a velocity on the same voxels: merge them into one "
-                "vector grid"
+                f'the grids "{first.name}" and "{part.name}" ({where}) have different transforms. '
+                "Merge the components of the velocity into one vector grid."
             )
     background = tuple(float(np.asarray(part.background)) for part in parts)
     filled = [part for part in parts if not part.is_empty]

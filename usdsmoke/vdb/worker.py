@@ -4,9 +4,8 @@
 answers the ``request.json`` there with ``answer.json`` and arrays beside it. Then it prints
 ``next`` when it waits for another folder, or ``end`` when it ends itself.
 
-It decides nothing: what may be read was decided from the file's header before, and what came out
-is checked by the parent. Nothing is carried from one request to the next: a worker that has
-refused a request, or has grown, ends.
+The parent checks the file's header before a request, and the result after it. No state is carried
+from one request to the next: a worker ends after a refused request, and when its memory has grown.
 """
 
 import json
@@ -34,7 +33,7 @@ _GROWTH = 2**28  # bytes of address space beyond the first answer's that end a w
 def main() -> int:
     """Answer requests until one is refused, or the parent ends."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # what OpenVDB prints must not be taken for an answer
+    os.dup2(2, 1)  # OpenVDB's output must not be mistaken for an answer
     first, folder = 0, ""
     for line in sys.stdin:
         folder = json.loads(line)
@@ -51,12 +50,12 @@ def main() -> int:
 
 
 def answer_request(folder: Path, grown: int = 0) -> bool:
-    """Answer the request in a folder; whether it was fulfilled.
+    """Answer the request in a folder; True if it was fulfilled.
 
     Args:
         folder: with ``request.json`` and arrays ``in0.npy`` and so on.
-        grown: bytes of address space that earlier requests have left. They are not part of what
-            this request may take.
+        grown: bytes of address space that earlier requests still occupy. They are not part of this
+            request's limit.
     """
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     _set_limits(request["memory_limit_bytes"] + grown, request["cpu_limit_s"])
@@ -79,12 +78,12 @@ def answer_request(folder: Path, grown: int = 0) -> bool:
 def _set_limits(n_bytes: int, cpu_seconds: float) -> None:
     """Limit address space, and processor time from now on; leave no core file after a crash.
 
-    A timer ends the process when its time is used up. ``RLIMIT_CPU`` would count from the start of
-    the process, in whole seconds of a clock that drifts from those which a program can read.
+    A timer ends the process when its time is used up. ``RLIMIT_CPU`` is measured from the start of
+    the process, in whole seconds of a clock that drifts from those that a program can read.
     """
     try:
         import resource
-    except ImportError:  # Windows has no such limits; the time limit by the clock still holds
+    except ImportError:  # Windows has no such limits; the wall-clock limit still applies
         return
     signal.setitimer(signal.ITIMER_PROF, cpu_seconds)
     for kind, limit in ((resource.RLIMIT_AS, n_bytes), (resource.RLIMIT_CORE, 0)):
@@ -97,7 +96,7 @@ def _set_limits(n_bytes: int, cpu_seconds: float) -> None:
 
 
 def _address_space() -> int:
-    """Bytes that this process has reserved; 0 where the system does not tell."""
+    """Bytes that this process has reserved; 0 if the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     except OSError:
@@ -135,12 +134,12 @@ def _check_size(name: str, shape: list[int], components: int, limit: int) -> Non
     if n_bytes > limit:
         raise GridTooLarge(
             f'grid "{name}" spans {" x ".join(map(str, shape))} voxels, {n_bytes / 2**30:.1f} GiB '
-            f"as a dense array; {limit / 2**30:.1f} GiB are allowed: raise grids.memory_limit_gib"
+            f"as a dense array; {limit / 2**30:.1f} GiB are allowed. Raise grids.memory_limit_gib."
         )
 
 
 def _write(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
-    """Write all grids of one file; the parent checks what came of it."""
+    """Write all grids of one file; the parent checks the file."""
     binding = find_binding()
     grids = [
         _build_grid(binding, described, np.load(folder / f"in{n}.npy", allow_pickle=False))

@@ -1,4 +1,4 @@
-"""Dense arrays as one VDB file of a frame: written aside, re-opened, compared, put in its place."""
+"""Writing the grids of a frame as one VDB file, which is read back before it is published."""
 
 import dataclasses
 import math
@@ -33,7 +33,7 @@ _VECTOR_TYPES = (
 )
 _OWN_KEYS = ("class", "is_saved_as_half_float", "name", "value_type", "vector_type")
 _TRANSFORM_TOLERANCE = 1e-9  # of the largest scale; OpenVDB makes nearly equal scales equal
-_DISK_TRIAL = 1 << 16  # bytes, to see whether the disk takes any more
+_DISK_TRIAL = 1 << 16  # bytes, to test whether the disk is full
 _LEAST_SHEAR = 1e-10  # of the largest scale; OpenVDB drops shears around it, depending on the size
 
 
@@ -44,19 +44,19 @@ def write_frame(
     half: bool,
     config: GridsConfig | None = None,
 ) -> str:
-    """Write all grids of one frame into one VDB file, and make sure that it holds them.
+    """Write all grids of one frame into one VDB file and verify it.
 
     Voxels equal to the background become inactive. Names, classes, transforms and the fields'
     metadata are kept; vectors are ``invariant`` (right for colour) unless the metadata says
-    otherwise. OpenVDB reports neither a full disk nor a short write. So the file is synced to the
-    disk, opened again with OpenVDB, and compared here, number by number, before it takes the place
-    of an older one. Where it differs, the disk is tried out, so that a full one is called so.
+    otherwise. OpenVDB reports neither a full disk nor a short write. The file is therefore synced
+    to the disk, opened again with OpenVDB, and compared number by number before it replaces an
+    older one. If it differs, a trial write tells a full disk from other causes.
 
     Args:
-        file_path: where the file shall stand; its folder must exist. An old file is replaced.
-        fields: [i j k] or [i j k 3] float32, finite, of different names; an empty one, or one that
-            is all background, becomes an empty grid. ``DenseField.half`` is not looked at.
-        file_metadata: texts, numbers, truth values and triples of numbers; others are left out.
+        file_path: path of the file; its folder must exist. An old file is replaced.
+        fields: [i j k] or [i j k 3] float32, finite, of different names; a field without voxels, or
+            one that is all background, becomes an empty grid. ``DenseField.half`` is ignored.
+        file_metadata: strings, numbers, booleans and triples of numbers; others are left out.
             The content hash is added as ``usdsmoke:content_sha256``.
         half: store 16-bit floats; values are rounded to them.
         config: limits of the writing and the reading process.
@@ -83,14 +83,14 @@ def write_frame(
 
     def write(temporary: Path) -> None:
         arrays = [field.values for field in stored]
-        temporary.write_bytes(b"")  # what the system refuses is told in its own words
+        temporary.write_bytes(b"")  # raises the system's own error
         try:
             child.run_child({**request, "file_path": str(temporary)}, arrays, config)
         except ChildFailure as failure:
             _try_disk(temporary)
             raise WriteFailed(
-                f"cannot write {target.name} in {target.parent}: {failure}; check the output "
-                "folder and its disk, and whether grids.memory_limit_gib is large enough"
+                f"cannot write {target.name} in {target.parent}: {failure}. Check the output "
+                "folder and its disk, and whether grids.memory_limit_gib is large enough."
             ) from None
 
     publish_file(target, write, lambda temporary: _check_written(temporary, target, stored, config))
@@ -98,10 +98,10 @@ def write_frame(
 
 
 def clean_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Those entries that every version of the bindings writes without changing them.
+    """The entries that every version of the bindings writes unchanged.
 
-    Texts, truth values, 64-bit integers, finite numbers, and triples of numbers; NumPy scalars are
-    turned into Python's. Everything else is left out.
+    Strings, booleans, 64-bit integers, finite numbers, and triples of numbers; NumPy scalars become
+    Python's. Everything else is left out.
     """
     cleaned = {}
     for key, value in metadata.items():
@@ -134,30 +134,30 @@ def _check_names(target: Path, fields: Sequence[DenseField]) -> None:
     names = [field.name for field in fields]
     if not all(names) or len(set(names)) != len(names):
         raise WriteFailed(
-            f"cannot write {target.name}: its grids would be called {', '.join(map(repr, names))}; "
-            "wanted a name for each, and no name twice"
+            f"cannot write {target.name}: its grids would be called {', '.join(map(repr, names))}. "
+            "Give each grid a name of its own."
         )
 
 
 def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
-    """The field exactly as the file will hold it: float32, rounded to half where asked for."""
+    """The field exactly as the file stores it: float32, rounded to half if requested."""
     values = np.ascontiguousarray(field.values, np.float32)
     is_vector = values.ndim == 4 or np.ndim(field.background) == 1
     if is_vector and values.ndim == 3:
-        values = np.zeros((0, 0, 0, 3), np.float32)  # an empty field does not tell its components
+        values = np.zeros((0, 0, 0, 3), np.float32)  # an empty field has no components of its own
     background = np.asarray(field.background, np.float32)
     if not (np.isfinite(values).all() and np.isfinite(background).all()):
         count = int((~np.isfinite(values)).sum())
         raise NonFiniteError(
             f'cannot write grid "{field.name}" of {target.name}: {count} of its numbers are NaN or '
-            "infinite; wanted finite ones: this is a fault of the run, write to its authors"
+            "infinite. This is a bug of usdsmoke. Report it to its authors."
         )
     if half:
         largest = max(np.abs(values).max(initial=0.0), np.abs(background).max())
         if largest > _LARGEST_HALF:
             raise WriteFailed(
                 f'cannot write grid "{field.name}" of {target.name} in 16-bit floats: its largest '
-                f"value is {largest:g}, they end at {_LARGEST_HALF:g}; unset grids.half (--half)"
+                f"value is {largest:g}, above {_LARGEST_HALF:g}. Unset grids.half (--half)."
             )
         values = values.astype(np.float16).astype(np.float32)
         background = background.astype(np.float16).astype(np.float32)
@@ -173,7 +173,7 @@ def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
 
 
 def _without_crumbs(index_to_world: np.ndarray) -> np.ndarray:
-    """The transform without the remains of rounding, such as the cosine of a quarter turn."""
+    """The transform without rounding errors, such as the cosine of a quarter turn."""
     matrix = np.array(index_to_world, np.float64)
     linear = matrix[:3, :3]
     linear[np.abs(linear) <= _LEAST_SHEAR * np.abs(linear).max()] = 0.0
@@ -204,15 +204,14 @@ def _described(field: DenseField) -> dict[str, Any]:
 def _check_written(
     temporary: Path, target: Path, stored: Sequence[DenseField], config: GridsConfig
 ) -> None:
-    """Read the file back and compare every grid with what it should be."""
+    """Read the file back and compare every grid with what was written."""
     found = "an unreadable file"
     try:
         header = read_header(temporary)
         if sorted(grid.name for grid in header.grids) != sorted(field.name for field in stored):
             found = "other grids"
         else:
-            wanted = [GridRequest(field.name) for field in stored]
-            read = read_grids(temporary, wanted, config)
+            read = read_grids(temporary, [GridRequest(field.name) for field in stored], config)
             different = [a.name for a, b in zip(stored, read, strict=True) if not _is_same(a, b)]
             if not different:
                 return
@@ -221,13 +220,13 @@ def _check_written(
         found = f"an unreadable file ({error})"
     _try_disk(temporary)
     raise WriteFailed(
-        f"{target.name} did not come back from disk as it was written: found {found}; look whether "
-        f"the disk of {target.parent} was full, and run again"
+        f"{target.name} differs from what was written when it is read back (found {found}). Check "
+        f"whether the disk of {target.parent} is full, and run again."
     )
 
 
 def _try_disk(temporary: Path) -> None:
-    """Raise the system's own error where the disk takes no more: OpenVDB says nothing of it.
+    """Raise the system's own error if the disk is full: OpenVDB does not report it.
 
     Raises:
         OSError: the disk is full, a quota is used up, or the folder may not be written to.
@@ -241,9 +240,9 @@ def _try_disk(temporary: Path) -> None:
 
 def _is_same(written: DenseField, read: DenseField) -> bool:
     """The transform within OpenVDB's rounding, everything else exactly."""
-    wanted = np.asarray(written.index_to_world, np.float64)
-    tolerance = _TRANSFORM_TOLERANCE * np.abs(wanted[:3, :3]).max()
-    if not np.allclose(read.index_to_world, wanted, rtol=1e-15, atol=tolerance):
+    expected = np.asarray(written.index_to_world, np.float64)
+    tolerance = _TRANSFORM_TOLERANCE * np.abs(expected[:3, :3]).max()
+    if not np.allclose(read.index_to_world, expected, rtol=1e-15, atol=tolerance):
         return False
     read = crop_to_active(read)
     return (

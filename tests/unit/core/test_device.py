@@ -33,7 +33,7 @@ def test_auto_takes_the_gpu_where_there_is_one(monkeypatch):
     assert choose_device(OptimizeConfig(device="auto")) == torch.device("cuda")
     assert choose_device(OptimizeConfig(device="cuda:1")) == torch.device("cuda:1")
     assert choose_device(OptimizeConfig(device="cpu")) == torch.device("cpu")
-    with pytest.raises(ConfigError, match=r"'cuda:2'; this machine has: auto, cpu, cuda$"):
+    with pytest.raises(ConfigError, match=r"'cuda:2'.* auto, cpu, cuda\b"):
         choose_device(OptimizeConfig(device="cuda:2"))
 
 

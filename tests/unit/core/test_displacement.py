@@ -185,17 +185,17 @@ def test_mask_of_emptiness_is_empty_and_negative_density_counts_as_none():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: from_stream(random(4, 4, 4), SPACING), r"\[4, 4, 4\]; wanted \[I J K 3\]"),
-        (lambda: from_stream(random(4, 4, 4, 1), SPACING), r"wanted \[I J K 3\]"),
-        (lambda: from_potential(random(4, 4, 4, 1), SPACING), r"wanted \[I J K\]"),
+        (lambda: from_stream(random(4, 4, 4), SPACING), r"\[4, 4, 4\].*\[I J K 3\]"),
+        (lambda: from_stream(random(4, 4, 4, 1), SPACING), r"\[4, 4, 4, 1\].*\[I J K 3\]"),
+        (lambda: from_potential(random(4, 4, 4, 1), SPACING), r"\[4, 4, 4, 1\].*\[I J K\]"),
         (lambda: from_potential(random(4, 4, 4), (1.0, 0.0, 1.0)), "three lengths above 0"),
         (lambda: from_potential(random(4, 4, 4), (1.0, 1.0)), "three lengths above 0"),
         (
             lambda: from_mixed(random(4, 4, 4, 3), random(4, 4, 5), SPACING, 0.5),
             "on the same voxels",
         ),
-        (lambda: clamp_displacement(random(4, 3), 0.0), "cap is 0.0; wanted a length above 0"),
-        (lambda: smooth_mask(random(4, 4, 4, 3), 1.0), r"wanted \[I J K\]"),
+        (lambda: clamp_displacement(random(4, 3), 0.0), "cap is 0.0"),
+        (lambda: smooth_mask(random(4, 4, 4, 3), 1.0), r"\[4, 4, 4, 3\].*\[I J K\]"),
         (lambda: smooth_mask(random(4, 4, 4), -1.0), "one or three numbers from 0"),
         (lambda: smooth_mask(random(4, 4, 4), 1.0, share=0.0), "share is 0.0"),
     ],

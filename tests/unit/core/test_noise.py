@@ -112,9 +112,9 @@ def test_no_voxels_give_no_numbers():
 @pytest.mark.parametrize(
     ("ijk", "n_channels", "message"),
     [
-        (torch.zeros(4, 3), 1, r"torch.float32 of shape \[4, 3\]; wanted int64"),
+        (torch.zeros(4, 3), 1, r"torch.float32 of shape \[4, 3\].* int64"),
         (torch.zeros(3, dtype=torch.int64), 1, r"shape \[3\]"),
-        (torch.zeros(4, 3, dtype=torch.int64), 0, "0 channels; wanted at least 1"),
+        (torch.zeros(4, 3, dtype=torch.int64), 0, "0 channels.* 1"),
     ],
 )
 def test_what_does_not_fit_is_refused(ijk, n_channels, message):

@@ -146,9 +146,9 @@ def test_blur_adds_its_variance_and_keeps_the_sum():
     ("call", "message"),
     [
         (lambda: upsample(random(4, 4, 4), (3, 4, 4)), "at least as many voxels"),
-        (lambda: upsample(random(4, 4), (8, 8, 8)), r"wanted \[i j k\]"),
+        (lambda: upsample(random(4, 4), (8, 8, 8)), r"\[4, 4\].*\[i j k\]"),
         (lambda: upsample(random(4, 4, 4), (8, 8)), "at least as many voxels"),
-        (lambda: upsample(random(4, 4, 4), (8, 8, 8), "nearest"), "wanted linear or cubic"),
+        (lambda: upsample(random(4, 4, 4), (8, 8, 8), "nearest"), "'nearest'.*linear or cubic"),
         (lambda: pyramid_shapes((4, 4, 4), 0), "at least 1 level"),
         (lambda: pyramid_shapes((4, 0, 4), 2), "at least 1 voxel"),
         (lambda: smooth(random(4, 4, 4), float("nan")), "one or three numbers from 0"),

@@ -128,7 +128,7 @@ def test_missing_files_are_found_once_a_path_with_their_time_codes(tmp_path):
     [
         *[(text, "filePath is empty") for text in ("", "asset filePath = @@")],
         ("asset filePath = @op:/obj/smoke@", "a node inside Houdini"),
-        ("asset filePath = @./notes.vdb@", "does not begin with the mark of VDB files"),
+        ("asset filePath = @./notes.vdb@", "notes.vdb is not a usable VDB file"),
         ("asset filePath = @./folder.vdb@", "is a folder"),
     ],
 )

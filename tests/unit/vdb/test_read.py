@@ -80,22 +80,22 @@ def test_grid_not_found_lists_what_the_file_has(
     with pytest.raises(GridNotFound) as caught:
         find_grid(header_of(*names), GridRequest(name, index, WHERE))
     said = str(caught.value)
-    assert said.startswith(f"no {asked} in smoke.0042.vdb ({WHERE}); the file has: ")
-    wanted = {("a", "a"): "a[0], a[1];", (): "no grids at all;"}.get(names, "a, vel;")
-    assert wanted in said
+    assert said.startswith(f"no {asked} in smoke.0042.vdb ({WHERE})")
+    listed = {("a", "a"): "a[0], a[1])", (): "no grids at all)"}.get(names, "a, vel)")
+    assert listed in said
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"value_type": "points"}, "points"),
-        ({"value_type": "double"}, "double values; wanted float or vec3s"),
+        ({"value_type": "double"}, "double values.*float or vec3s"),
         ({"value_type": "int32"}, "int32 values"),
         ({"tree_levels": "4_3"}, "float in a 4_3 tree"),
         ({"grid_class": "level set"}, "level set"),
         ({"index_to_world": None, "transform_type": "NonlinearFrustumMap"}, "not linear"),
         ({"index_to_world": np.diag([1.0, 0.0, 1.0, 1.0])}, "flattens space"),
-        ({"value_type": "vec3s"}, "3 components per voxel; wanted 1"),
+        ({"value_type": "vec3s"}, "3 components per voxel.* 1"),
     ],
 )
 def test_grid_that_is_no_smoke_is_refused_from_its_header(changes: dict, words: str) -> None:

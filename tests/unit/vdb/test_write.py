@@ -63,14 +63,14 @@ def test_what_is_not_finite_is_not_written(tmp_path: Path, change: dict[str, Any
 
 def test_value_that_half_cannot_hold_is_refused(tmp_path: Path) -> None:
     field = dataclasses.replace(make_field(), values=np.full((1, 1, 1), 70000, np.float32))
-    with pytest.raises(WriteFailed, match="70000, they end at 65504"):
+    with pytest.raises(WriteFailed, match=r"70000.*65504.*grids\.half"):
         write_frame(tmp_path / "a.vdb", [field], {}, half=True)
     assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize("names", [("a", "a"), ("",)])
 def test_grids_need_names_of_their_own(tmp_path: Path, names: tuple[str, ...]) -> None:
-    with pytest.raises(WriteFailed, match="a name for each"):
+    with pytest.raises(WriteFailed, match=r"cannot write a\.vdb.* name"):
         write_frame(tmp_path / "a.vdb", [make_field(name) for name in names], {}, half=False)
 
 
@@ -114,7 +114,7 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    assert "smoke.0001.vdb did not come back from disk" in done.stdout
+    assert "smoke.0001.vdb differs from what was written" in done.stdout
     assert "full" in done.stdout
     assert target.read_bytes() == before
     assert os.listdir(tmp_path) == ["smoke.0001.vdb"]
@@ -137,7 +137,7 @@ def test_a_full_disk_is_called_so_and_not_a_damaged_file(
 
     monkeypatch.setattr(child, "run_child", write_nothing)
     monkeypatch.setattr(write, "open", lambda *_, **__: FullDisk(), raising=False)
-    message = r"cannot write a\.vdb in .*: No space left on device; free some space"
+    message = r"cannot write a\.vdb in .*: No space left on device.*space"
     with pytest.raises(WriteFailed, match=message):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
     assert os.listdir(tmp_path) == []
@@ -151,7 +151,7 @@ def test_a_folder_that_may_not_be_written_to_is_named_before_anything_is_compute
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
     monkeypatch.setattr(child, "run_child", lambda *_: pytest.fail("OpenVDB was started"))
-    with pytest.raises(WriteFailed, match="Read-only file system; choose an output folder"):
+    with pytest.raises(WriteFailed, match=r"Read-only file system.*output folder"):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
 
 
@@ -180,7 +180,7 @@ def test_file_that_came_back_different_is_found_out(
             return run(request, [change["values"]] if arrays else [], config)
 
         monkeypatch.setattr(child, "run_child", write_others)
-    with pytest.raises(WriteFailed, match=r"a\.vdb did not come back from disk as it was written"):
+    with pytest.raises(WriteFailed, match=r"a\.vdb differs from what was written"):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
     assert os.listdir(tmp_path) == []
 

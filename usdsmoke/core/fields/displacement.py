@@ -93,7 +93,7 @@ def from_potential(phi: Tensor, spacing: Sequence[float]) -> Tensor:
     Gradients: through ``phi``.
     """
     if phi.ndim != 3:
-        raise ShapeError(f"the potential has shape {list(phi.shape)}; wanted [I J K]")
+        raise ShapeError(f"the potential has shape {list(phi.shape)}. Pass [I J K].")
     _check_spacing(spacing)
     return torch.stack([_slope(phi, axis, spacing) for axis in range(3)], dim=-1)
 
@@ -114,8 +114,8 @@ def from_mixed(psi: Tensor, phi: Tensor, spacing: Sequence[float], share: float)
     """
     if psi.shape[:3] != phi.shape:
         raise ShapeError(
-            f"the stream function has shape {list(psi.shape)} and the potential {list(phi.shape)}; "
-            "wanted [I J K 3] and [I J K] on the same voxels"
+            f"the stream function has shape {list(psi.shape)} and the potential {list(phi.shape)}. "
+            "Pass [I J K 3] and [I J K] on the same voxels."
         )
     return share * from_potential(phi, spacing) + (1.0 - share) * from_stream(psi, spacing)
 
@@ -152,7 +152,7 @@ def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = 
     Gradients: through ``displacement``, finite at 0 as well.
     """
     if not (math.isfinite(cap) and cap > 0):
-        raise ShapeError(f"the displacement's cap is {cap}; wanted a length above 0")
+        raise ShapeError(f"the displacement's cap is {cap}. Pass a length above 0.")
     squared = (displacement / cap).square().sum(dim=-1, keepdim=True)
     # hypot, because the fourth power of a large displacement overflows
     if share is None:
@@ -166,11 +166,11 @@ def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
     """Where there is smoke, [I J K] in [0, 1], blurred: 1 inside, 0 a few sigma outside.
 
-    Smoke counts in full from ``share`` of the mass-weighted mean density on. The mask does not
+    Before the blur the mask is 1 from ``share`` of the mass-weighted mean density on. It does not
     depend on the density's unit and never exceeds 1, however dense the smoke.
 
     Args:
-        density: [I J K]; what is negative counts as empty.
+        density: [I J K]; negative values are taken as 0.
         sigma: of the Gaussian, voxels, >= 0; one number or one per axis.
         share: > 0.
 
@@ -179,12 +179,12 @@ def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 
         NonFiniteError: the density holds NaN or infinity.
     """
     if density.ndim != 3:
-        raise ShapeError(f"the density has shape {list(density.shape)}; wanted [I J K]")
+        raise ShapeError(f"the density has shape {list(density.shape)}. Pass [I J K].")
     if not share > 0:
-        raise ShapeError(f"the mask's share is {share}; wanted a number above 0")
+        raise ShapeError(f"the mask's share is {share}. Pass a number above 0.")
     if not torch.isfinite(density).all():
         raise NonFiniteError(
-            "the density given to the mask holds NaN or infinity; wanted finite numbers"
+            "the density given to the mask holds NaN or infinity. Pass finite numbers."
         )
     positive = density.detach().clamp(min=0)
     largest = positive.amax() if positive.numel() else positive.sum()
@@ -199,9 +199,9 @@ class SparseDisplacement:
     """``potential.unclamped_displacement`` at the active voxels, from those with an effect.
 
     Args:
-        active: voxels at which the displacement is wanted.
-        nodes: voxels of the same box that hold the potential; one that no active voxel reads moves
-            nothing, and gets no gradient.
+        active: voxels at which the displacement is computed.
+        nodes: voxels of the same box that hold the potential; one that no active voxel reads has no
+            effect and no gradient.
         effect: [I J K] in [0, 1], the potential's share; 0 outside of ``nodes``.
         kind, spacing: see ``unclamped_displacement``.
         n_channels: of the potential: 3 for a stream function (in a slab 1), 1 for a potential, 4
@@ -316,7 +316,7 @@ def _slope(values: Tensor, axis: int, spacing: Sequence[float]) -> Tensor:
     last, before = values.narrow(axis, n - 1, 1), values.narrow(axis, n - 2, 1)
     if n == 2:
         beyond = [2 * first - second, 2 * last - before]
-    else:  # what a parabola through the three border voxels has one voxel further out
+    else:  # the parabola through the three border voxels, one voxel further out
         beyond = [
             3 * (first - second) + values.narrow(axis, 2, 1),
             3 * (last - before) + values.narrow(axis, n - 3, 1),
@@ -327,10 +327,10 @@ def _slope(values: Tensor, axis: int, spacing: Sequence[float]) -> Tensor:
 
 def _check_vector(field: Tensor) -> None:
     if field.ndim != 4 or field.shape[3] != 3:
-        raise ShapeError(f"the vector field has shape {list(field.shape)}; wanted [I J K 3]")
+        raise ShapeError(f"the vector field has shape {list(field.shape)}. Pass [I J K 3].")
 
 
 def _check_spacing(spacing: Sequence[float]) -> None:
     sizes = [float(size) for size in spacing]
     if len(sizes) != 3 or not all(math.isfinite(size) and size > 0 for size in sizes):
-        raise ShapeError(f"the voxel size is {sizes}; wanted three lengths above 0")
+        raise ShapeError(f"the voxel size is {sizes}. Pass three lengths above 0.")

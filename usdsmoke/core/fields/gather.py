@@ -24,7 +24,7 @@ class _AxisWeights(NamedTuple):
 
     first: Tensor  # [N] int64, index of the first voxel along the axis
     weights: tuple[Tensor, ...]  # each [N]
-    slopes: tuple[Tensor, ...]  # derivatives of the weights by the position; () when not asked for
+    slopes: tuple[Tensor, ...]  # derivatives of the weights by the position; () if not requested
 
 
 def gather_sum(values: Tensor, positions_ijk: Tensor, cubic: bool) -> Tensor:

@@ -1,4 +1,4 @@
-"""A dense box around the smoke of one octave: what displacements are carried and finished on."""
+"""A dense box around the smoke of one octave, on which displacements are computed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ class Lattice:
         return float(sides[0]), float(sides[1]), float(sides[2])
 
     def coarsened(self, shape: Sequence[int]) -> "Lattice":
-        """The same box chunks into fewer voxels; ``shape`` may have further entries."""
+        """The same box divided into fewer voxels; ``shape`` may have further entries."""
         coarse = tuple(int(n) for n in tuple(shape)[:3])
         scale = np.array(self.shape) / np.array(coarse)
         place = np.diag([*scale, 1.0])
@@ -56,7 +56,7 @@ class Lattice:
         return (ijk + low).double() @ matrix[:3, :3] + matrix[3, :3]
 
     def on_voxels(self, at: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
-        """What a function of places gives on all voxels of the box, [I J K ...]; made in chunks.
+        """The values of a function of position on all voxels of the box, [I J K ...], by chunks.
 
         Args:
             at: stage positions [n 3] float64 -> [n ...].
@@ -107,7 +107,7 @@ class Lattice:
 def surround(smoke: ActiveSmoke, padding: int) -> Lattice:
     """The box of the smoke with ``padding`` empty voxels around.
 
-    Axes one voxel thick stay so: what is flat moves in its plane.
+    Axes one voxel thick get no padding: flat smoke moves in its plane.
 
     Raises:
         PlanError: the box is too long to be dense; smoke in places far apart.
@@ -118,8 +118,8 @@ def surround(smoke: ActiveSmoke, padding: int) -> Lattice:
     if max(shape) > LONGEST:
         raise PlanError(
             f"the shape step needs a dense box of {' x '.join(map(str, shape))} voxels around the "
-            f"smoke; it takes at most {LONGEST} along an axis: split smoke in places far apart "
-            "into Volumes of their own, or leave the shape step out with optimize.steps=[colour]"
+            f"smoke, more than {LONGEST} along an axis. Split smoke in places far apart into "
+            "Volumes of their own, or leave the shape step out with optimize.steps=[colour]."
         )
     return Lattice(low - margin, cast(tuple[int, int, int], shape), smoke.index_to_stage)
 

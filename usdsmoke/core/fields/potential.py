@@ -26,7 +26,7 @@ BORDER = 2.0  # voxels over which the displacement fades towards the border
 
 @dataclass(frozen=True)
 class Potential:
-    """What a displacement is made from, on the voxels of a box: stage unit^2."""
+    """The potential of a displacement, on the voxels of a box: stage unit^2."""
 
     values: Tensor  # [I J K C]: 3 stream, 1 potential, 4 both
     lattice: Lattice
@@ -39,7 +39,7 @@ class Potential:
 
 @dataclass(frozen=True)
 class Displacement:
-    """How far smoke is moved, on the voxels of a box: stage units."""
+    """A displacement of smoke, on the voxels of a box: stage units."""
 
     values: Tensor  # [I J K 3]
     lattice: Lattice

@@ -2,9 +2,9 @@
 
 Optimising the levels instead of the voxels lets coarse structure form first and keeps speckle out.
 A displacement reads the potential only where the effect is above 0. The nodes of each level are
-those that the interpolation to the next finer one reads, found once, axis by axis; all others would
-have a gradient of 0 for ever. So the cost follows these nodes, not the box. Values and gradients
-are those of ``expand_levels`` there.
+those that the interpolation to the next finer one reads, found once, axis by axis; all others
+always have a gradient of 0. The cost is therefore proportional to these nodes, not to the box.
+Values and gradients are those of ``expand_levels`` at these nodes.
 """
 
 import math
@@ -92,7 +92,7 @@ def pyramid_shapes(shape: Sequence[int], n_levels: int) -> list[tuple[int, int, 
 
     Args:
         shape: I, J, K of the finest level.
-        n_levels: how many are wanted, >= 1; fewer where the box is too small for them.
+        n_levels: most levels, >= 1; a small box has fewer.
 
     Raises:
         ShapeError: a number is out of range.
@@ -100,8 +100,8 @@ def pyramid_shapes(shape: Sequence[int], n_levels: int) -> list[tuple[int, int, 
     finest: tuple[int, ...] = tuple(int(n) for n in tuple(shape)[:3])
     if n_levels < 1 or len(finest) != 3 or min(finest) < 1:
         raise ShapeError(
-            f"cannot make a pyramid of {n_levels} levels on {list(finest)} voxels; wanted at least "
-            "1 level and at least 1 voxel along 3 axes"
+            f"cannot make a pyramid of {n_levels} levels on {list(finest)} voxels. Pass at least "
+            "1 level and at least 1 voxel along 3 axes."
         )
     shapes: list[tuple[int, ...]] = [finest]
     while len(shapes) < n_levels:

@@ -45,25 +45,25 @@ def upsample(coarse: Tensor, shape: Sequence[int], method: Method = "cubic") -> 
     """
     fine = tuple(int(n) for n in tuple(shape)[:3])
     if method not in ("linear", "cubic"):
-        raise ShapeError(f"unknown upsampling method {method!r}; wanted linear or cubic")
+        raise ShapeError(f"unknown upsampling method {method!r}. Use linear or cubic.")
     if (
         coarse.ndim not in (3, 4)
         or len(fine) != 3
         or any(not 1 <= n <= m for n, m in zip(coarse.shape, fine, strict=False))
     ):
         raise ShapeError(
-            f"cannot upsample a field of shape {list(coarse.shape)} to {list(fine)} voxels; "
-            "wanted [i j k] or [i j k C] and at least as many voxels along each axis"
+            f"cannot upsample a field of shape {list(coarse.shape)} to {list(fine)} voxels. "
+            "Pass [i j k] or [i j k C] and at least as many voxels along each axis."
         )
     return _along_axes(coarse, lambda axis, n: interpolation_matrix(fine[axis], n, method))
 
 
 def smooth(values: Tensor, sigma: float | Sequence[float]) -> Tensor:
-    """Gaussian blur over i, j and k of a box in emptiness; channels are not mixed.
+    """Gaussian blur over i, j and k of a box surrounded by zeros; channels are not mixed.
 
     Args:
         values: [I J K] or [I J K C], floating point.
-        sigma: voxels, >= 0, one number or one per axis; axes of length 1 are left as they are.
+        sigma: voxels, >= 0, one number or one per axis; axes of length 1 are not blurred.
 
     Raises:
         ShapeError: sigma is not as above.
@@ -72,7 +72,7 @@ def smooth(values: Tensor, sigma: float | Sequence[float]) -> Tensor:
     """
     sigmas = [float(sigma)] * 3 if isinstance(sigma, (int, float)) else [float(s) for s in sigma]
     if len(sigmas) != 3 or not all(0 <= s < math.inf for s in sigmas):
-        raise ShapeError(f"the blur's sigma is {sigma}; wanted one or three numbers from 0")
+        raise ShapeError(f"the blur's sigma is {sigma}. Pass one or three numbers from 0.")
     return _along_axes(values, lambda axis, n: _gaussian_matrix(n, sigmas[axis]))
 
 
@@ -130,9 +130,9 @@ def _along_axes(values: Tensor, matrix_for: Callable[[int, int], Tensor | None])
 
 @lru_cache(maxsize=64)
 def interpolation_matrix(n_fine: int, n_coarse: int, method: Method) -> Tensor | None:
-    """What ``upsample`` does along an axis, [n_fine n_coarse] float64; None where that is nothing.
+    """The matrix of ``upsample`` along an axis, [n_fine n_coarse] float64; None for the identity.
 
-    The tensor is shared: not to be changed.
+    The tensor is shared: do not change it.
     """
     if n_fine == n_coarse:
         return None
@@ -157,7 +157,7 @@ def _keys_kernel(distance: Tensor) -> Tensor:
 
 @lru_cache(maxsize=64)
 def _gaussian_matrix(length: int, sigma: float) -> Tensor | None:
-    """[length length] float64, rows of the unit-sum kernel; None where nothing is to be done."""
+    """[length length] float64, rows of the unit-sum kernel; None for the identity."""
     support = math.ceil(_SIGMAS * sigma)
     if length == 1 or support == 0:
         return None

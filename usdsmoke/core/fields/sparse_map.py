@@ -1,9 +1,9 @@
 """Sparse linear maps between some nodes of lattices, and their exact adjoints.
 
 A separable operator, an interpolation or a derivative, is a small matrix along each axis; on a
-whole box ``fields.resample`` multiplies with it. Where few nodes of a box count, the same matrix is
-applied to those alone: the entries of a row that read a node are kept, what reads none is 0. Both
-directions are stored as runs of entries, summed run by run: results repeat bit by bit.
+whole box ``fields.resample`` multiplies with it. If few nodes of a box have values, the same matrix
+is applied to those alone: entries that read other nodes are dropped. Both directions are stored as
+runs of entries and summed run by run, so results are reproducible bit by bit.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ Table = tuple[Tensor, Tensor]
 
 @dataclass(frozen=True)
 class Nodes:
-    """Some nodes of a lattice; ``numbers`` is a box and not for keeping."""
+    """Some nodes of a lattice; ``numbers`` is as large as the box: do not keep it."""
 
     shape: tuple[int, int, int]
     flat: Tensor  # [n] int64, ascending: their numbers in C order among all of the lattice
@@ -64,7 +64,7 @@ class SparseSums:
     def of(
         cls, width: int, *blocks: tuple[int, Callable[[slice], Table]], like: Tensor
     ) -> "SparseSums":
-        """From functions that tell tables [m K] of what some of a block's sums read.
+        """From functions that give tables [m K] of the rows that some of a block's sums read.
 
         Args:
             width: the largest K.
@@ -185,7 +185,7 @@ def read_along(rows: Nodes, columns: Nodes, axis: int, matrix: AxisMatrix, part:
 
 
 def map_along(rows: Nodes, columns: Nodes, axis: int, matrix: Tensor, like: Tensor) -> SparseMap:
-    """A matrix [n_rows n_columns] along an axis, between nodes; others count as 0."""
+    """A matrix [n_rows n_columns] along an axis, between nodes; all others are 0."""
     return SparseMap(
         _sums_along(rows, columns, axis, matrix, like),
         _sums_along(columns, rows, axis, matrix.T, like),

@@ -49,7 +49,7 @@ def warp(
 ) -> Tensor:
     """``values`` moved by a displacement in one step: T(f)(x) = f(x - u(x)), in their unit.
 
-    The box lies in zeros: what leaves it is gone.
+    The box is surrounded by zeros: smoke that leaves it is lost.
 
     Args:
         values: [I J K] or [I J K C].
@@ -86,16 +86,17 @@ def correct_mass(moved: Tensor, source: Tensor) -> tuple[Tensor, float]:
     """``moved`` scaled to the sum of ``source``, and the relative mass error it had before.
 
     Semi-Lagrangian transport does not conserve mass where the flow converges or the look-up blurs.
-    The scale cannot tell that loss from smoke that left the box: not for smoke that may leave.
+    The scale cannot distinguish that loss from smoke that left the box: use it only if none can
+    leave.
 
     Args:
-        moved: any shape, what transport gave.
-        source: what it was given; same voxel size.
+        moved: any shape, the result of transport.
+        source: its input; same voxel size.
 
     Returns:
-        (corrected, (sum moved - sum source) / sum source). Where the sums do not have the same
-        sign, or one is 0, nothing can be scaled: ``moved`` comes back as it is, with its error (0
-        if both are 0, infinite if only the source's is).
+        (corrected, (sum moved - sum source) / sum source). If the sums do not have the same sign,
+        or one is 0, nothing can be scaled: ``moved`` is returned unchanged, with its error (0 if
+        both are 0, infinite if only the source's is).
 
     Gradients: through both tensors into the corrected one; the error is a plain number.
     """

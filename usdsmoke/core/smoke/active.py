@@ -76,7 +76,7 @@ class ActiveSmoke:
 def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:
     """The voxels of a dense field that hold smoke.
 
-    Negative density counts as none, and so does what is fainter than ``LEAST_DENSITY``.
+    Voxels with a negative density, or one below ``LEAST_DENSITY``, are taken as empty.
 
     Args:
         density: [i j k].
@@ -175,21 +175,21 @@ def octaves_to_do(
 
     Args:
         smoke: at full resolution.
-        iterations: per octave, coarse to fine; an octave with 0 is passed over.
+        iterations: per octave, coarse to fine; an octave with 0 is skipped.
 
     Returns:
-        Number of the octave, how many voxels it makes one of, its smoke, and its iterations.
+        Number of the octave, its voxel size in source voxels, its smoke, and its iterations.
     """
-    wanted = [number for number, n in enumerate(iterations) if n]
-    if not wanted:
+    active = [number for number, n in enumerate(iterations) if n]
+    if not active:
         return []
-    octaves = make_octaves(smoke, len(iterations) - wanted[0])
+    octaves = make_octaves(smoke, len(iterations) - active[0])
     return [
         (
             number,
             OCTAVE_SCALE ** (len(iterations) - 1 - number),
-            octaves[number - wanted[0]],
+            octaves[number - active[0]],
             iterations[number],
         )
-        for number in wanted
+        for number in active
     ]

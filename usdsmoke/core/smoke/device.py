@@ -1,4 +1,4 @@
-"""Where the core computes, and that it computes the same bits again."""
+"""The device on which the core computes, and determinism."""
 
 import os
 import platform
@@ -35,7 +35,8 @@ def choose_device(config: OptimizeConfig) -> torch.device:
     n_gpus = torch.cuda.device_count() if len(available) > 1 else 0
     if device is None or device.type not in available or (device.index or 0) >= max(n_gpus, 1):
         raise ConfigError(
-            f"optimize.device is {config.device!r}; this machine has: auto, {', '.join(available)}"
+            f"optimize.device {config.device!r} is not available. "
+            f"Use one of auto, {', '.join(available)}."
         )
     torch.set_num_threads(config.threads or _usable_cpus())
     torch.backends.cudnn.benchmark = False
@@ -44,7 +45,7 @@ def choose_device(config: OptimizeConfig) -> torch.device:
 
 
 def describe_machine(config: OptimizeConfig) -> Machine:
-    """What decides bits of this machine, with these settings; open ones are settled.
+    """What determines the bits of results on this machine; "auto" settings are resolved.
 
     Raises:
         ConfigError: see ``choose_device``.
@@ -65,7 +66,7 @@ def _parse_device(name: str) -> torch.device | None:
 
 
 def _usable_cpus() -> int:
-    """Processors that this process may use, where the system tells."""
+    """Processors that this process may use, if the system reports them."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

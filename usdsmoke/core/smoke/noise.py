@@ -1,9 +1,9 @@
 r"""White noise as a pure function of voxel, channel and seed.
 
-A number belongs to its voxel: it does not depend on the crop, on the order or number of voxels
-asked for, on the thread count or the machine. Voxel, channel and seed are combined linearly with
-odd 64-bit constants and scrambled twice by a bijection of 64-bit words in which every input bit
-reaches every output bit [Steele2014]. Only integer arithmetic and correctly rounded sums and
+A number belongs to its voxel: it does not depend on the crop, on the order or number of the
+requested voxels, on the thread count or the machine. Voxel, channel and seed are combined linearly
+with odd 64-bit constants and scrambled twice by a bijection of 64-bit words: every input bit
+affects every output bit [Steele2014]. Only integer arithmetic and correctly rounded sums and
 products are used, so the bits are the same everywhere.
 """
 
@@ -30,10 +30,10 @@ def white_noise(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
     Args:
         ijk: integer voxel indices, [N 3], int64; negative ones as well.
         n_channels: C, >= 1.
-        seed: any integer; its lowest 64 bits count.
+        seed: any integer; its lowest 64 bits are used.
 
     Returns:
-        multiples of 2^-24; the row of a voxel is the same wherever it stands in ``ijk``.
+        multiples of 2^-24; the values of a voxel do not depend on its position in ``ijk``.
 
     Raises:
         ShapeError: ijk or n_channels are not as above.
@@ -59,10 +59,10 @@ def _hash(ijk: Tensor, n_channels: int, seed: int) -> Tensor:
 def _check_drawing(ijk: Tensor, n_channels: int) -> None:
     if ijk.ndim != 2 or ijk.shape[1] != 3 or ijk.dtype != torch.int64:
         raise ShapeError(
-            f"voxel indices are {ijk.dtype} of shape {list(ijk.shape)}; wanted int64 of shape [N 3]"
+            f"voxel indices are {ijk.dtype} of shape {list(ijk.shape)}. Pass int64 of shape [N 3]."
         )
     if n_channels < 1:
-        raise ShapeError(f"cannot draw noise for {n_channels} channels; wanted at least 1")
+        raise ShapeError(f"cannot draw noise for {n_channels} channels. Pass at least 1.")
 
 
 def _scramble(words: Tensor) -> Tensor:

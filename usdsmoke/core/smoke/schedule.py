@@ -15,16 +15,16 @@ def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]
 
     Args:
         per_octave: the configured list; an octave with 0 is left out and stays so.
-        total: wanted sum; None leaves the list as it is. No other octave falls below one iteration.
+        total: requested sum; None leaves the list unchanged. Every other octave keeps at least one.
     """
     whole = sum(per_octave)
     if total is None or whole == 0:
         return list(per_octave)
-    done = wanted = 0
+    done = configured = 0
     scaled = []
     for n in per_octave:
-        wanted += n
-        scaled.append(max(min(n, 1), round(wanted * total / whole) - done))
+        configured += n
+        scaled.append(max(min(n, 1), round(configured * total / whole) - done))
         done += scaled[-1]
     return scaled
 

@@ -70,6 +70,6 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
     """
     light = luminance(style)
     spread = light.std(correction=0).clamp_min(1e-4)
-    wanted = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
-    matched = (light - light.mean()) / spread * wanted + mean
+    contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
+    matched = (light - light.mean()) / spread * contrast + mean
     return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()

@@ -1,4 +1,4 @@
-"""From where the smoke is seen: rigid views in stage space, orthographic or perspective."""
+"""Views of the smoke: rigid cameras in stage space, orthographic or perspective."""
 
 import math
 from dataclasses import dataclass, replace
@@ -90,12 +90,12 @@ def frame_points(view: View, points: np.ndarray, height: int | None, width: int 
         height, width: pixels; one of them may be None and follows from the other. There is a
             margin of a fiftieth at least.
     """
-    seen = np.asarray(points, float) @ np.stack([view.right, view.up, view.forward], axis=1)
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    in_view = np.asarray(points, float) @ np.stack([view.right, view.up, view.forward], axis=1)
+    low, high = in_view.min(axis=0), in_view.max(axis=0)
     largest = float((high - low).max()) or 1.0
     sides = np.maximum((high - low)[:2] * (1 + 2 * FIT_MARGIN), 1e-3 * largest)
     if height is None and width is None:
-        raise ShapeError("neither height nor width of a picture was given; wanted one at least")
+        raise ShapeError("neither height nor width of a picture was given. Pass at least one.")
     pixel_size = max(
         sides[0] / width if width is not None else 0.0,
         sides[1] / height if height is not None else 0.0,
@@ -115,8 +115,8 @@ def view_of_camera(camera: CameraSource, height: int, width: int) -> View:
 
     The horizontal aperture spans the picture's width, which is hdStorm's and usdrecord's way too
     (``expandVertically`` or ``crop``): a picture that is higher than the film shows more above and
-    below, a lower one less. As in ``Gf.Camera``, scale in the camera's transform does not count,
-    and a mirrored one is mirrored back. The clipping range is not looked at.
+    below, a lower one less. As in ``Gf.Camera``, scale in the camera's transform is ignored, and a
+    mirrored one is mirrored back. The clipping range is ignored.
 
     Args:
         camera: see ``CameraSource``.
@@ -144,8 +144,8 @@ def camera_orbit(
     Args:
         camera: its eye (perspective) or its axis (orthographic) gives the direction, its up and
             right the picture's.
-        azimuth: degrees around the camera's up; from positive ones one stands further right.
-        elevation: degrees; positive looks down from further up, as the camera has up.
+        azimuth: degrees around the camera's up; positive moves the view to the right.
+        elevation: degrees; positive moves the view up, along the camera's up.
         target: [3], stage space; the picture's centre, one pixel large until it is fitted.
         pixel_size: stage units.
     """
@@ -217,15 +217,15 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
 
 
 def draw_views(iteration: int, count: int, pool: int, seed: int) -> list[int]:
-    """Which views of a pool are looked at in an iteration: ``count`` numbers below ``pool``.
+    """The views of a pool that an iteration uses: ``count`` numbers below ``pool``.
 
-    The pool is gone through again and again, each time in another order, so every view has its turn
-    and none has a fixed neighbour. The same arguments always give the same views.
+    The whole pool is used again and again, each time in another order, so every view is used
+    equally often and none has a fixed neighbour. The same arguments always give the same views.
 
     Args:
         iteration: from 0.
         count: views an iteration; may exceed the pool, whose views then repeat.
-        pool: views that there are, at least 1.
+        pool: number of views, at least 1.
         seed: of the orders.
     """
     first = iteration * count

@@ -1,6 +1,6 @@
 """What a shot's camera can see: a frustum with a soft border, and the size of its pixels.
 
-Plain numpy, without torch: planning counts with it too.
+Plain numpy, without torch: planning uses it too.
 """
 
 from dataclasses import dataclass
@@ -30,9 +30,9 @@ class Frustum:
     is_orthographic: bool
 
     def shares(self, points: np.ndarray) -> np.ndarray:
-        """1 for what the film shows, falling smoothly to 0 across the border, [N] float64.
+        """1 inside the film, falling smoothly to 0 across the border, [N] float64.
 
-        The clipping planes have a border too, as wide as the film's is there.
+        The clipping planes have a border too, as wide as the film's border there.
 
         Args:
             points: [N 3], stage space.
@@ -59,7 +59,7 @@ class Frustum:
         return np.max(self._plane_distances(place), axis=1)
 
     def misses(self, corners: np.ndarray) -> bool:
-        """Whether a convex body surely lies outside: all corners beyond one and the same plane.
+        """True if a convex body is certainly outside: all its corners are beyond one plane.
 
         Args:
             corners: [N 3], stage space.
@@ -113,7 +113,7 @@ def frustum_of(camera: CameraSource, margin: float) -> Frustum:
     middle = np.array([camera.horizontal_offset, camera.vertical_offset]) * scale
     near, far = camera.clipping_range
     if not camera.is_orthographic:
-        near = max(near, 0.0)  # nothing behind a pinhole is seen
+        near = max(near, 0.0)  # nothing behind a pinhole is visible
     return Frustum(
         place[3, :3],
         np.stack(rigid_axes(place[:3, :3])),
@@ -127,11 +127,10 @@ def frustum_of(camera: CameraSource, margin: float) -> Frustum:
 
 
 def pixel_footprint(camera: CameraSource, depth: float, width: int) -> float:
-    """What one pixel of the camera's picture covers, stage units.
+    """The width that one pixel of the camera's picture covers, stage units.
 
     Args:
-        depth: distance along the camera's axis, stage units; does not count when it is
-            orthographic.
+        depth: distance along the camera's axis, stage units; ignored if it is orthographic.
         width: pixels of the picture.
     """
     if camera.is_orthographic:

@@ -1,7 +1,7 @@
-r"""Pictures of smoke that glows and absorbs, by rays through any number of lattices at once.
+r"""Pictures of smoke that emits and absorbs, by rays through any number of lattices at once.
 
-Between voxel centres every lattice is interpolated trilinearly, and outside it is empty, as
-renderers take it. A ray is cut at every plane of voxel centres of every lattice, so a segment lies
+Between voxel centres every lattice is interpolated trilinearly, and outside it is empty, as in
+renderers. A ray is cut at every plane of voxel centres of every lattice, so a segment lies
 in one cell of each; there extinction is a cubic polynomial along the ray, and two Gauss points give
 its optical depth exactly. Each of the two halves obeys the rule of ``views.optics``,
 
@@ -12,7 +12,7 @@ segments of much optical depth are cut once more. Lattices that overlap add up, 
 hidden by those in front, because all share the segments.
 
 The optimiser's own projection (``views.project``) splats voxels on pixels instead; that is a sparse
-linear map and quick to derive, but wants pixels as large as voxels and smoke in front of the eye.
+linear map with a cheap gradient, but needs pixels as large as voxels and smoke in front of the eye.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ __all__ = ["Picture", "march"]
 
 _GAUSS = 0.5 / 3**0.5  # distance of the two points from a segment's middle, in its length
 _CHUNK = 1 << 20  # cuts that are in memory at once, over all rays of a chunk
-_OPAQUE = 1e4  # optical depth behind which nothing is seen; larger ones would cost digits
+_OPAQUE = 1e4  # optical depth behind which nothing is visible; larger ones would cost digits
 _THICK = 0.1  # optical depth above which a segment is cut once more
 _MOST_PARTS = 64
 _MOST_RAYS = 4  # a pixel's rays along each side
@@ -40,11 +40,11 @@ _PARALLEL = 1e-12  # share of a ray's direction below which it does not cross an
 
 @dataclass(frozen=True)
 class Picture:
-    """What a view has of the smoke; scene-linear, float32."""
+    """A picture of the smoke; scene-linear, float32."""
 
     depth: np.ndarray  # [H W] optical depth along the whole ray, the mean over the pixel
-    emission: np.ndarray  # [H W 3] light of emission fields, what absorbs it taken off
-    grey: np.ndarray  # [H W] light of smoke that has no emission, what absorbs it taken off
+    emission: np.ndarray  # [H W 3] light of emission fields, after absorption
+    grey: np.ndarray  # [H W] light of smoke that has no emission, after absorption
     alpha: np.ndarray  # [H W] in [0, 1]: 1 - transmittance, the mean over the pixel
 
     @property
@@ -60,11 +60,11 @@ def march(
     clip: tuple[float, float] = (-np.inf, np.inf),
     rays: int | None = None,
 ) -> Picture:
-    """The picture that a view has of all media together.
+    """The picture of all media together in a view.
 
     Args:
         media: in stage space; may overlap.
-        view: orthographic or perspective; a perspective one sees nothing behind its eye.
+        view: orthographic or perspective; nothing behind a perspective eye is visible.
         clip: nearest and farthest depth along the view's axis, stage units.
         rays: along each side of a pixel; None takes as many as voxels fall on a pixel, up to 4.
     """
@@ -232,8 +232,8 @@ def _composite(values: Tensor, length: Tensor, ray: Tensor, n_rays: int) -> np.n
     ray = ray.repeat_interleave(2)
     half = length.repeat_interleave(2) / 2
     depth = pieces[:, EXTINCTION] * half
-    seen = depth.clamp_max(_OPAQUE)
-    before = torch.cumsum(seen, 0) - seen  # of all rays up to here; the rays in front come off
+    limited = depth.clamp_max(_OPAQUE)
+    before = torch.cumsum(limited, 0) - limited  # over all rays; earlier rays are subtracted below
     first = torch.searchsorted(ray, torch.arange(n_rays))
     started = torch.cat([before, before.new_zeros(1)])[first]
     passed = torch.exp(-(before - started[ray]))

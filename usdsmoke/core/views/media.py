@@ -36,7 +36,7 @@ def make_media(
     """A Volume's fields as media: one where the two share their voxels, else one each.
 
     Args:
-        density: [i j k]; negative values count as none.
+        density: [i j k]; negative values are taken as 0.
         emission: [i j k 3], radiance per stage unit; None lets the smoke glow evenly in grey.
         to_stage, emission_to_stage: [4 4], grid world to stage; the second with an emission only.
         gamma_w: extinction per density, 1/stage unit.
@@ -47,7 +47,7 @@ def make_media(
             so that no ray can be followed through it.
     """
     if (emission is None) != (emission_to_stage is None):
-        raise ShapeError("an emission and its place on the stage belong together; wanted both")
+        raise ShapeError("emission and emission_to_stage belong together. Pass both or neither.")
     fields = [density] if emission is None else [density, emission]
     places = [to_stage] if emission_to_stage is None else [to_stage, emission_to_stage]
     lattices = [_lattice(*item) for item in zip(fields, places, strict=True)]
@@ -56,21 +56,21 @@ def make_media(
         groups = [fields]
     media = []
     for group, lattice in zip(groups, lattices, strict=False):
-        held = [field for field in group if not field.is_empty]
-        if held:
-            values, first = _filled(held, density, gamma_w, grey if emission is None else 0.0)
+        filled = [field for field in group if not field.is_empty]
+        if filled:
+            values, first = _filled(filled, density, gamma_w, grey if emission is None else 0.0)
             media.append(Medium(values, _moved(first) @ lattice))
     return media
 
 
 def _filled(
-    held: Sequence[DenseField], density: DenseField, gamma_w: float, grey: float
+    fields: Sequence[DenseField], density: DenseField, gamma_w: float, grey: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fields of one lattice on the box that holds them and one layer more; its first index."""
-    low = np.min([field.ijk_min for field in held], axis=0)
-    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in held], axis=0)
+    low = np.min([field.ijk_min for field in fields], axis=0)
+    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in fields], axis=0)
     values = np.zeros((*(high - low + 2), 5), np.float32)
-    for field in held:
+    for field in fields:
         start = np.subtract(field.ijk_min, low) + 1
         i, j, k = (slice(a, a + n) for a, n in zip(start, field.values.shape[:3], strict=True))
         if field is density:
@@ -93,8 +93,8 @@ def _lattice(field: DenseField, to_stage: np.ndarray) -> np.ndarray:
     matrix = np.asarray(field.index_to_world, float) @ np.asarray(to_stage, float)
     if not abs(np.linalg.det(matrix[:3, :3])) > 0:  # nor with NaN
         raise ShapeError(
-            f'the grid "{field.name}" is flattened where it stands on the stage; wanted a '
-            "transform that can be inverted: correct the scale of its field prim and its parents"
+            f'the transform of grid "{field.name}" to the stage flattens space and cannot be '
+            "inverted. Correct the scale of its field prim and its parents."
         )
     return matrix
 

@@ -25,15 +25,15 @@ from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance
 __all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
 
 
-# Share of the most opaque pixel: what is hidden deeper is rounded away in float32 sums anyway.
+# Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
-MOST_CELLS = 2**27  # slabs times pixels: the emptiness between far places must not fill memory
-CHUNK_CELLS = 2**19  # slabs times pixels that are worked off at once
+MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
+CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
 
 
 class _Apply(torch.autograd.Function):
-    """Values [N C] -> picture [P C]; both ways sum in a fixed order, which repeats bit by bit."""
+    """Values [N C] -> picture [P C]; both sum in a fixed order, so bits are reproducible."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
@@ -70,8 +70,8 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
 class SparseImage:
     """A linear map from N voxels to H x W pixels with at most four pixels a voxel.
 
-    ``pixel`` and ``weight`` are [N 4]. Weights of pixels outside the image are 0; a value that is
-    not finite does not stay out of the picture for that.
+    ``pixel`` and ``weight`` are [N 4]. Weights of pixels outside the image are 0, but a value there
+    that is not finite still reaches the picture.
     """
 
     height: int
@@ -81,7 +81,7 @@ class SparseImage:
 
     @cached_property
     def runs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """The entries that a pixel can show, sorted by pixel: voxel, weight, each pixel's first.
+        """The entries with a weight, sorted by pixel: voxel, weight, first entry of each pixel.
 
         For devices on which scattered sums come in any order.
         """
@@ -116,7 +116,7 @@ class SparseImage:
 
 @dataclass(frozen=True)
 class _Footprint:
-    """Where voxels fall in a view; float64."""
+    """The pixels that voxels cover in a view; float64."""
 
     pixel: Tensor  # [N 4] int32
     weight: Tensor  # [N 4], bilinear
@@ -141,7 +141,7 @@ def project_voxels(positions: Tensor, view: View) -> _Footprint:
     else:
         seen = depth > (1e-6 * depth.abs().amax() if len(depth) else 0.0)
         visible = seen.to(depth.dtype)
-        # what is behind the eye takes the depth of the nearest in front, so as to stretch nothing
+        # points behind the eye get the depth of the nearest in front, so that none is stretched
         depth = torch.where(seen, depth, depth[seen].amin() if bool(seen.any()) else 1.0)
         scale = view.focal / depth
         # the area seen at a slant is smaller by its cosine
@@ -193,7 +193,7 @@ def colour_map(
     gamma_w: float,
     view: View,
     step: float,
-    shown: Tensor | None = None,
+    share: Tensor | None = None,
 ) -> tuple[SparseImage, Tensor]:
     """The map from voxel colour [N 3] to the picture of fixed smoke, and its opacity [H W].
 
@@ -204,12 +204,12 @@ def colour_map(
         gamma_w: extinction per density, 1/stage unit.
         view: see ``column_map``.
         step: thickness of the slabs, stage units; about the voxel's size.
-        shown: [N] in [0, 1], the share of a voxel's light that counts; None means all. Smoke that
-            is not shown still hides what is behind it.
+        share: [N] in [0, 1], the share of each voxel's light in the picture; None means all. Smoke
+            with a share of 0 still hides the smoke behind it.
 
     Returns:
-        The map, from the voxels that are shown at all, and what white smoke gives, alpha: with
-        everything shown 1 - exp(-gamma_w * column integral).
+        The map, from the voxels with a share above 0, and the picture of white smoke, alpha: with
+        all shares 1 it is 1 - exp(-gamma_w * column integral).
 
     Gradients: none through density; it is fixed in the colour step.
     """
@@ -222,7 +222,7 @@ def colour_map(
     slab = depth / max(step, float(depth.max()) * n_pixels / MOST_CELLS)
     mass = (density * (gamma_w * voxel_volume) * foot.per_area).clamp_max(THICKEST)
     pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
-    del foot, depth, mass  # as large as what is worked with
+    del foot, depth, mass  # each as large as the weights
     depths = _slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     _light_up(depths)
@@ -233,10 +233,10 @@ def colour_map(
     del depths, per_depth
     least = NEGLIGIBLE * float(alpha.max())
     weight.masked_fill_(~(weight > least), 0)
-    if shown is None:
+    if share is None:
         return SparseImage(view.height, view.width, pixel, weight), alpha
-    some = shown > 0
-    weight = weight[some] * shown[some, None].to(weight)
+    some = share > 0
+    weight = weight[some] * share[some, None].to(weight)
     image = SparseImage(view.height, view.width, pixel[some], weight)
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
 
@@ -249,7 +249,7 @@ def _cells(slab: Tensor, pixel: Tensor, n_pixels: int, dtype: torch.dtype) -> tu
 
 
 def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
-    """The optical depth that voxels with the shares [N 4] have in slabs and pixels, [S P].
+    """The optical depth of voxels with the shares [N 4] in slabs and pixels, [S P].
 
     On a GPU the order of the sums, and with it the last bits, is not fixed.
     """

@@ -1,6 +1,6 @@
-"""What every frame of a shot shares, measured once: extinction and image scale.
+"""Extinction and image scale, measured once for all frames of a shot.
 
-Measured frame by frame, exposure and the style's size would jump.
+If they were measured for every frame, exposure and the style's size would jump.
 """
 
 import math
@@ -29,9 +29,9 @@ __all__ = [
 ]
 
 PICTURE_MARGIN = 2  # pixels around the smoke
-LEAST_OPACITY = 1e-12  # opacity beyond which nothing is brightened: float32 pictures hold no more
-LEAST_PIXELS = 16  # along the smoke that a camera far away leaves: fewer hold no structure
-EXPOSED_OPACITY = 0.7  # opacity that the thick columns are exposed to where they have less
+LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
+LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
+EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class Scene:
     up_axis: str
     reference_voxel_size: float  # of the source, before any refinement; gamma = gamma_w * this
     image_size: int  # pixels of the largest picture's longer side, which the style is scaled to
-    grey_mean: float = 0.5  # of the grey pictures inside the smoke: grey styles are matched to it
+    grey_mean: float = 0.5  # of the grey pictures inside the smoke; grey styles are matched to it
     grey_deviation: float = 0.2
-    exposure: float = 1.0  # what thin smoke's pictures are brightened by, >= 1: colour step
+    exposure: float = 1.0  # brightens the pictures of thin smoke, >= 1: colour step
     exposure_shape: float = 1.0
-    camera: CameraSource | None = None  # of the frame that is worked on; None: around up
+    camera: CameraSource | None = None  # of the current frame; None: around up
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
 
 
@@ -61,10 +61,10 @@ def _corners(smoke: ActiveSmoke) -> np.ndarray:
 
 
 def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
-    """The same orthographic view, moved and sized so that its image just holds the smoke."""
+    """The same orthographic view, moved and sized so that its image just contains the smoke."""
     corners = _corners(smoke)
     across, up = (corners @ axis for axis in (view.right, view.up))
-    middle = corners.mean(0)  # seen from anywhere, a box lies evenly around it
+    middle = corners.mean(0)  # from any direction, the box is symmetric around it
     width, height = (
         max(1, math.ceil(float(np.ptp(side)) / view.pixel_size - 1e-6)) + 2 * margin
         for side in (across, up)
@@ -76,7 +76,7 @@ def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> Vi
 
 
 def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
-    """As ``fit_view``, around the voxels themselves: a cut leaves their box half empty."""
+    """Like ``fit_view``, but around the voxels themselves: a cut leaves their box half empty."""
     axes = np.stack([view.right, view.up, view.forward])
     places = smoke.positions.cpu().numpy() @ axes.T
     half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
@@ -89,12 +89,12 @@ def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> V
 
 
 def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
-    """The view straight onto a one-voxel-thick slab: pixels lie along its own axes."""
+    """The view perpendicular to a slab one voxel thick: pixels are aligned with its axes."""
     axis = smoke.thin_axis
     if axis is None:
         raise ShapeError(
-            f"the smoke ({len(smoke.ijk)} voxels) is not one voxel thick along exactly one axis; "
-            "wanted a slab: look at it with orbit_view"
+            f"the smoke ({len(smoke.ijk)} voxels) is not one voxel thick along exactly one axis. "
+            "Use orbit_view."
         )
     sides = [smoke.index_to_stage[n, :3] for n in range(3) if n != axis]
     world_up = np.array([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0])
@@ -117,7 +117,7 @@ def frame_views(
     With a camera they lie around its own direction, without one around the stage's up axis.
 
     Args:
-        smoke: decides the images' extent, and a single face-on view when it is one voxel thick.
+        smoke: determines the images' extent; smoke one voxel thick gets a single face-on view.
         views: angles and their number; ranges of 0 leave one view, whatever the pool's size.
         factor: pixels are this many times the scene's.
     """
@@ -141,7 +141,7 @@ def frame_views(
 
 
 def _middle(smoke: ActiveSmoke) -> np.ndarray:
-    """Centre of mass [3]: unlike a box's centre, it does not jump when a wisp comes into sight."""
+    """Centre of mass [3]: unlike a box's centre, it does not jump when a wisp becomes visible."""
     weights = smoke.density.double() / smoke.density.double().sum()
     return (weights @ smoke.positions).cpu().numpy()
 
@@ -177,7 +177,7 @@ def measure_scene(
     up_axis: str,
     refine: int = 1,
 ) -> Scene:
-    """Extinction and pixel size from a few frames of the shot; empty frames are passed over.
+    """Extinction and pixel size from a few frames of the shot; empty frames are skipped.
 
     An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
     optical depth ``optics.depth``, seen from the middle view, in the median of the frames; likewise
@@ -193,7 +193,7 @@ def measure_scene(
         refine: subdivisions of the source's voxels along an axis.
 
     Returns:
-        The scene; with nothing but empty frames, harmless values.
+        The scene; with defaults if all frames are empty.
     """
     filled = _filled(frames)
     if not filled:
@@ -201,12 +201,12 @@ def measure_scene(
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
     parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
-    seen = [(part, camera) for part, camera in parts if len(part.ijk)]
-    pixel_size = _pixel_size(longest, voxel, seen, views, refine)
+    visible = [(part, camera) for part, camera in parts if len(part.ijk)]
+    pixel_size = _pixel_size(longest, voxel, visible, views, refine)
     coarse = max(pixel_size, voxel)
     columns = [
         _columns(smoke, _middle_view(smoke, views, up_axis, coarse, camera))
-        for smoke, camera in seen or filled
+        for smoke, camera in visible or filled
     ]
     thick = float(np.median([np.percentile(c, optics.percentile) for c in columns]))
     gamma_w, gamma_w_shape = (
@@ -259,14 +259,14 @@ def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSour
 def _pixel_size(
     longest: float,
     voxel: float,
-    seen: Sequence[tuple[ActiveSmoke, CameraSource | None]],
+    visible: Sequence[tuple[ActiveSmoke, CameraSource | None]],
     views: ViewsConfig,
     refine: int,
 ) -> float:
-    """Of the finest octave's pictures, stage units; ``seen`` is what each frame's camera sees."""
+    """Of the finest octave's pictures, stage units; ``visible`` is each camera's visible smoke."""
     # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
     fine = voxel / refine
-    finest = min((nearest_footprint(*pair, views.camera_width) for pair in seen), default=0.0)
+    finest = min((nearest_footprint(*pair, views.camera_width) for pair in visible), default=0.0)
     asked = round(longest / views.image_size / fine)
     resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / LEAST_PIXELS / fine))
     return fine * max(1, asked, resolved)

@@ -19,7 +19,7 @@ __all__ = [
 ]
 
 VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines and filters read it
-STEEPEST_SHARE = 1.125  # a share at the border's part t is at most this t
+STEEPEST_SHARE = 1.125  # at the fraction t of the border the share is at most this times t
 
 
 class Visibility:
@@ -43,11 +43,11 @@ class Visibility:
         return torch.from_numpy(shares.astype(np.float32)).to(positions.device)
 
     def visible(self, smoke: ActiveSmoke) -> ActiveSmoke:
-        """The smoke in the picture or in its border: what is painted."""
+        """The smoke in the picture or in its border, which is painted."""
         return smoke.take(self.at(smoke.positions) > 0)
 
     def padded(self, smoke: ActiveSmoke) -> ActiveSmoke:
-        """The visible smoke and the smoke around it: what moves, and what may follow it."""
+        """The visible smoke, which moves, and the smoke around it, which may follow."""
         distances = self._frustum.distances(smoke.positions.cpu().numpy())
         return smoke.take(torch.from_numpy(distances < self._padding).to(smoke.ijk.device))
 
@@ -55,7 +55,7 @@ class Visibility:
 def frame_visibility(
     frame: VolumeFrame, smoke: ActiveSmoke, max_displacement: float, margin: float
 ) -> Visibility | None:
-    """What a frame's camera sees of its smoke; None without a camera, or when it sees all.
+    """What a frame's camera sees of its smoke; None without a camera, or if all is visible.
 
     Args:
         frame: with or without a camera.
@@ -71,7 +71,7 @@ def frame_visibility(
     if (shares == 1).all():
         return None
     voxel = float(np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1).max())
-    # displacement fades with the share: what fetches from beyond the border must start inside it
+    # displacement fades with the share: only voxels inside the border read smoke from outside it
     nearest = float(frustum.depths(positions[shares > 0]).min()) if shares.any() else 0.0
     border = frustum.border * (1.0 if frustum.is_orthographic else nearest)
     beyond = max(0.0, STEEPEST_SHARE * max_displacement - border)
@@ -79,7 +79,7 @@ def frame_visibility(
 
 
 def visible_part(smoke: ActiveSmoke, camera: CameraSource | None, margin: float) -> ActiveSmoke:
-    """The voxels that the camera's picture or its border shows; all of them without a camera."""
+    """The voxels in the camera's picture or its border; all of them without a camera."""
     if camera is None or len(smoke.ijk) == 0:
         return smoke
     shares = frustum_of(camera, margin).shares(smoke.positions.cpu().numpy())
