@@ -228,7 +228,7 @@ def test_two_runs_do_not_write_to_one_folder(shot: Shot, core: FakeCore) -> None
 @pytest.mark.usefixtures("core")
 def test_a_result_cannot_be_written_over_its_own_source(shot: Shot) -> None:
     result = run(shot)
-    with pytest.raises(LayerError, match="is read by this run and stands where the result goes"):
+    with pytest.raises(LayerError, match="is an input of this run"):
         stylize(result.root_stage, shot.style, shot.output, settings=RESTYLIZE, force=True)
     again = stylize(result.root_stage, shot.style, shot.folder / "second", settings=RESTYLIZE)
     np.testing.assert_allclose(values_of(again.frames[0]), 0.625 / 4)

@@ -86,8 +86,8 @@ def test_a_mask_in_neither_place_is_refused_with_what_there_is(tmp_path: Path) -
     stage = write_text(tmp_path / "s.usda", world(volume_prim(body, relations=relations)))
     message = (
         r'no mask "fade": Volume </World/smoke> has no relationship field:fade \(it has: '
-        r"field:density, field:dust\), and its density's file smoke\.vdb no such grid \(it has: "
-        r"density, heat\); correct stage\.mask"
+        r"field:density, field:dust\), .*smoke\.vdb has no such grid \(it has: density, heat\)"
+        r".*stage\.mask"
     )
     for settings in ([], ["optimize.strength=0"]):  # a wrong name is wrong even when not needed
         with pytest.raises(GridNotFound, match=message):

@@ -191,5 +191,5 @@ def _remove_quietly(file_path: Path) -> None:
 
 def _refusal(target: Path, error: OSError) -> str:
     reason = error.strerror or str(error)
-    advice = _ADVICE.get(error.errno or 0, "check the output folder and its disk")
+    advice = _ADVICE.get(error.errno or 0, "Check the output folder and its disk")
     return f"cannot write {target.name} in {target.parent}: {reason}. {advice}."

@@ -1,9 +1,9 @@
-"""What a run will cost in memory, time and disk, from voxel counts and settings alone.
+"""The cost of a run in memory, time and disk, estimated from voxel counts and settings.
 
-All formulae stand here, with their constants in one place. With N active voxels and B voxels of the
-box (both after refinement), M voxels of the mask's box (which is not refined), P pixels of a
-picture, V pictures an iteration, L views in the pool, S style images, s an octave's linear
-resolution as a share of the full one; in the work, of N, B and P only what the camera sees counts:
+All formulae and their constants are in this file. N is the number of active voxels and B that of
+the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
+of a picture, V the pictures per iteration, L the views in the pool, S the style images, and s an
+octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of
@@ -12,14 +12,13 @@ resolution as a share of the full one; in the work, of N, B and P only what the 
     seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
-Frames in an overlap of windows cost their time twice, and two more files of 32-bit floats. The
-coarse step, where there is one, costs the work of the octaves up to its share of the resolution.
+Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
+step, if there is one, costs the work of the octaves up to its share of the resolution.
 
-MAP_TIME, BOX_TIME, and BOX_BYTES beyond a colour step's, count in the shape step only, which makes
-its displacement on the whole box, once an octave. Memory is the largest frame's; frames are held
-one at a time. The constants of time fit two threads of a server's processor, for plumes of 75
-thousand and a million voxels: a factor of two either way is normal. The memory is meant to be an
-upper bound.
+MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
+on the whole box, once per octave. Memory is that of the largest frame; frames are in memory one at
+a time. The constants of time are fitted to two threads of a server's processor, for plumes of 75
+thousand and a million voxels: errors of a factor of two are normal. The memory is an upper bound.
 """
 
 import math
@@ -45,15 +44,15 @@ __all__ = [
     "written_bytes",
 ]
 
-BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and frames that are remembered
-BOX_BYTES = 48  # density before and after, RGB, and one array in the making
+BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
+BOX_BYTES = 48  # density before and after, RGB, and one temporary array
 BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back
-BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and what the transport makes of it
-BOX_BYTES_WARM = 90  # velocity, also in voxels per second, and what the neighbour was moved by
-MASK_BYTES = 16  # as it was read, checked, within [0, 1] and on the device
+BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and the arrays of the transport
+BOX_BYTES_WARM = 90  # velocity, also in voxels per second, and the neighbour's displacement
+MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
 VIEW_BYTES = 40  # four pixels and weights
-PIXEL_BYTES = 12_000  # feature maps and what is kept of them for the gradient
+PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 
 START = 3.0  # loading torch, learning the filters
 FRAME = 0.15  # reading, writing and re-opening the files, however small
@@ -65,7 +64,7 @@ BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 7.0e-7
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
-GAIN = 0.8  # n threads are n ** GAIN times as quick
+GAIN = 0.8  # n threads are n ** GAIN times as fast
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
 TREE = 1.3  # masks and nodes beside the values
@@ -73,15 +72,15 @@ TREE = 1.3  # masks and nodes beside the values
 
 @dataclass(frozen=True)
 class FrameSize:
-    """How large one frame is, as far as its file's header tells."""
+    """The size of one frame, from its file's header."""
 
     active_voxels: int
     box: tuple[int, int, int]  # voxels along i, j, k; (0, 0, 0) when empty
     window_start: bool = True  # False: it starts from its neighbour's result
-    n_copied: int = 0  # values a voxel that are written beside the result: the velocity's 3, or 0
+    n_copied: int = 0  # values per voxel that are copied to the result: the velocity's 3, or 0
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     seen: float = 1.0  # share of the box that the shot's camera sees
-    computed: bool | None = None  # whether it is optimised; None: by optimize.strength
+    computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
 
 
 @dataclass(frozen=True)
@@ -108,8 +107,8 @@ def estimate_run(
         config: the resolved settings.
         n_styles: style images.
         threads: None takes the configured number, or all of the machine.
-        twice: those frames that two windows compute.
-        coarse: those frames that the shared coarse step is for.
+        twice: the frames that two windows compute.
+        coarse: the frames of the shared coarse step.
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
@@ -150,7 +149,7 @@ def add_estimates(parts: Sequence[Estimate]) -> Estimate:
 
 
 def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, int]]:
-    """Active voxels and their box; a file that does not tell is taken to hold only this grid.
+    """Active voxels and their box; without metadata, the file's size is taken as the grid's.
 
     Args:
         file_path: the grid's file.
@@ -166,7 +165,7 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
 
 
 def n_different_views(views: ViewsConfig) -> int:
-    """Views that a run draws from: one when both ranges are zero, whatever was asked for."""
+    """Number of views that a run draws from: one if both ranges are zero, else ``views.pool``."""
     return 1 if views.azimuth == 0 and views.elevation == 0 else max(views.pool, views.count)
 
 
@@ -205,7 +204,7 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
 def _frame_seconds(
     frame: FrameSize, config: Config, n_styles: int, speed: float, finest: float = 1.0
 ) -> float:
-    """``finest``: the share of the full resolution beyond which no octave is done."""
+    """``finest``: the share of the full resolution at which the octaves end."""
     active, _ = _refined(frame, config)
     seconds = FRAME + FILE_TIME * active
     if not _is_optimized(frame, config):

@@ -1,4 +1,4 @@
-"""Which features a run compares pictures by, and their hash; torch is not needed to tell."""
+"""The features by which a run compares pictures, and their hash; without torch."""
 
 from collections.abc import Iterable
 
@@ -11,11 +11,11 @@ __all__ = ["check_features", "features_hash", "features_hashes"]
 
 
 def check_features(config: FeaturesConfig, here: bool = True) -> None:
-    """Refuse layers that the network has not, and a network whose parameters are not here.
+    """Refuse unknown layers, and a network whose parameter file is missing.
 
     Args:
         config: which network and layers.
-        here: whether the parameter file must be at hand; not if other machines do the work.
+        here: True if the parameter file must exist; False if other machines do the work.
 
     Raises:
         ConfigError: see ``core.layers.style_layers`` and ``content_layers``.
@@ -40,7 +40,7 @@ def features_hash(config: FeaturesConfig) -> str:
 
 
 def features_hashes(configs: Iterable[FeaturesConfig]) -> str:
-    """What all Volumes of a run are compared by: one hash, or several where networks differ.
+    """The hash of the features of all Volumes; several hashes if their networks differ.
 
     Raises:
         FeatureError, FileUnreadable: see ``features_hash``.

@@ -1,4 +1,4 @@
-"""The source frames of a run: checked, measured, stylized and shown, and read from disk once."""
+"""The source frames of a run, each read from disk once."""
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.planning.frames import read_frame, read_velocity_grids
@@ -25,7 +25,7 @@ class FrameReader:
 
         Raises:
             GridError: a file or grid cannot be used.
-            NonFiniteError: NaN or infinite voxels that are not to be repaired.
+            NonFiniteError: NaN or infinite voxels, unless ``grids.repair_nan`` replaces them.
         """
         rate = self._plan.source.time_codes_per_second
         return read_frame(
@@ -39,7 +39,7 @@ class FrameReader:
         )
 
     def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
-        """The velocity's grids that are written beside a frame's result, as they are in the file.
+        """The velocity's grids that are copied to a frame's result, unchanged.
 
         Raises:
             GridError: see ``read_velocity_grids``.
@@ -51,7 +51,7 @@ class FrameReader:
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:
-    """Content hashes of what a frame is made from: ``density``, ``mask`` and ``velocity``, as read.
+    """Content hashes of a frame's sources: ``density``, ``mask`` and ``velocity``, as read.
 
     Args:
         frame: from ``FrameReader.read``.

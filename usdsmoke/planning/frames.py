@@ -29,10 +29,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class VelocitySource:
-    """Where a frame's velocity comes from: one grid of vectors or three of numbers in one file."""
+    """The source of a frame's velocity: one grid of vectors or three of numbers in one file."""
 
-    field: FieldSource  # gives file and place in space
-    name: str  # what ``read_velocity`` is asked for
+    field: FieldSource  # gives the file and the transform
+    name: str  # the name for ``read_velocity``
     grids: tuple[GridHeader, ...]
 
 
@@ -40,7 +40,7 @@ class VelocitySource:
 class MaskSource:
     """Where a frame's mask comes from."""
 
-    field: FieldSource  # gives file and place in space
+    field: FieldSource  # gives the file and the transform
     grid: GridHeader
 
 
@@ -62,8 +62,8 @@ def find_frame_velocity(
 ) -> VelocitySource | None:
     """The velocity that belongs to a frame's density; None when there is none.
 
-    It is looked for in the Volume's own relationships first, then among the grids of the density's
-    file, where simulations usually leave it without saying so on the stage.
+    The Volume's own relationships are searched first, then the grids of the density's file, where
+    simulations usually write it without naming it on the stage.
 
     Args:
         volume: names its velocity relationships.
@@ -72,12 +72,12 @@ def find_frame_velocity(
         config: ``stage.velocity`` names it, empty tries the usual names.
 
     Raises:
-        GridNotFound: a velocity was named that is not there.
+        GridNotFound: the named velocity does not exist.
     """
     sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
     if sources and len({source.file_path for source in sources}) == 1:
         names = [source.grid_name for source in sources]
-        base = names[0].removesuffix(".x").removesuffix("_x")  # three parts are asked for as one
+        base = names[0].removesuffix(".x").removesuffix("_x")  # one request for three components
         grids = find_velocity(headers[sources[0].file_path], base) if base else ()
         if grids:
             return VelocitySource(sources[0], base, grids)
@@ -94,8 +94,8 @@ def find_frame_mask(
 ) -> MaskSource | None:
     """The grid that scales a frame's effect, from headers alone; None when none is named.
 
-    The Volume's own relationship of that name comes first, with its file, grid and place; then the
-    grid of that name in the density's file, which lies where the density lies.
+    The Volume's own relationship of that name comes first, with its file, grid and transform; then
+    the grid of that name in the density's file, with the transform of the density.
 
     Args:
         volume: names its mask relationship, where it has one.
@@ -104,9 +104,9 @@ def find_frame_mask(
         config: ``stage.mask`` names it.
 
     Raises:
-        GridNotFound: it was named and is neither; the message lists what there is.
-        UnsupportedGrid: no float grid, a level set, or a transform that is not linear or, as the
-            field prim's xform may be too, cannot be inverted.
+        GridNotFound: the named mask is neither; the message lists the relationships and grids.
+        UnsupportedGrid: no float grid, a level set, a transform that is not linear, or a transform
+            or xform of the field prim that cannot be inverted.
     """
     name = config.stage.mask
     if not name:
@@ -122,32 +122,32 @@ def find_frame_mask(
     check_readable(header, grid, request)
     if not abs(np.linalg.det(field.field_to_stage[:3, :3])) > 0:  # nor with NaN
         raise UnsupportedGrid(
-            f"the xform of the {request.where} flattens space; wanted one that can be inverted, so "
-            "that a place on the stage can be looked up in the mask: correct its scale"
+            f"the xform of the {request.where} flattens space, so that the mask cannot be looked "
+            "up. Correct its scale."
         )
     return MaskSource(field, grid)
 
 
 def _check_has_mask(volume: VolumeSource, header: FileHeader, name: str) -> None:
-    """Both places where a mask could have been are worth a word."""
+    """Raise an error that names both places where the mask could be."""
     if any(grid.name == name for grid in header.grids):
         return
     related = sorted({volume.density, *volume.velocity, *volume.other_fields})
     raise GridNotFound(
         f'no mask "{name}": Volume <{volume.prim_path}> has no relationship field:{name} (it has: '
         f"{', '.join(f'field:{item}' for item in related)}), and its density's file "
-        f"{Path(header.file_path).name} no such grid (it has: "
-        f"{', '.join(grid.label for grid in header.grids) or 'no grids at all'}); "
-        "correct stage.mask, or unset it"
+        f"{Path(header.file_path).name} has no such grid (it has: "
+        f"{', '.join(grid.label for grid in header.grids) or 'no grids at all'}). "
+        "Correct stage.mask, or unset it."
     )
 
 
 def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Config) -> bool:
-    """Whether the velocity goes into the result's files as well.
+    """True if the velocity is copied to the result's files.
 
-    Unset, ``layer.copy_velocity`` means: when the stage has a field for it beside the density.
-    Clients that take one file per Volume (Blender, Arnold, RenderMan) would otherwise be led back
-    to the source's.
+    If ``layer.copy_velocity`` is unset, it is copied if the stage has a field for it beside the
+    density. Clients that read one file per Volume (Blender, Arnold, RenderMan) would otherwise read
+    the source's file.
 
     Args:
         velocity: as found, None when there is none.
@@ -175,12 +175,12 @@ def read_frame(
     """The dense fields of one timeCode.
 
     Args:
-        volume: says which field is the density.
+        volume: names the field of the density.
         frame: its files at one timeCode, and its controls.
         config: limits of reading, and the velocity's unit.
         velocity: from ``find_frame_velocity``; None reads no velocity.
         time_codes_per_second: turns velocities per frame, that is per timeCode, into
-            velocities per second; how fast a player shows frames does not count.
+            velocities per second; the stage's frames per second are not used.
         mask: from ``find_frame_mask``; None reads no mask.
         read: reads the grids of a file.
 
@@ -211,7 +211,7 @@ def read_frame(
 
 
 def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
-    """By itself, even from the density's file: the limits of reading are one grid's."""
+    """The mask, read by itself: the limits of reading apply to one grid."""
     request = _mask_request(mask.field, mask.grid.name, mask.grid.index)
     return read(mask.field.file_path, [request], config.grids)[0]
 
@@ -225,18 +225,18 @@ def read_velocity_grids(
     """The velocity's grids as they are in the file, to be written beside the density.
 
     Raises:
-        UnsupportedGrid: the stage places the velocity elsewhere than the density, so that one field
-            prim cannot hold both.
+        UnsupportedGrid: the velocity's transform on the stage differs from the density's, so that
+            one field prim cannot hold both.
         GridError: they cannot be read.
     """
     where = _where(velocity.field)
     if not _same_place(velocity, density):
         raise UnsupportedGrid(
             f"cannot copy the velocity ({where}): the xform of its field prim differs from that of "
-            f"<{density.prim_path}>; wanted the same: unset layer.copy_velocity"
+            f"<{density.prim_path}>. Unset layer.copy_velocity."
         )
-    wanted = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
-    return read(velocity.field.file_path, wanted, config.grids)
+    requests = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
+    return read(velocity.field.file_path, requests, config.grids)
 
 
 def _density_request(source: FieldSource) -> GridRequest:

@@ -1,4 +1,4 @@
-"""What a run was asked for (`Request`), and the same opened, planned and found possible (`Job`)."""
+"""A request for a run (`Request`), and the same opened, planned and checked (`Job`)."""
 
 import dataclasses
 import os
@@ -47,17 +47,16 @@ __all__ = ["Job", "Request", "describe_request", "prepare_job", "recorded_reques
 
 @dataclass(frozen=True)
 class Request:
-    """What a run is asked for: the arguments of ``usdsmoke.stylize``.
+    """A request for a run: the arguments of ``usdsmoke.stylize``.
 
-    Paths are used as they are given; ``Request.settled`` makes them absolute, as a process
-    elsewhere needs them.
+    Paths are used as given; ``Request.settled`` makes them absolute for another process.
     """
 
     stage: StageOrFile  # a file, or an open stage without unsaved edits
-    style: Styles = None  # image files; None where every Volume's prim brings its own
+    style: Styles = None  # image files; None if every Volume's prim names its own
     output: FilePath = "look"  # the folder of the result
     settings: Settings = None  # see ``resolve_settings``
-    force: bool = False  # replace a result, and give up an unfinished run of other settings
+    force: bool = False  # replace a result, and discard an unfinished run of other settings
 
     @property
     def config(self) -> Config:
@@ -69,7 +68,7 @@ class Request:
         return resolve_settings(self.settings)
 
     def settled(self) -> "Request":
-        """The same with absolute paths and one Config, and nothing left open to a working folder.
+        """The same with absolute paths and one Config, independent of the working folder.
 
         Raises:
             ConfigError: the settings are wrong.
@@ -90,18 +89,18 @@ class Request:
 
 @dataclass(frozen=True)
 class Job:
-    """A run as it was asked for, found possible as far as stage, headers and images tell."""
+    """A prepared run: its stage, headers and images are read and checked."""
 
     request: Request  # settled
     stage: Any  # the open Usd.Stage
     plan: Plan
     styles: tuple[StyleImage, ...]
-    style_files: tuple[Path, ...]  # those given for the run, absolute; none: Volumes bring theirs
+    style_files: tuple[Path, ...]  # those given for the run, absolute; none: the Volumes' own
     output: Path  # without links
     targets: LookFiles
-    earlier: EarlierLooks  # looks that the stage has already
-    files: tuple[Path, ...]  # everything that the run reads: layers, VDB files, style images
-    fits: bool = True  # the machine was checked: see ``prepare_job``
+    earlier: EarlierLooks  # existing looks of the stage
+    files: tuple[Path, ...]  # all files that the run reads: layers, VDB files, style images
+    fits: bool = True  # True if the machine was checked: see ``prepare_job``
     digests: dict[str, str] = dataclasses.field(default_factory=dict, compare=False)  # of files
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
@@ -124,24 +123,23 @@ class Job:
 
 
 def prepare_job(request: Request, fits: bool = True) -> Job:
-    """Open the stage, find its Volumes, read the style images, make the plan and see that it fits.
+    """Open the stage, find its Volumes, read the style images, make the plan and check it.
 
     Args:
-        request: what is asked for.
-        fits: whether memory, disk and the network's file of this machine must be sufficient for
-            the whole work.
+        request: the request.
+        fits: True if this machine's memory, disk and network file must suffice for the whole run.
 
     Raises:
-        UsdSmokeError: everything that can be wrong without a voxel being read.
+        UsdSmokeError: all errors that can be found without reading a voxel.
     """
-    if fits:  # what the work itself loads, before the plan is made
+    if fits:  # the packages that the run itself loads, before the plan is made
         check_packages("torch")
         check_bindings()
     request = request.settled()
     config = request.config
     output = settle_output(request.output)
     style_files = tuple(Path(image) for image in style_paths(request.style))
-    if style_files:  # then no Volume's own images or weights count
+    if style_files:  # they replace the Volumes' own images and weights
         style_shares(config.style, len(style_files))
     # The stage: Volumes, their own settings, cameras.
     stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
@@ -157,7 +155,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     styles = tuple(read_style_image(image) for image in resolved.style_files)
     if config.layer.mode == "reference":
         check_asset(stage)
-    # The plan, and where its result goes.
+    # The plan, and the files of its result.
     plan = _plan(source, config, resolved, earlier)
     targets = look_files(source, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
@@ -170,7 +168,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
 
 
 def describe_request(job: Job) -> dict[str, Any]:
-    """What it takes to make the job again, as JSON values; files relative to the output folder."""
+    """All that is needed to prepare the job again, as JSON; files relative to the output folder."""
     files = [Path(job.plan.source.file_path), *job.style_files]
     stage, *styles = [relative_asset_path(file_path, job.output) for file_path in files]
     return {
@@ -181,12 +179,12 @@ def describe_request(job: Job) -> dict[str, Any]:
 
 
 def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None = None) -> Request:
-    """The request that a run was begun with.
+    """The request that started a run.
 
     Args:
         output: the output folder.
         record: from ``describe_request``.
-        mode: ``layer.mode`` in the place of the record's.
+        mode: ``layer.mode`` instead of the record's.
 
     Raises:
         ConfigError: this version of usdsmoke knows other settings.

@@ -1,4 +1,4 @@
-"""Makes the plan of a run from USD values and VDB headers, before anything heavy is loaded.
+"""Makes the plan of a run from USD values and VDB headers.
 
 No voxel is read and torch is not loaded.
 """
@@ -30,7 +30,7 @@ from usdsmoke.vdb.header import FileHeader, read_header
 __all__ = ["check_disk", "check_plan", "make_plan", "result_file_names"]
 
 _DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
-_DISK_RESERVE_LATER = 4 * 2**20  # beside what is left of a run that has begun
+_DISK_RESERVE_LATER = 4 * 2**20  # the same for the rest of a run that has started
 
 
 def make_plan(
@@ -44,8 +44,7 @@ def make_plan(
         settings: those of each Volume; None takes the run's, and one style image.
 
     Raises:
-        GridError: a header shows that a density cannot be used, or a velocity or mask that was
-            named.
+        GridError: a density, or the named velocity or mask, cannot be used.
         ConfigError: a frame's controls are out of range, or not one weight for each style.
         LayerError: two timeCodes are too close for file names of their own.
     """
@@ -80,46 +79,46 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
 
     Args:
         plan: with its estimate.
-        output: the folder that will hold the result; None does not look at the disk.
+        output: the folder that will hold the result; None skips the check of the disk.
 
     Raises:
-        PlanError: with what is needed and what there is.
+        PlanError: with the needed and the available amount.
     """
     needed = plan.estimate.memory_gib
     limit, reason = plan.config.optimize.memory_limit_gib, "optimize.memory_limit_gib"
     if limit is None:
-        limit, reason = available_memory_gib(), "what the machine has left"
+        limit, reason = available_memory_gib(), "free memory of this machine"
     if needed > limit:
         frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
         volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
         raise PlanError(
             f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; there "
-            f"are {limit:.1f} GiB ({reason}): lower views.pool, views.image_size or grids.refine, "
-            "or raise the limit"
+            f"are {limit:.1f} GiB ({reason}). Lower views.pool, views.image_size or grids.refine, "
+            "or raise the limit."
         )
     if output is None:
         return
     check_disk(output, plan.estimate.bytes_written)
 
 
-def check_disk(output: Path, wanted: int, is_begun: bool = False) -> None:
-    """Refuse to write what does not fit the disk.
+def check_disk(output: Path, n_bytes: int, is_started: bool = False) -> None:
+    """Refuse to write more than the disk can hold.
 
     Args:
         output: the folder that holds the result, or will hold it.
-        wanted: bytes of the files that are still to be written.
-        is_begun: whether a part of the run is there: less is then wanted beside it.
+        n_bytes: size of the files that are still to be written.
+        is_started: True if a part of the run exists: it then needs a smaller reserve.
 
     Raises:
-        PlanError: with what is needed and what there is.
+        PlanError: with the needed and the available amount.
     """
-    reserve, free = _DISK_RESERVE_LATER if is_begun else _DISK_RESERVE, free_disk_bytes(output)
-    if wanted and wanted + reserve > free:
+    reserve, free = _DISK_RESERVE_LATER if is_started else _DISK_RESERVE, free_disk_bytes(output)
+    if n_bytes and n_bytes + reserve > free:
         raise PlanError(
-            f"what is to be written takes about {wanted / 1e6:,.1f} MB, and {reserve / 1e6:,.0f} "
-            f"MB are wanted beside it; the disk of {output} has {free / 1e6:,.1f} MB free: free "
-            "some space, choose another output folder, select fewer frames or set grids.half"
+            f"the result needs about {n_bytes / 1e6:,.1f} MB and a reserve of "
+            f"{reserve / 1e6:,.0f} MB, but the disk of {output} has {free / 1e6:,.1f} MB free. "
+            "Free some space, choose another output folder, select fewer frames or set grids.half."
         )
 
 
@@ -146,7 +145,7 @@ def _plan_volume(
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows, first_index, frame_length)
     computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
-    if not any(computed):  # the source is given back: there is nothing to carry or to blend
+    if not any(computed):  # the result is the source: there is nothing to carry or to blend
         windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
     names = result_file_names(volume, stem)
     window_of = {code: window for window in windows for code in window.time_codes}

@@ -1,4 +1,4 @@
-"""What a run needs and what it leaves out, in sentences, each omission with its reason."""
+"""What a run needs and what it leaves out, in sentences; each omission has a reason."""
 
 from collections.abc import Iterable, Sequence
 
@@ -26,7 +26,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
 
     Args:
         config: the run's settings.
-        volumes: with their own settings. Sentences name the Volumes where settings differ.
+        volumes: with their own settings. Sentences name the Volumes if settings differ.
     """
     # Read.
     needed = [
@@ -60,7 +60,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
 
 
 def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple[Omission, ...]:
-    """What is left out, and why. The Volumes are named where settings differ.
+    """What is left out, and why. Sentences name the Volumes if settings differ.
 
     Args:
         source: names the Volumes that were not selected.
@@ -85,7 +85,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
 
 
 def takes_effect(config: Config, volumes: Volumes) -> bool:
-    """Whether there is anything to optimise. If not, the result is the source.
+    """True if there is anything to optimise. Otherwise the result is the source.
 
     Args:
         config: of these Volumes.
@@ -142,7 +142,7 @@ def _count(n: int, noun: str) -> str:
 
 
 def _requested(volume: VolumePlan) -> list[str]:
-    """Names of what the prim requests itself."""
+    """Names of the settings that the prim requests itself."""
     request = volume.source.request
     names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
     return [*(["style images"] if request.styles else []), *names]
@@ -253,7 +253,7 @@ def _omitted_losses(config: Config) -> list[Omission]:
         omitted.append(
             Omission(
                 "iterations after convergence",
-                "an octave ends when its loss hardly falls "
+                "an octave ends when its loss hardly decreases "
                 f"(optimize.tolerance={config.optimize.tolerance:g})",
             )
         )
@@ -268,7 +268,7 @@ def _deeper(names: tuple[str, ...], used: Iterable[str]) -> tuple[str, ...]:
 def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
     """Frames that are not optimised because their strength, and that of neighbours, is 0."""
     if config.losses.style == 0 and config.optimize.strength > 0:
-        return []  # the style loss says it
+        return []  # reported with the style loss
     if not takes_effect(config, volumes):
         reason = "optimize.strength is 0, so the result is the source"
         return [Omission("the optimisation", reason)]
@@ -289,7 +289,7 @@ def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
     if not takes_effect(config, volumes):
         return omitted
     if not config.views.camera:
-        reason = "views.camera names none; views are around the up axis"
+        reason = "views.camera is not set; views are around the up axis"
         return [*omitted, Omission("the shot's camera", reason)]
     for volume in volumes:
         omitted += _invisible(config, volume)
@@ -314,7 +314,7 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
         omitted.append(
             Omission(
                 f"about {1 - n_visible / n_active:.0%} of the smoke {where}",
-                "outside the camera's frustum (views.camera); it stays as in the source",
+                "it is outside the camera's frustum (views.camera) and stays as in the source",
             )
         )
     finest, pixel = pixel_sizes(config, volume, filled)
@@ -354,7 +354,7 @@ def _why_no_velocity(volumes: Volumes, config: Config) -> str:
 
 def _why_no_mask(config: Config, volumes: Volumes) -> str:
     if not config.stage.mask:
-        return "stage.mask names none"
+        return "stage.mask is not set"
     if takes_effect(config, volumes):
         return "every frame is empty"
     return "there is no effect to scale"

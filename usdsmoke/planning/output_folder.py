@@ -1,4 +1,4 @@
-"""The output folder: it can hold the result, and the result overwrites nothing that is read."""
+"""Checks of the output folder: it can hold the result, and no input is overwritten."""
 
 import os
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name i
 
 
 def settle_output(output: str | os.PathLike[str]) -> Path:
-    """The output folder itself, absolute and without links.
+    """The output folder, absolute and without links.
 
-    Paths in a result's files start there, whichever way led to it.
+    Paths in a result's files are relative to it, whichever link was used.
 
     Raises:
-        LayerError: it is a file or would lie in one, or may not be looked into.
+        LayerError: it is a file or would lie in one, or may not be read.
     """
     folder = Path(os.path.realpath(output))
     frames = folder / "vdb"
@@ -25,19 +25,21 @@ def settle_output(output: str | os.PathLike[str]) -> Path:
         for place in (folder, *folder.parents):
             if place.exists() and not place.is_dir():
                 found = "is" if place == folder else f"would lie in {place}, which is"
-                raise LayerError(f"the output {output} {found} a file; wanted a folder, new or old")
+                raise LayerError(
+                    f"the output {output} {found} a file. Choose a new or existing folder."
+                )
         if frames.exists() and not frames.is_dir():
             raise LayerError(
-                f"{frames} is a file, and the result's frames go into a folder of this name; move "
-                "it away, or choose another output folder"
+                f"{frames} is a file, and the result's frames go into a folder of this name. Move "
+                "it away, or choose another output folder."
             )
         is_open = not folder.exists() or os.access(folder, os.R_OK | os.X_OK)
     except PermissionError:  # of a folder above it, or its own
         is_open = False
     if not is_open:
         raise LayerError(
-            f"the folder {output} may not be looked into; change its permissions (read, write and "
-            "search), or choose another output folder"
+            f"the folder {output} may not be read. Change its permissions (read, write and "
+            "search), or choose another output folder."
         )
     return folder
 
@@ -45,7 +47,7 @@ def settle_output(output: str | os.PathLike[str]) -> Path:
 def check_output_folder(
     output: Path, look: str, inputs: Sequence[Path], targets: Sequence[Path]
 ) -> None:
-    """Refuse an output folder in which the run would write over, or clear away, what it reads.
+    """Refuse an output folder in which the run would overwrite or remove files that it reads.
 
     Args:
         output: the output folder, settled; need not exist.
@@ -54,23 +56,23 @@ def check_output_folder(
         targets: files that will be written outside the folder of frames.
 
     Raises:
-        LayerError: an input or a folder stands where the result goes, a file's name would be too
-            long, or the look's differs from another's in upper and lower case alone: what would
-            come out only when everything is computed.
+        LayerError: an input or a folder has the path of a file of the result, a file's name would
+            be too long, or the look's name differs from another's in upper and lower case only.
+            Without this check these errors would appear only after the computation.
     """
     _check_look_name(output, look)
     for target in targets:
         if target.is_dir():
             raise LayerError(
-                f"{target} is a folder and stands where a file of the result goes; move it away, "
-                "or choose another output folder or look"
+                f"{target} is a folder, and a file of the result has this path. Move it away, "
+                "or choose another output folder or look."
             )
         length = len(os.fsencode(target.name))
         if length > _LONGEST_NAME:
             raise LayerError(
                 f"the file {target.name[:24]}... of the result would have a name of {length} "
-                f"bytes; wanted at most {_LONGEST_NAME}: shorten layer.look (--look), or the name "
-                "of the stage's file or its Volumes"
+                f"bytes, more than {_LONGEST_NAME}. Shorten layer.look (--look), or the name of "
+                "the stage's file or its Volumes."
             )
     frames = (output / "vdb").resolve()
     taken = {target.resolve() for target in targets}
@@ -78,20 +80,20 @@ def check_output_folder(
         resolved = file_path.resolve()
         if resolved in taken or frames in resolved.parents:
             raise LayerError(
-                f"{file_path} is read by this run and stands where the result goes; "
-                f"choose another output folder than {output}"
+                f"{file_path} is an input of this run and would be overwritten by the result. "
+                f"Choose another output folder than {output}."
             )
 
 
 def _check_look_name(output: Path, look: str) -> None:
-    """Refuse a name that differs from another look's in upper and lower case alone.
+    """Refuse a name that differs from another look's in upper and lower case only.
 
-    Many file systems take the two for one file.
+    Many file systems treat the two as one file.
     """
     for file_path in sorted(output.glob("look_*.usd[ac]")):
         other = file_path.stem.removeprefix("look_")
         if other != look and other.casefold() == look.casefold():
             raise LayerError(
                 f"{output} has a look {other!r}, which differs from {look!r} in upper and lower "
-                "case only; choose another name with layer.look (--look)"
+                "case only. Choose another name with layer.look (--look)."
             )

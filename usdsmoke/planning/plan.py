@@ -33,8 +33,8 @@ class FramePlan:
     size: FrameSize
     grid: GridHeader
     velocity: VelocitySource | None  # None: there is none, or the core does not need it
-    copied: VelocitySource | None  # None: it is not written into the result's file
-    mask: MaskSource | None  # None: none is named, or there is no effect that it could scale
+    copied: VelocitySource | None  # None: it is not copied to the result's file
+    mask: MaskSource | None  # None: none is configured, or there is no effect to scale
     file_name: str  # of the result
 
     @property
@@ -51,20 +51,20 @@ class VolumePlan:
     stem: str
     frames: tuple[FramePlan, ...]
     windows: tuple[Window, ...]
-    config: Config  # its own: the run's with what the prim asks for
-    styles: tuple[int, ...]  # places of its images among the run's
-    coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes with a coarse step in common
-    cuts: tuple[tuple[float, float], ...] = ()  # timeCodes that nothing is carried between
+    config: Config  # its own: the run's settings with those that the prim requests
+    styles: tuple[int, ...]  # indices of its images among the run's
+    coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes that share a coarse step
+    cuts: tuple[tuple[float, float], ...] = ()  # pairs of timeCodes with a cut between them
 
     @property
     def coarse_frames(self) -> tuple[FramePlan, ...]:
-        """Those that the shared coarse step is for: none where no window follows on another."""
+        """The frames of the shared coarse step: none if no window follows another."""
         codes = {code for run in self.coarse_runs for code in run}
         return tuple(frame for frame in self.frames if frame.source.time_code in codes)
 
     @property
     def twice_frames(self) -> tuple[FramePlan, ...]:
-        """Those that two windows compute, and whose versions are blended."""
+        """The frames that two windows compute, and whose versions are blended."""
         codes = {code for window in self.windows for code in window.beyond}
         return tuple(frame for frame in self.frames if frame.source.time_code in codes)
 
@@ -76,7 +76,7 @@ class WindowTask:
     window: Window
     volume_number: int
     volume: VolumePlan
-    frames: tuple[FramePlan, ...]  # its own, then those beyond
+    frames: tuple[FramePlan, ...]  # its own, then those of the overlap
 
     @property
     def number(self) -> int:
@@ -84,13 +84,13 @@ class WindowTask:
         return self.window.index
 
     def is_part(self, frame: FramePlan) -> bool:
-        """Whether another window computes the frame too, and both versions are blended."""
+        """True if another window computes the frame too, and both versions are blended."""
         return any(frame is other for other in self.volume.twice_frames)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that was decided before the run."""
+    """All decisions that are made before the run."""
 
     source: StageSource
     config: Config  # the run's; a Volume's own is in its plan

@@ -1,4 +1,4 @@
-"""What a stage says about its Volumes, piece by piece, so that a change can be named later."""
+"""Digests of a stage's values for each Volume, so that a later change can be named."""
 
 import dataclasses
 import hashlib
@@ -25,9 +25,9 @@ _METADATA = (
 def stage_values(source: StageSource) -> dict[str, str]:
     """Stage metadata as texts by name, and by ``<prim path>`` a digest of each Volume's values.
 
-    A Volume's values are its timeCodes, fields, grids, places, cameras and controls; where its
-    files lie on the disk is no part of them. What its prim asks for itself stands by the name
-    ``<prim path> request``, where there is anything.
+    A Volume's values are its timeCodes, fields, grids, transforms, cameras and controls; the paths
+    of its files on the disk are not part of them. The settings that its prim requests have the name
+    ``<prim path> request``, if there are any.
     """
     values = {
         _camel(name): "none" if (value := getattr(source, name)) is None else str(value)
@@ -42,7 +42,7 @@ def stage_values(source: StageSource) -> dict[str, str]:
 
 
 def stage_pieces(source: StageSource) -> dict[str, Any]:
-    """The same as JSON values in smaller pieces, without what prims ask for.
+    """The same as JSON values in smaller parts, without the prims' requests.
 
     Of a Volume: its density's, velocity's and mask's name, and digests of ``timeCodes``, ``fields``
     (prims, grids, types), ``places`` (transforms), ``cameras``, ``controls`` and ``otherFields``.

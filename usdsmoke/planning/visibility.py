@@ -1,4 +1,4 @@
-"""What a shot's camera can see of a box, from VDB headers: where smoke may be, not where it is."""
+"""What a shot's camera can see of a box, from VDB headers alone."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -21,12 +21,12 @@ def visible_share(
 ) -> float:
     """The share of a density's box that the frame's camera sees, in [0, 1]; 1 without a camera.
 
-    0 means that surely nothing is seen.
+    0 means that certainly nothing is visible.
 
     Args:
-        frame: one timeCode, perhaps with a camera.
-        density: gives the grid's place on the stage.
-        grid: the density's header; 1 too where it does not tell the box or the transform.
+        frame: one timeCode, with or without a camera.
+        density: gives the grid's transform to the stage.
+        grid: the density's header; without a box or a transform the share is 1.
         config: ``views.camera_margin``.
     """
     camera, points = frame.camera, _box_points(density, grid)
@@ -42,7 +42,7 @@ def visible_share(
 def pixel_sizes(
     config: Config, volume: VolumePlan, frames: Sequence[FramePlan]
 ) -> tuple[float, float]:
-    """What a pixel covers, stage units: the camera's finest one, and one without a camera.
+    """The width of a pixel, stage units: the camera's finest one, and one without a camera.
 
     Args:
         config: the Volume's.
@@ -81,7 +81,7 @@ def _lengths(corners: np.ndarray, box: tuple[int, int, int]) -> tuple[float, flo
 def _box_points(density: FieldSource, grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:
     """The eight corners of the active box, and points spread in it, stage space; None if unknown.
 
-    Voxels reach half a voxel to each side of their index.
+    Voxels extend half a voxel to each side of their index.
     """
     if grid.bbox_min is None or grid.bbox_max is None or grid.index_to_world is None:
         return None

@@ -1,9 +1,9 @@
-"""A sequence of timeCodes cut into frame windows.
+"""Divides a sequence of timeCodes into windows of frames.
 
 A window is the unit of work: its frames are stylized together, each starting from its neighbour's
-result, and no window needs another one, so that they can be run anywhere and resumed one by one.
-Every frame belongs to exactly one window; the last ones before another window's are computed there
-too, as far as the overlap goes, and blended afterwards.
+result. No window needs another one, so windows can run on any machine and be resumed separately.
+Every frame belongs to exactly one window. A window also computes the next window's first frames,
+the overlap, and both versions are blended afterwards.
 """
 
 import statistics
@@ -16,7 +16,7 @@ from usdsmoke.base.sections import WindowsConfig
 
 __all__ = ["Window", "coarse_runs", "find_cuts", "split_windows"]
 
-_GAP = 2.0  # a step of more than so many usual ones is a cut: nothing is carried over it
+_GAP = 2.0  # a step of more than this many usual steps is a cut: nothing is carried over it
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,16 @@ class Window:
     index: int  # 0-based, over all Volumes of a run
     time_codes: tuple[float, ...]  # ascending, at least one: the frames that are its own
     beyond: tuple[float, ...] = ()  # the next window's first frames, computed here too
-    joined: bool = False  # to the window before: the smoke goes on without a cut
+    joined: bool = False  # to the previous window: there is no cut between them
 
 
 def find_cuts(
     time_codes: Sequence[float], frame_length: float = 1.0
 ) -> tuple[tuple[float, float], ...]:
-    """Neighbouring timeCodes with a gap between them: two shots in one volume, or frames left out.
+    """Neighbouring timeCodes with a gap between them: two shots in one volume, or missing frames.
 
-    A gap is a step of more than twice the median step, and of more than two frames, so that whole
-    frames beside some with samples in between are none.
+    A gap is a step of more than twice the median step, and of more than two frames: a mix of whole
+    frames and subframes has no gap.
 
     >>> find_cuts([1, 2, 3, 10, 11])
     ((3, 10),)
@@ -47,11 +47,11 @@ def find_cuts(
         frame_length: timeCodes in a frame, that is timeCodes per second over frames per second.
 
     Raises:
-        ShapeError: the timeCodes do not rise.
+        ShapeError: the timeCodes do not ascend.
     """
     steps = [later - earlier for earlier, later in pairwise(time_codes)]
     if any(not step > 0 for step in steps):
-        raise ShapeError(f"timeCodes are {list(time_codes)}; wanted them ascending, each once")
+        raise ShapeError(f"timeCodes {list(time_codes)} do not ascend. Sort them, each once.")
     if not steps:
         return ()
     longest = _GAP * max(statistics.median(steps), frame_length)
@@ -68,7 +68,7 @@ def split_windows(
 ) -> tuple[Window, ...]:
     """Windows of at most ``config.size`` frames, in order; a cut (``find_cuts``) ends one early.
 
-    Windows of one frame stand alone: nothing is carried between them, and none overlaps another.
+    Windows of one frame are independent: nothing is carried between them, and none overlaps.
 
     >>> [window.time_codes for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(1, 2), (3,), (10, 11)]
@@ -82,7 +82,7 @@ def split_windows(
         frame_length: timeCodes in a frame, see ``find_cuts``.
 
     Raises:
-        ShapeError: the timeCodes do not rise.
+        ShapeError: the timeCodes do not ascend.
     """
     cuts = {later for _, later in find_cuts(time_codes, frame_length)}
     windows: list[Window] = []
@@ -101,7 +101,7 @@ def split_windows(
 
 
 def coarse_runs(windows: Sequence[Window]) -> tuple[tuple[float, ...], ...]:
-    """The timeCodes that need a coarse step in common, cut by cut; none where a window is alone.
+    """The timeCodes that share a coarse step, separated by cuts; none for a single window.
 
     >>> coarse_runs(split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2)))
     ((1, 2, 3),)

@@ -271,7 +271,7 @@ def test_an_old_picture_is_replaced_as_a_whole_or_stays(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("usdsmoke.base.publish.os.replace", refuse)
-    with pytest.raises(WriteFailed, match="free some space"):
+    with pytest.raises(WriteFailed, match="some space"):
         preview(look, target, frames="2", width=16)
     assert target.read_text() == "something older"
     monkeypatch.undo()

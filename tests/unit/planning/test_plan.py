@@ -177,7 +177,7 @@ def test_the_machines_memory_counts_when_no_limit_is_set(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_module, "available_memory_gib", lambda: 0.25)
-    with pytest.raises(PlanError, match=r"there are 0\.2 GiB \(what the machine has left\)"):
+    with pytest.raises(PlanError, match=r" 0\.2 GiB \(.*machine\)"):
         check_plan(plan_of(shot.stage))
     monkeypatch.setattr(plan_module, "available_memory_gib", lambda: math.inf)
     check_plan(plan_of(shot.stage))
@@ -189,6 +189,6 @@ def test_too_little_disk_is_refused_with_both_numbers(
     monkeypatch.setattr(plan_module, "free_disk_bytes", lambda folder: 1_000_000)
     with pytest.raises(
         PlanError,
-        match=r"takes about 0.2 MB, and 67 MB are wanted beside it; the disk of .* has 1.0 MB free",
+        match=r"about 0\.2 MB .* 67 MB, .* disk of .* 1\.0 MB free",
     ):
         check_plan(plan_of(shot.stage), shot.output)
