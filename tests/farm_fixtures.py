@@ -38,9 +38,8 @@ def outcome(root_stage: Path) -> Outcome:
     for name in (run_id[1], run_id[1].replace("-", "")[:8]):
         text = text.replace(name, "RUN")
     text = re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "TIME", text)
-    text = re.sub(r'"(stylize|coarse|shape|colour)=[\d.]+"', r'"\1=SECONDS"', text)
-    text = re.sub(r'"(shape|colour) seconds=[^"]+"', r'"\1 seconds"', text)
-    text = re.sub(r", seconds [\d.]+,", ", SECONDS,", text)
+    clock = r'(\\"(?:seconds|stylize|coarse|shape|colour|estimates)\\": )[\d.e-]+'
+    text = re.sub(clock, r"\1SECONDS", text)
     return contents(root_stage), re.sub(r'(layerHash|recordHash) = "\w+"', r"\1 = HASH", text)
 
 

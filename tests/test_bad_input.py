@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Sdf
 
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import FakeCore, Shot, run, values_of, write_nan
@@ -19,6 +18,7 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
+from usdsmoke.audit import provenance
 from usdsmoke.base.errors import LayerError
 from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
@@ -269,6 +269,6 @@ def test_two_styles_of_one_name_are_both_on_record(shot: Shot, tmp_path: Path) -
     (tmp_path / "other").mkdir()
     Image.new("RGB", (8, 8), "blue").save(tmp_path / "other/style.png")
     assert main(shot.arguments("--style", str(tmp_path / "other/style.png"))) == 0
-    layer = Sdf.Layer.FindOrOpen(str(shot.output / "look.usda"))
-    styles = list(layer.customLayerData["usdsmoke"]["styles"])
-    assert len(set(styles)) == 2 and all(text.startswith("style.png=") for text in styles)
+    (found,) = provenance(shot.output / "look.usda")
+    assert len(set(found.record.styles)) == 2
+    assert {style.name for style in found.record.styles} == {"style.png"}

@@ -11,12 +11,11 @@ import pytest
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core
-from usdsmoke.audit.records import find_records
+from usdsmoke.audit import provenance
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import assemble, stylize
-from usdsmoke.runs.budget import make_budget
-from usdsmoke.runs.frame_records import budget_texts
+from usdsmoke.runs.budget import ErrorBudget, make_budget
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
 
@@ -34,9 +33,9 @@ def test_the_same_budget_stands_in_result_record_and_layer(
     budget = result.error_budget
     assert budget is not None and budget["temporal, colour"].mean == 0.5
     (kept,) = shot.output.glob("vdb/*/run.json")
-    assert json.loads(kept.read_text())["error_budget"] == budget.to_dict()
-    (record,) = find_records(result.look_layer)
-    assert record.texts("errorBudget") == budget_texts(budget)
+    assert json.loads(kept.read_text())["error_budget"] == budget.to_json()
+    (found,) = provenance(result.look_layer)
+    assert ErrorBudget.from_json(found.record.error_budget) == budget
     assert main(["provenance", str(result.look_layer)]) == 0
     assert "temporal, colour: mean 0.5" in capsys.readouterr().out
     again = assemble(shot.output)

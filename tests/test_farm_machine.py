@@ -16,8 +16,7 @@ from tests.farm_fixtures import WINDOWS, outcome, run_folder, windows_in
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, copied, make_shot, run
 from tests.test_farm import start
-from usdsmoke.audit.records import find_records
-from usdsmoke.audit.rerun import rerun
+from usdsmoke.audit import provenance, rerun
 from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.pipeline import Request, assemble, run_coarse, run_window
@@ -44,9 +43,10 @@ def test_windows_use_the_number_of_threads_that_the_run_was_begun_with(
     processors.append(set(range(64)))
     windows_in(farm, [2])
     assert core.threads == [2, 2, 2]
-    (record,) = find_records(assemble(farm.output).look_layer)
-    assert record.texts("machine") == ["threads=2", "device=cpu", "processor=stand-in"]
-    assert record.parsed("config")["optimize"]["threads"] == 2
+    (record,) = provenance(assemble(farm.output).look_layer)
+    machine = record.record.machine
+    assert (machine.threads, machine.device, machine.processor) == (2, "cpu", "stand-in")
+    assert record.record.settings["optimize"]["threads"] == 2
 
 
 def test_a_rerun_and_frames_done_again_use_the_recorded_number(
@@ -95,8 +95,8 @@ def test_what_another_kind_of_processor_made_is_told(
     (warning,) = json.loads(shown.out)["warnings"]
     assert warning.startswith("window 2 ran on another kind of processor (older)")
     assert "window 2 ran on another kind" in " ".join(shown.err.split())
-    (record,) = find_records(farm.output)
-    assert record.texts("machine")[-1] == "window 2=older"
+    (record,) = provenance(farm.output)
+    assert record.record.machine.others == {"window 2": "older"}
 
 
 def test_a_run_of_other_settings_is_refused_as_soon_as_another_one_reads_its_first_frame(
@@ -127,7 +127,7 @@ def test_of_two_different_runs_begun_at_once_one_is_refused_by_name(farm: Shot) 
 
 
 # What of two layers may differ: docs/farm.md
-CLOCK = {f"usdsmoke:{key}" for key in ("created", "finished", "timings", "figures", "errorBudget")}
+CLOCK = {f"usdsmoke:{key}" for key in ("created", "finished", "seconds", "figures", "error_budget")}
 SEALS = {"usdsmoke:run", "usdsmoke:layerHash", "usdsmoke:recordHash"}
 
 
@@ -141,7 +141,10 @@ def authored(look_layer: Path) -> dict[tuple[str, str], Any]:
         if spec := layer.GetObjectAtPath(path):
             for key in spec.ListInfoKeys():
                 value = spec.GetInfo(key)
-                parts = value["usdsmoke"].items() if key == "customLayerData" else [("", value)]
+                parts = [("", value)]
+                if key == "customLayerData":
+                    values = dict(value["usdsmoke"])
+                    parts = [*json.loads(values.pop("record")).items(), *values.items()]
                 for name, part in parts:
                     field = f"usdsmoke:{name}" if name else key
                     found[names.sub("RUN", str(path)), field] = names.sub("RUN", str(part))
@@ -159,7 +162,7 @@ def test_layers_of_a_farm_and_of_one_process_differ_in_clock_times_ids_and_seals
     assert one.keys() == other.keys() and len(one) > 80
     prim = "/World/smoke.authorship:usdsmoke_RUN"
     may_differ = {("/", key) for key in CLOCK | SEALS}
-    may_differ |= {(f"{prim}:created", "default"), (f"{prim}:inputs", "default")}
+    may_differ |= {(f"{prim}:created", "default")}
     differ = {place for place in one if one[place] != other[place]}
     assert differ <= may_differ and {("/", key) for key in SEALS - {"usdsmoke:run"}} <= differ
     assert outcome(farm.output / "shot_look.usda") == outcome(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf
 
 from tests.counters import Reads, count_calls
 from tests.pipeline_fixtures import Shot, make_shot, make_style, run
 from tests.smoke_fixtures import puff
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
+from usdsmoke.audit import provenance
 from usdsmoke.vdb.binding import find_binding
 
 QUICK = (
@@ -33,9 +33,8 @@ def reasons(shot: Shot, *settings: str) -> dict[str, str]:
     """What a finished run's record says that it left out; the plan says the same."""
     result = run(shot, *QUICK, *settings, force=True)
     planned = [f"{item.what}: {item.reason}" for item in result.plan.omitted]
-    layer = Sdf.Layer.FindOrOpen(str(result.look_layer))
-    recorded = list(layer.customLayerData["usdsmoke"]["omitted"])
-    assert recorded == planned
+    (found,) = provenance(result.look_layer)
+    assert list(found.record.omitted) == planned
     return {item.what: item.reason for item in result.plan.omitted}
 
 

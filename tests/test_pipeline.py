@@ -1,14 +1,13 @@
 """From stage to look layer: what is written, what is left out, what is told."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Sdf, Usd, UsdVol
+from pxr import Usd, UsdVol
 
 import usdsmoke
 from tests.counters import Reads
@@ -23,7 +22,9 @@ from tests.pipeline_fixtures import (
     values_of,
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
+from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ImageError
+from usdsmoke.base.record_format import Extinction
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
@@ -52,23 +53,22 @@ def test_inputs_stay_as_they_are_and_nothing_temporary_is_left(shot: Shot) -> No
     result = run(shot)
     assert file_hashes(shot.stage.parent) == before
     (record,) = shot.output.glob("vdb/*/run.json")
-    manifest = record.with_name("windows") / "0000.json"
+    kept = {record, record.with_name("windows") / "0000.json", record.with_name("provenance.json")}
     expected = {result.root_stage, result.look_layer, *result.contact_sheets, *result.frames}
-    assert {p for p in shot.output.rglob("*") if p.is_file()} == {*expected, record, manifest}
+    assert {p for p in shot.output.rglob("*") if p.is_file()} == expected | kept
 
 
 @pytest.mark.usefixtures("core")
 def test_the_file_tells_where_it_comes_from(shot: Shot) -> None:
     result = run(shot, "optimize.seed=3")
     metadata = read_header(result.frames[0]).metadata
-    record = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
-    assert metadata["usdsmoke:run"] == record["run"]
+    (found,) = provenance(result.look_layer)
+    record = found.record
+    assert metadata["usdsmoke:run"] == record.run
     assert metadata["creator"] == f"usdsmoke {usdsmoke.__version__}"
-    assert json.loads(record["config"])["optimize"]["seed"] == 3
-    assert len(record["inputs"]) == 3
-    assert metadata["usdsmoke:source_sha256"] == record["inputs"][0].removeprefix(
-        "smoke.0001.vdb density="
-    )
+    assert record.settings["optimize"]["seed"] == 3
+    assert len(record.frames) == 3
+    assert metadata["usdsmoke:source_sha256"] == record.frames[0].sources[0].hash
     for file_path in result.frames:
         check_content(file_path)
 
@@ -238,6 +238,5 @@ def test_a_contact_sheet_that_fails_is_a_warning(
 
 @pytest.mark.usefixtures("core")
 def test_the_layer_tells_the_extinction_of_both_steps(shot: Shot) -> None:
-    record = Sdf.Layer.FindOrOpen(str(run(shot).look_layer)).customLayerData["usdsmoke"]
-    (text,) = record["extinction"]
-    assert re.fullmatch(r"/\S+=colour [\d.e+-]+, shape [\d.e+-]+", text)
+    (found,) = provenance(run(shot).look_layer)
+    assert found.record.extinction == {"/World/smoke": Extinction(colour=2.0, shape=1.0)}

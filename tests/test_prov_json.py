@@ -1,6 +1,7 @@
 """PROV-JSON as an independent reader takes it: entities, the run, agents, derivations."""
 
 import json
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,17 @@ def test_no_folder_of_this_machine_is_named(
     shot, result = finished
     main(["provenance", str(result.root_stage), "--prov"])
     assert str(shot.folder) not in capsys.readouterr().out
+
+
+def test_without_the_package_the_error_says_how_to_install_it(
+    finished: tuple[Shot, StylizeResult],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "prov", None)
+    assert main(["provenance", str(finished[1].root_stage), "--prov"]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and "usdsmoke[prov]" in err and "Traceback" not in err
 
 
 @pytest.mark.usefixtures("core")

@@ -11,8 +11,7 @@ from pxr import Sdf
 
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, run
 from tests.usd_fixtures import write_text
-from usdsmoke.audit.records import find_records
-from usdsmoke.base.record_format import hash_file
+from usdsmoke.audit import provenance, verify
 from usdsmoke.pipeline import StylizeResult
 from usdsmoke.ui.cli.main import main
 
@@ -49,9 +48,9 @@ def test_every_way_leads_to_the_same_record(finished: tuple[Shot, StylizeResult]
     shot, result = finished
     asset = write_text(shot.folder / "asset.usda", ASSET)  # a look in a variant not selected
     for file in (result.look_layer, result.root_stage, asset, result.frames[2], shot.output):
-        (record,) = find_records(file)
+        (record,) = provenance(file)
         assert record.file == result.look_layer
-        assert record.values["seed"] == 3
+        assert record.record.seed == 3
 
 
 def test_the_look_upon_a_look_is_found_first_and_then_the_other(
@@ -60,7 +59,7 @@ def test_the_look_upon_a_look_is_found_first_and_then_the_other(
     shot, first = finished
     upon = Shot(shot.folder, first.root_stage, shot.style, shot.folder / "upon")
     second = run(upon, "optimize.seed=4", "stage.restylize=true")
-    records = find_records(second.root_stage)
+    records = provenance(second.root_stage)
     assert [record.file for record in records] == [second.look_layer, first.look_layer]
     assert records[0].depth < records[1].depth
 
@@ -68,15 +67,52 @@ def test_the_look_upon_a_look_is_found_first_and_then_the_other(
 def test_a_frame_alone_tells_what_it_knows(
     finished: tuple[Shot, StylizeResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shot, result = finished
+    result = finished[1]
     alone = shutil.copyfile(result.frames[0], tmp_path / "alone.vdb")
     assert main(["provenance", str(alone), "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["records"]
-    layer = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
-    assert found["run"] == layer["run"] and found["packages"] == list(layer["packages"])
-    assert found["styles"] == [f"style.png={hash_file(shot.style)}"]
-    assert found["inputs"] == [layer["inputs"][0]]
-    assert found["config"]["optimize"]["seed"] == 3
+    values = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
+    assert (found["run"], found["version"]) == (values["run"], values["version"])
+    (recorded,) = provenance(result.look_layer)
+    (frame,) = found["frames"]
+    (source,) = frame["sources"]
+    assert source["hash"] == recorded.record.frames[0].sources[0].hash
+    name = recorded.record.frames[0].file
+    assert list(found["results"].values()) == [recorded.record.results[name]]
+
+
+def test_a_run_whose_look_is_lost_still_has_its_record(
+    finished: tuple[Shot, StylizeResult],
+) -> None:
+    result = finished[1]
+    (before,) = provenance(result.look_layer)
+    result.look_layer.unlink()
+    kept = result.frames[0].with_name("provenance.json")
+    for file in (result.frames[1], kept):
+        (found,) = provenance(file)
+        assert (found.file, found.record) == (kept, before.record)
+    assert verify(result.frames[1]) == []
+
+
+def test_a_record_of_another_format_or_none_at_all_is_refused_in_one_line(
+    finished: tuple[Shot, StylizeResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot, result = finished
+    layer = Sdf.Layer.OpenAsAnonymous(str(result.look_layer))
+    data, text = dict(layer.customLayerData), layer.customLayerData["usdsmoke"]["record"]
+    other = json.dumps({"format": 7, "version": "9.9"})
+    for record, facts in ((other, ("format 7", "9.9")), (text[:100], ("cannot be read",))):
+        layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], "record": record}}
+        layer.Export(str(result.look_layer))
+        for command in ("provenance", "rerun"):
+            words = ["-o", str(shot.folder / "again")] if command == "rerun" else []
+            assert main([command, str(result.look_layer), *words]) == 1
+            out, err = capsys.readouterr()
+            assert out == "" and "Traceback" not in err and str(result.look_layer) in err
+            assert all(fact in err for fact in facts)
+        assert main(["verify", str(result.look_layer)]) == 1
+        assert "record-edited" in capsys.readouterr().out
+    assert not (shot.folder / "again").exists()
 
 
 def test_json_has_the_nested_values_as_values(
@@ -84,9 +120,9 @@ def test_json_has_the_nested_values_as_values(
 ) -> None:
     assert main(["provenance", str(finished[1].root_stage), "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["records"]
-    assert found["request"]["stage"] == "../in/shot.usda"
-    assert [frame["timeCode"] for frame in found["frames"]] == [1, 2, 3]
-    assert found["inputState"]["files"].keys() == {f"cache/smoke.{n:04d}.vdb" for n in (1, 2, 3)}
+    assert found["stage"] == "../in/shot.usda" and found["format"] == 1
+    assert [frame["time_code"] for frame in found["frames"]] == [1, 2, 3]
+    assert found["source_files"].keys() == {f"cache/smoke.{n:04d}.vdb" for n in (1, 2, 3)}
 
 
 def test_the_table_has_a_line_for_every_fact(
@@ -95,10 +131,20 @@ def test_the_table_has_a_line_for_every_fact(
     assert main(["provenance", str(finished[0].output)]) == 0
     lines = capsys.readouterr().out.splitlines()
     facts = {line.split("  ")[0] for line in lines}
-    assert {"record", "made with", "upon", "stage", "style", "features", "seed"} <= facts
+    assert {
+        "record",
+        "made with",
+        "with",
+        "platform",
+        "started",
+        "stage",
+        "style",
+        "features",
+        "seed",
+    } <= facts
     assert {"setting", "input", "result", "time", "figure"} <= facts
     assert any(line.split() == ["optimize.seed=3"] for line in lines)
-    assert any(line.split()[0] == "on" and "processor=stand-in" in line for line in lines)
+    assert any(line.split()[0] == "platform" and "processor=stand-in" in line for line in lines)
     assert any("../in/style.png" in line for line in lines)
 
 

@@ -7,9 +7,7 @@ from PIL import Image
 
 from tests.pipeline_fixtures import Shot, run
 from tests.test_requests import flat_style, write_stage
-from usdsmoke.audit.records import find_records
-from usdsmoke.audit.rerun import rerun
-from usdsmoke.audit.verify import verify
+from usdsmoke.audit import provenance, rerun, verify
 from usdsmoke.base.errors import LayerError
 from usdsmoke.pipeline import StylizeResult, stylize
 
@@ -30,8 +28,8 @@ def test_images_that_prims_bring_are_on_record_and_compared(
     asked: tuple[Path, StylizeResult],
 ) -> None:
     stage, result = asked
-    (record,) = find_records(result.root_stage)
-    assert set(record.pairs("styleFiles")) == {"../in/blue.png", "../in/red.png"}
+    (record,) = provenance(result.root_stage)
+    assert {style.file for style in record.record.styles} == {"../in/blue.png", "../in/red.png"}
     assert verify(result.root_stage) == []
     Image.new("RGB", (8, 8), (250, 0, 0)).save(stage.parent / "red.png")
     (change,) = verify(result.root_stage)
@@ -52,12 +50,8 @@ def test_prims_and_the_command_have_the_same_say_once_more(
 ) -> None:
     again = rerun(asked[1].root_stage, tmp_path / "again")
     assert (again.n_frames, again.differences) == (6, ())
-    (one,), (other,) = find_records(asked[1].look_layer), find_records(tmp_path / "again")
-    assert (
-        one.parsed("request")["explicit"]
-        == other.parsed("request")["explicit"]
-        == ["shape.iterations"]
-    )
+    (one,), (other,) = provenance(asked[1].look_layer), provenance(tmp_path / "again")
+    assert one.record.explicit == other.record.explicit == ("shape.iterations",)
 
 
 @pytest.mark.usefixtures("core")
@@ -65,11 +59,11 @@ def test_an_asset_leads_to_all_of_its_looks_and_each_can_be_made_again(shot: Sho
     run(shot, "layer.mode=reference", "layer.look=fire")
     ice = run(shot, "layer.mode=reference", "layer.look=ice", "optimize.seed=1")
     asset = ice.root_stage
-    assert {record.values["seed"] for record in find_records(asset)} == {0, 1}
+    assert {found.record.seed for found in provenance(asset)} == {0, 1}
     assert verify(asset) == [] and verify(shot.output) == []
     with pytest.raises(LayerError, match=r"several looks: .*fire.*ice"):
         rerun(asset, shot.folder / "again")
     again = rerun(ice.look_layer, shot.folder / "again")
     assert again.differences == ()
-    (record,) = find_records(again.result.root_stage)
-    assert record.values["seed"] == 1
+    (record,) = provenance(again.result.root_stage)
+    assert record.record.seed == 1

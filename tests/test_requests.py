@@ -14,13 +14,13 @@ from pxr import Sdf, Usd
 from tests.pipeline_fixtures import FakeCore, contents, make_style, values_of
 from tests.usd_fixtures import density_prim, sequence, world, write_sequence, write_text
 from usdsmoke import pipeline
+from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError, ImageError, OutputExists
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls
 from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
 from usdsmoke.ui.cli.main import main
-from usdsmoke.vdb.header import read_header
 
 CODES = (1, 2, 3)
 WORDS = ("default", "config", "prim", "explicit")  # from the weakest to the strongest
@@ -201,10 +201,10 @@ def test_the_record_of_the_layer_and_of_the_files_hold_the_request(
     result = stylize(two, None, tmp_path / "out")
     text = Sdf.Layer.FindOrOpen(str(result.look_layer)).ExportToString().replace("\\", "")
     assert '"settings": {"optimize": {"seed": 4' in text
-    metadata = [read_header(frame).metadata for frame in result.frames]
-    assert {item["usdsmoke:seed"] for item in metadata} == {1, 4}
-    assert json.loads(metadata[-1]["usdsmoke:config"])["optimize"]["seed"] == 4
-    assert "blue.png" in metadata[-1]["usdsmoke:styles"]
+    (found,) = provenance(result.look_layer)
+    asked = [request for request in found.record.requests.values() if request["settings"]]
+    assert any(request["settings"].get("optimize", {}).get("seed") == 4 for request in asked)
+    assert any("blue.png" in style for request in asked for style in request["styles"])
 
 
 def test_style_images_of_the_command_stand_in_for_all_and_for_their_weights(

@@ -9,7 +9,7 @@ import pytest
 from tests.pipeline_fixtures import Shot, make_shot
 from tests.unit.runs.test_choice import MEASURED
 from usdsmoke import pipeline
-from usdsmoke.audit.rerun import rerun
+from usdsmoke.audit import rerun
 from usdsmoke.base.errors import PlanError
 from usdsmoke.pipeline import Request, assemble, run_window, stylize
 from usdsmoke.planning.job import Job
@@ -105,7 +105,7 @@ def dry_plan(shot: Shot, *more: str) -> str:
 def test_a_plan_alone_says_that_the_choice_is_still_to_come(
     shot: Shot, measurements: list[int]
 ) -> None:
-    assert "BEFORE the choice for a tolerance of 0.3" in dry_plan(shot)
+    assert "settings are not final: a run with --tolerance 0.3" in dry_plan(shot)
     assert not measurements and not shot.output.exists()
 
 
@@ -120,7 +120,7 @@ def test_a_plan_alone_takes_a_calibration_that_is_there(
     assert found.config.replace(optimize=optimize) == ran.config
     assert choice_notes(found) == choice_notes(ran)
     assert len(measurements) == 1
-    assert "BEFORE the choice" in dry_plan(shot, "shape.reach=0.1")  # other inputs
+    assert "settings are not final" in dry_plan(shot, "shape.reach=0.1")  # other inputs
 
 
 def test_a_report_is_on_the_settings_that_were_chosen(

@@ -1,6 +1,7 @@
 """What verify notices, each kind of change by its name; and its silence where there is none."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from pxr import Sdf
 
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.usd_fixtures import write_vdb
-from usdsmoke.audit.verify import Change, verify
+from usdsmoke.audit import Change, verify
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pipeline import StylizeResult
 from usdsmoke.ui.cli.main import main
@@ -178,26 +179,39 @@ def test_a_look_edited_by_hand_is_named(finished: Finished) -> None:
 
 def test_an_edited_record_is_named(finished: Finished) -> None:
     look = finished[1].look_layer
-    look.write_text(look.read_text().replace("int seed = 0", "int seed = 1"))
+    text = look.read_text()
+    edited = re.sub(r'(seed.?": )0', r"\g<1>1", text, count=1)
+    assert edited != text
+    look.write_text(edited)
     change = only(finished)
     assert (change.kind, change.file) == ("record-edited", str(look))
 
 
-@pytest.mark.parametrize(
-    "key", ["request", "frames", "inputState", "config", "results", "packages"]
-)
-@pytest.mark.parametrize("value", ["{", "[1]", 7, 0.5])
-def test_a_broken_record_is_an_edited_record_and_stops_nothing(
-    finished: Finished, key: str, value: object, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("key", ["tool", "version", "look", "stage"])
+def test_an_edited_plain_value_is_an_edited_record(finished: Finished, key: str) -> None:
+    look = finished[1].look_layer
+    edit_values(look, **{key: "other"})
+    assert [change.kind for change in verify(look)] == ["record-edited"]
+
+
+@pytest.mark.parametrize("key", ["settings", "frames", "source_files", "results", "packages"])
+@pytest.mark.parametrize("value", ["{", 7, None])
+def test_a_damaged_record_is_an_edited_record_and_stops_nothing(
+    finished: Finished, key: str, value: object
 ) -> None:
     look = finished[1].look_layer
-    layer = Sdf.Layer.OpenAsAnonymous(str(look))
+    values = Sdf.Layer.OpenAsAnonymous(str(look)).customLayerData["usdsmoke"]
+    record = {**json.loads(values["record"]), key: value}
+    edit_values(look, record=json.dumps(record))
+    assert [change.kind for change in verify(look)] == ["record-edited"]
+
+
+def edit_values(file: Path, **values: str) -> None:
+    """Put texts into the record of a look layer."""
+    layer = Sdf.Layer.OpenAsAnonymous(str(file))
     data = dict(layer.customLayerData)
-    data["usdsmoke"] = {**data["usdsmoke"], key: value}
-    layer.customLayerData = data
-    layer.Export(str(look))
-    assert "record-edited" in [change.kind for change in verify(look)]
-    assert main(["provenance", str(look)]) == main(["provenance", str(look), "--prov"]) == 0
+    layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], **values}}
+    layer.Export(str(file))
 
 
 def test_an_edited_input_of_a_frame_that_the_stage_no_longer_has_is_named(
@@ -212,7 +226,7 @@ def test_an_edited_input_of_a_frame_that_the_stage_no_longer_has_is_named(
 
 
 def test_other_versions_are_notes(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("usdsmoke.audit.verify.__version__", "9.9")
+    monkeypatch.setattr("usdsmoke.audit.verification.__version__", "9.9")
     change = only(finished)
     assert (change.kind, change.severity) == ("version", "note")
     assert change.found == "usdsmoke 9.9"

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from pxr import Usd
 
-from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord, StyleRecord
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import DenseField, WrittenFrame
-from usdsmoke.usd.look import LookFiles, StylizedVolume, author_look
+from usdsmoke.usd.look import LookFiles, StylizedVolume, author_look, result_hashes
 from usdsmoke.usd.stage import find_volumes, open_stage
 from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.binding import find_binding
@@ -201,11 +202,22 @@ def make_look(
             StylizedVolume(volume, written, 0.5, grids, str(empty_file) if empty else "")
         )
     made = "2026-01-31T12:00:00Z"
-    facts = RunFacts(
-        "1.2.3", 7, {"a": {"b": 1}}, {}, {"x.png": "ff"}, run_id=run_id, created=made, finished=made
-    )
     config = LayerConfig(format=layer_format, look=look, mode=mode)
-    return author_look(stage, source, results, output, config, build_provenance(facts))
+    record = RunRecord(
+        format=RECORD_FORMAT,
+        run=run_id,
+        version="1.2.3",
+        created=made,
+        finished=made,
+        look=look,
+        stage=relative_asset_path(source.file_path, output),
+        seed=7,
+        settings={"a": {"b": 1}},
+        style_request=("x.png",),
+        styles=(StyleRecord("x.png", "ff"),),
+        results=result_hashes(results, output),
+    )
+    return author_look(stage, source, results, output, config, record)
 
 
 def write_empty(file_path: Path) -> None:

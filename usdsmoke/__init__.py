@@ -9,6 +9,7 @@
     usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the run
     usdsmoke.preview("look/shot_look.usda", "look.png")               a picture of the result
     usdsmoke.validate("look/shot_look.usda")                          whether the result is sound
+    usdsmoke.provenance("look/look.usda")                             how it was made
     usdsmoke.verify("look/look.usda")                                 what has changed since
     usdsmoke.rerun("look/look.usda", output="again")                  make it again
     usdsmoke.report("shot.usda", "fire.png", "report")                what settings gain and cost
@@ -28,8 +29,9 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from usdsmoke.audit.rerun import rerun as rerun
-    from usdsmoke.audit.verify import verify as verify
+    from usdsmoke.audit import provenance as provenance
+    from usdsmoke.audit import rerun as rerun
+    from usdsmoke.audit import verify as verify
     from usdsmoke.base.errors import UsdSmokeError as UsdSmokeError
     from usdsmoke.base.resolve import settings as settings
     from usdsmoke.base.settings import Config as Config
@@ -47,6 +49,7 @@ __all__ = [
     "inspect",
     "plan",
     "preview",
+    "provenance",
     "report",
     "rerun",
     "settings",
@@ -64,12 +67,13 @@ _HOME = {
     "inspect": ("usd.inspect", "inspect"),
     "plan": ("pipeline", "plan"),
     "preview": ("pictures.preview", "preview"),
+    "provenance": ("audit", "provenance"),
     "report": ("work_precision", "make_report"),
-    "rerun": ("audit.rerun", "rerun"),
+    "rerun": ("audit", "rerun"),
     "settings": ("base.resolve", "settings"),
     "stylize": ("pipeline", "stylize"),
     "validate": ("usd.rules", "validate"),
-    "verify": ("audit.verify", "verify"),
+    "verify": ("audit", "verify"),
 }
 
 

@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from pxr import Sdf
 
 from tests.pipeline_fixtures import Shot, run
 from tests.smoke_fixtures import frame_of, puff, smoke_of
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import ViewsConfig
@@ -208,10 +208,10 @@ def test_the_record_gives_back_versions_settings_views_and_losses(
         "optimize.threads=1", "features.layers=[oriented1]",
         "optimize.error_budget=false",  # which looks from views of its own
     )  # fmt: skip
-    layer = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
-    assert {package.partition("=")[0] for package in layer["packages"]} >= {"torch", "numpy"}
-    views = ViewsConfig(**json.loads(layer["config"])["views"])
-    known = [sample_angles(views, views.pool, layer["seed"] + octave) for octave in range(3)]
+    (found,) = provenance(result.look_layer)
+    assert found.record.packages.keys() >= {"torch", "numpy"}
+    views = ViewsConfig(**found.record.settings["views"])
+    known = [sample_angles(views, views.pool, found.record.seed + octave) for octave in range(3)]
     assert len(seen) >= 6  # two steps of three octaves
     assert all(any(np.array_equal(found, angles) for angles in known) for found in seen)
     record = json.loads((result.frames[0].parent / "run.json").read_text(encoding="utf-8"))

@@ -198,7 +198,7 @@ def test_the_run_keeps_what_the_plan_did_not_doubt(name: str, target: float) -> 
     doubts = " ".join(note for note in choice_of(name, target).notes if "be kept: " in note)
     tolerance = make_budget([ran(name, target).report], target=target).tolerance
     assert tolerance is not None
-    verdicts = {verdict.name: verdict for verdict in tolerance.verdicts}
+    verdicts = {verdict.name: verdict for verdict in tolerance.rows}
     assert TOLD.keys() <= verdicts.keys()
     for row, text in TOLD.items():
         assert verdicts[row].kept or text in doubts, (str(tolerance), doubts)

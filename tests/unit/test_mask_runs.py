@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
-from pxr import Sdf
 
 from tests.grids_fixtures import openvdb, write_raw
 from tests.mask_fixtures import frames_of, make_stage, plan_of, write_mask
 from tests.pipeline_fixtures import FakeCore, Shot, make_style, run
+from usdsmoke.audit import provenance
 from usdsmoke.base.errors import Interrupted, OutputExists
 from usdsmoke.planning.estimate import MASK_BYTES
 from usdsmoke.planning.frame_reader import FrameReader
@@ -70,11 +70,14 @@ def test_the_core_gets_the_mask_and_the_layer_records_it_but_leaves_its_field_as
 ) -> None:
     result = run(masked_shot, "stage.mask=fade")
     assert core.masks == [True, True, True]
-    record = Sdf.Layer.FindOrOpen(str(result.look_layer)).customLayerData["usdsmoke"]
+    (found,) = provenance(result.look_layer)
+    grids = {
+        (g.file.rpartition("/")[2], g.grid): g.hash for f in found.record.frames for g in f.sources
+    }
     plan = plan_of(masked_shot.stage)
     mask = FrameReader(plan).read(plan.volumes[0], plan.volumes[0].frames[0]).mask
-    assert f"fade.vdb weight={hash_fields([mask])}" in record["inputs"]
-    assert len(record["inputs"]) == 4  # three densities and one mask for all
+    assert grids["fade.vdb", "weight"] == hash_fields([mask])
+    assert len(grids) == 4  # three densities and one mask for all
     stage = open_stage(result.root_stage)
     shown = stage.GetAttributeAtPath("/World/smoke/fade.filePath").Get(2)
     assert Path(shown.resolvedPath) == masked_shot.stage.parent / "fade.vdb"

@@ -1,7 +1,7 @@
-"""Whether what a result was made from is still there and still the same.
+"""Whether the inputs of a result are still there and unchanged.
 
-A VDB file whose bytes differ is read as the run read it, and its grids are compared by their
-content: a file that was only written anew, compressed or copied over, is worth a note.
+A VDB file with other bytes is read as the run read it, and its grids are compared by their content.
+A file that was only written again, for example compressed, is a note.
 """
 
 import os
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from usdsmoke.audit.records import LookRecord
+from usdsmoke.audit.record import FoundRecord
 from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
-from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.record_format import RunRecord, hash_file
 from usdsmoke.base.resolve import recorded_settings
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import StageSource
@@ -49,88 +49,85 @@ def shown(digest: str) -> str:
     return digest[:_SHOWN] or "none"
 
 
-def recorded_config(record: LookRecord) -> Config:
+def recorded_config(item: FoundRecord) -> Config:
     """The settings of a run, with the place of its parameter file as it is now.
 
     Raises:
         ConfigError: this version of usdsmoke knows other settings.
     """
-    sections = {"config": record.parsed("config"), "explicit": record.request().get("explicit", ())}
-    return recorded_settings(sections, record.folder)
+    return recorded_settings(item.record.request, item.folder)
 
 
-def check_inputs(record: LookRecord) -> list[Change]:
+def check_inputs(item: FoundRecord) -> list[Change]:
     """What differs of stage, VDB files, style images and features."""
-    request = record.request()
-    if not request or not record.values.get("inputState"):
+    if not item.record.stage:
         found = "a record that does not say where the inputs are"
-        return [Change.note("unchecked", str(record.file), "stage and style images", found)]
+        return [Change.note("unchecked", str(item.file), "stage and style images", found)]
     try:
-        config = recorded_config(record)
+        config = recorded_config(item)
     except ConfigError as error:
-        file = str(record.file)
+        file = str(item.file)
         return [Change.note("unchecked", file, "settings that this version knows", str(error))]
-    stage = _place(record, request["stage"])
-    job = _job(record, config) if stage.is_file() else None
-    changes = [*_check_styles(record), *_check_features(record, config, job)]
+    stage = item.place(item.record.stage)
+    job = _job(item, config) if stage.is_file() else None
+    changes = [*_check_styles(item), *_check_features(item.record, config, job)]
     if not stage.is_file():
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
-    files = _check_files(record, stage, job)
+    files = _check_files(item, stage, job)
     some_are_gone = any(change.kind == "input-missing" for change in files)
-    return [*files, *_check_stage(record, stage, config, job, some_are_gone), *changes]
+    return [*files, *_check_stage(item.record, stage, config, job, some_are_gone), *changes]
 
 
-def _job(record: LookRecord, config: Config) -> Job | None:
+def _job(item: FoundRecord, config: Config) -> Job | None:
     """The run's job with the inputs as they are now; None where that is impossible."""
-    request = {**record.request(), "config": config.model_dump()}
+    request = {**item.record.request, "config": config.model_dump()}
     try:
-        return prepare_job(recorded_request(record.folder, request), fits=False)
+        return prepare_job(recorded_request(item.folder, request), fits=False)
     except UsdSmokeError:
         return None
 
 
-def _check_styles(record: LookRecord) -> Iterator[Change]:
-    for name, digest in record.pairs("styleFiles").items():
-        file = _place(record, name)
-        wanted = f"sha256 {shown(digest)}"
+def _check_styles(item: FoundRecord) -> Iterator[Change]:
+    for style in item.record.styles:
+        file, expected = item.place(style.file), f"sha256 {shown(style.sha256)}"
         if not file.is_file():
-            yield Change("style-missing", str(file), wanted, "no file")
-        elif (found := hash_file(file)) != digest:
-            yield Change("style-edited", str(file), wanted, f"sha256 {shown(found)}")
+            yield Change("style-missing", str(file), expected, "no file")
+        elif (found := hash_file(file)) != style.sha256:
+            yield Change("style-edited", str(file), expected, f"sha256 {shown(found)}")
 
 
-def _check_features(record: LookRecord, config: Config, job: Job | None) -> Iterator[Change]:
+def _check_features(record: RunRecord, config: Config, job: Job | None) -> Iterator[Change]:
     volumes = [volume.config for volume in job.plan.volumes] if job is not None else [config]
-    digest = str(record.values.get("featuresHash", ""))
+    digest = record.features_hash
     networks = sorted({own.features.network for own in volumes})
-    wanted = f"{', '.join(networks)} {shown(digest)}"
+    expected = f"{', '.join(networks)} {shown(digest)}"
     file = config.features.vgg19_file or config.features.network
     try:
         found = features_hashes(own.features for own in volumes)
     except FeatureError as error:
-        yield Change("features-missing", file, wanted, str(error))
+        yield Change("features-missing", file, expected, str(error))
         return
     if found == digest or (job is None and " " in digest):  # several networks: whose, is unknown
         return
     if networks == ["embedded"]:  # they come with usdsmoke, like its version
-        yield Change.note("features-changed", "embedded features", wanted, shown(found))
+        yield Change.note("features-changed", "embedded features", expected, shown(found))
     else:
-        yield Change("features-edited", file, wanted, shown(found))
+        yield Change("features-edited", file, expected, shown(found))
 
 
 def _check_stage(
-    record: LookRecord, stage: Path, config: Config, job: Job | None, some_are_gone: bool
+    record: RunRecord, stage: Path, config: Config, job: Job | None, some_are_gone: bool
 ) -> Iterator[Change]:
-    wanted = "the Volumes of the record"
+    expected = "the Volumes of the record"
     try:
         source = job.plan.source if job is not None else _source(record, stage, config)
     except UsdSmokeError as error:
         if some_are_gone:
-            yield Change.note("unchecked", str(stage), wanted, "a stage without all of its files")
+            yield Change.note("unchecked", str(stage), expected, "a stage without all of its files")
         else:
-            yield Change("stage-edited", str(stage), wanted, str(error))
+            yield Change("stage-edited", str(stage), expected, str(error))
         return
-    recorded, here = record.pairs("stageValues"), stage_values(source)
+    recorded, here = record.stage_values, stage_values(source)
     for name in (*recorded, *sorted(here.keys() - recorded.keys())):
         if job is None and (name.endswith(" request") or f"{name} request" in recorded):
             continue  # what counts of a prim's word is known together with the style images only
@@ -140,10 +137,9 @@ def _check_stage(
             yield Change("stage-edited", str(stage), f"{name} {texts[0]}", f"{name} {texts[1]}")
 
 
-def _source(record: LookRecord, stage: Path, config: Config) -> StageSource:
+def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:
     """What the stage says, without the images that a job needs too."""
-    request = record.request()
-    if request["styles"]:
+    if record.style_request:
         config = config.with_explicit({*config.explicit, "style.weights"})
     opened, _ = open_source(stage, config.stage.restylize)
     found = find_volumes(opened, config.stage, with_styles=False)
@@ -152,18 +148,18 @@ def _source(record: LookRecord, stage: Path, config: Config) -> StageSource:
     return seen_through(opened, resolved.source, cameras)
 
 
-def _check_files(record: LookRecord, stage: Path, job: Job | None) -> list[Change]:
+def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change]:
     """The VDB files by their bytes, and where these differ by what their grids hold."""
     changes, other = [], {}
-    for name, digest in record.parsed("inputState").get("files", {}).items():
-        file, wanted = Path(os.path.normpath(stage.parent / name)), f"sha256 {shown(digest)}"
+    for name, digest in item.record.source_files.items():
+        file, expected = Path(os.path.normpath(stage.parent / name)), f"sha256 {shown(digest)}"
         if not file.is_file():
-            changes.append(Change("input-missing", str(file), wanted, "no file"))
+            changes.append(Change("input-missing", str(file), expected, "no file"))
         elif (found := hash_file(file)) != digest:
-            other[file] = Change("input-edited", str(file), wanted, f"sha256 {shown(found)}")
+            other[file] = Change("input-edited", str(file), expected, f"sha256 {shown(found)}")
     if not other or job is None:
         return [*changes, *other.values()]
-    contents = _check_contents(record, job, other)
+    contents = _check_contents(item, job, other)
     return [*changes, *(contents.get(file, _rewritten(other[file])) for file in other)]
 
 
@@ -173,7 +169,7 @@ def _rewritten(change: Change) -> Change:
 
 
 def _check_contents(
-    record: LookRecord, job: Job, other: Mapping[Path, Change]
+    item: FoundRecord, job: Job, other: Mapping[Path, Change]
 ) -> dict[Path, Change]:
     """Of the files whose bytes differ those with a grid that does not hold what was read."""
     frames = {
@@ -182,13 +178,12 @@ def _check_contents(
         for frame in volume.frames
     }
     reader, changes = FrameReader(job.plan), dict[Path, Change]()
-    for entry in record.frames():
-        sources = [(_place(record, source["file"]), source) for source in entry["sources"]]
-        sources = [(file, source) for file, source in sources if file in other]
+    for frame in item.record.frames:
+        sources = [(file, s) for s in frame.sources if (file := item.place(s.file)) in other]
         if not sources:
             continue
-        planned = frames.get((entry["prim"], entry["timeCode"]))
-        if planned is None:  # the stage no longer has this frame: nothing tells how to read it
+        planned = frames.get((frame.prim, frame.time_code))
+        if planned is None:  # the stage no longer has this frame: it cannot be read as before
             changes = {file: other[file] for file, _ in sources} | changes
             continue
         try:
@@ -200,18 +195,13 @@ def _check_contents(
         except UsdSmokeError as error:
             hashes, trouble = {}, str(error)
         for file, source in sources:
-            found = hashes.get(source["field"], "")
-            if not source["hash"] or found != source["hash"]:
-                wanted = f"{source['grid']} {shown(source['hash'])}"
-                change = Change("input-edited", str(file), wanted, trouble or shown(found))
+            found = hashes.get(source.field, "")
+            if not source.hash or found != source.hash:
+                expected = f"{source.grid} {shown(source.hash)}"
+                change = Change("input-edited", str(file), expected, trouble or shown(found))
                 changes.setdefault(file, change)
     return changes
 
 
 def _unread(change: Change, reason: str) -> Change:
     return Change.note("unchecked", change.file, change.expected, f"other bytes; {reason}")
-
-
-def _place(record: LookRecord, name: str) -> Path:
-    """A file that a record names relative to its own folder."""
-    return Path(os.path.normpath(record.folder / name))

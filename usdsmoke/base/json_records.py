@@ -11,14 +11,15 @@ _Record = TypeVar("_Record")
 _ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
 
 
-def to_json(record: Any) -> dict[str, Any]:
-    """A dataclass as JSON values, by the names of its fields; fields at their default are left out.
+def to_json(record: Any, defaults: bool = False) -> dict[str, Any]:
+    """A dataclass as JSON values, by the names of its fields.
 
     Args:
         record: of fields that JSON can hold, dataclasses, tuples and mappings among them.
+        defaults: whether fields at their default are there too.
     """
     values: dict[str, Any] = _adapter(type(record)).dump_python(
-        record, mode="json", exclude_defaults=True
+        record, mode="json", exclude_defaults=not defaults
     )
     return values
 

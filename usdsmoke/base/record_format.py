@@ -1,31 +1,33 @@
-"""What a run was: which tool, on what, with which settings, and what came of it.
+"""The record of a run: which tool made what, from what, with which settings.
 
-The record is one flat dictionary of whole numbers, texts and lists of texts, because it is stored
-in a layer's ``customLayerData``, where nested values do not survive every exporter: what is nested
-stands there as JSON text. Keys are only ever added; ``schemaVersion`` rises when the meaning of one
-changes. It names files without their folders, except relative to the layer where that is what it
-takes to find them again, and nothing of the person or the machine. docs/provenance.md explains
-every key.
+It is one JSON document. The look layer holds it as a text in ``customLayerData["usdsmoke"]``, and
+the run's folder as ``provenance.json``. It names files relative to the folder of the look layer,
+and nothing of the person or the machine. docs/provenance.md explains the fields.
 """
 
 import hashlib
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, BinaryIO
 
-from usdsmoke.base.errors import FileUnreadable
+from usdsmoke.base.errors import FileUnreadable, LayerError
+from usdsmoke.base.json_records import from_json, to_json
 
 __all__ = [
-    "SCHEMA_VERSION",
+    "RECORD_FILE",
+    "RECORD_FORMAT",
     "SOFTWARE_PACKAGE",
-    "Provenance",
-    "RunFacts",
-    "authorship_inputs",
-    "build_provenance",
+    "Extinction",
+    "Figure",
+    "FrameRecord",
+    "MachineRecord",
+    "RunRecord",
+    "SourceGrid",
+    "StyleRecord",
     "hash_file",
     "hash_stream",
     "new_run_id",
@@ -33,42 +35,149 @@ __all__ = [
     "utc_now",
 ]
 
-SCHEMA_VERSION = 1
+RECORD_FORMAT = 1  # rises when a field changes its meaning
+RECORD_FILE = "provenance.json"  # in the folder of a run
 SOFTWARE_PACKAGE = "org.usdsmoke.usdsmoke"  # reverse-domain, as UsdMedia's authorship asks for
-
-Provenance = dict[str, int | str | list[str]]
 
 
 @dataclass(frozen=True)
-class RunFacts:
-    """The plain values that a provenance record is built from."""
+class SourceGrid:
+    """A field of a frame's source, with the grids that were read."""
 
-    version: str  # of usdsmoke
-    seed: int
-    config: Mapping[str, Any]  # the resolved settings, all sections
-    inputs: Mapping[str, str] = field(default_factory=dict)  # file: content hash
-    styles: Mapping[str, str] = field(default_factory=dict)  # image file: SHA-256
-    features: str = ""  # name of the feature network
-    features_hash: str = ""
-    packages: Mapping[str, str] = field(default_factory=dict)  # usd, torch, ...: version
-    timings: Mapping[str, float] = field(default_factory=dict)  # step: seconds
-    extinction: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # Volume: see below
-    temporal_error: Mapping[str, float] = field(default_factory=dict)  # by kind, mean of all frames
-    overlap_difference: Mapping[str, float] = field(default_factory=dict)  # by grid, likewise
-    omissions: Sequence[str] = ()  # what was left out and why, a sentence each
-    run_id: str = ""  # a UUID; empty makes a new one
-    created: str = ""  # ISO 8601 in UTC; empty takes the time of the call
-    finished: str = ""  # likewise, when the layer was made; empty takes the time of the call
+    field: str  # density, velocity or mask
+    file: str
+    grid: str  # names of the grids in the file
+    hash: str = ""  # content hash; "" where the field does not decide the frame
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A frame of the result."""
+
+    file: str
+    prim: str  # path of the Volume
+    time_code: float
+    sources: tuple[SourceGrid, ...] = ()
+
+
+@dataclass(frozen=True)
+class StyleRecord:
+    """A style image."""
+
+    file: str
+    sha256: str
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.file.rpartition("/")[2]
+
+
+@dataclass(frozen=True)
+class MachineRecord:
+    """What the run was begun with."""
+
     platform: str = ""  # system and processor family
-    machine: Sequence[str] = ()  # texts name=value: threads, device, processor; see docs
-    figures: Mapping[str, Any] = field(default_factory=dict)  # by name; their texts are recorded
-    error_budget: Sequence[str] = ()  # texts name=figures, see ``error_budget``
-    stage_values: Mapping[str, str] = field(default_factory=dict)  # what the stage said, by name
-    # What it takes to run again; files relative to the layer.
-    request: Mapping[str, Any] = field(default_factory=dict)
-    input_state: Mapping[str, Any] = field(default_factory=dict)  # digests of what was read
-    style_files: Mapping[str, str] = field(default_factory=dict)  # image file: SHA-256
-    frames: Sequence[Mapping[str, Any]] = ()  # of the result: file, Volume, timeCode, sources
+    threads: int | None = None
+    device: str = ""
+    processor: str = ""  # kind, with the instructions that torch uses
+    others: Mapping[str, str] = field(default_factory=dict)  # other kinds, by window or coarse step
+
+
+@dataclass(frozen=True)
+class Extinction:
+    """Extinction per density, 1/stage unit, as it was fitted or set."""
+
+    colour: float
+    shape: float
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure over the frames that have it."""
+
+    mean: float
+    largest: float
+    n_frames: int
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """How a result was made. Files are relative to the folder of the look layer."""
+
+    format: int
+    run: str  # UUID
+    version: str  # of usdsmoke
+    tool: str = "usdsmoke"
+    created: str = ""  # when the run was begun, UTC, ISO 8601
+    finished: str = ""  # when the record was made
+    look: str = ""  # name of the look
+    stage: str = ""  # the source; "" where it is not known
+    packages: Mapping[str, str] = field(default_factory=dict)  # versions by name
+    machine: MachineRecord = field(default_factory=MachineRecord)
+    seed: int = 0
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # all, by section
+    explicit: tuple[str, ...] = ()  # names of those that are stronger than a Volume's own
+    requests: Mapping[str, Any] = field(default_factory=dict)  # what prims ask for, by path
+    style_request: tuple[str, ...] = ()  # images given for the run; none: Volumes have their own
+    styles: tuple[StyleRecord, ...] = ()  # all images
+    features: str = ""  # the feature networks
+    features_hash: str = ""
+    stage_values: Mapping[str, str] = field(default_factory=dict)  # see ``stage_values``
+    source_files: Mapping[str, str] = field(default_factory=dict)  # SHA-256, by path from the stage
+    frames: tuple[FrameRecord, ...] = ()
+    results: Mapping[str, str] = field(default_factory=dict)  # content hash by file written
+    extinction: Mapping[str, Extinction] = field(default_factory=dict)  # by Volume
+    omitted: tuple[str, ...] = ()  # what was left out and why
+    seconds: Mapping[str, float] = field(default_factory=dict)  # all work, coarse step, steps
+    figures: Mapping[str, Figure] = field(default_factory=dict)  # over the frames
+    error_budget: Mapping[str, Any] = field(default_factory=dict)  # see ``runs.budget``
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """What it takes to make the run's job again, as JSON values."""
+        return {
+            "stage": self.stage,
+            "styles": list(self.style_request),
+            "config": self.settings,
+            "explicit": list(self.explicit),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return to_json(self, defaults=True)
+
+    def to_text(self) -> str:
+        """As JSON text. Equal records have equal texts."""
+        return json.dumps(self.to_json(), sort_keys=True, ensure_ascii=False)
+
+    @classmethod
+    def from_text(cls, text: str, where: str) -> "RunRecord":
+        """The record that ``to_text`` gave.
+
+        Args:
+            text: JSON.
+            where: the file that holds it, for messages.
+
+        Raises:
+            LayerError: the text is no record, or one of another format.
+        """
+        try:
+            values = json.loads(text)
+            found = values["format"]
+            if found == RECORD_FORMAT:
+                return from_json(cls, values)
+        except (ValueError, TypeError, KeyError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise LayerError(
+                f"the record of usdsmoke in {where} cannot be read ({type(error).__name__}: "
+                f"{reason}). Restore the file as usdsmoke wrote it."
+            ) from None
+        raise LayerError(
+            f"the record of usdsmoke in {where} has format {found!r}; this version reads format "
+            f"{RECORD_FORMAT}. Use the version of usdsmoke that wrote it: "
+            f"{values.get('version', 'unknown')}."
+        )
 
 
 def new_run_id() -> str:
@@ -93,8 +202,8 @@ def utc_now() -> str:
 def hash_file(file_path: str | Path) -> str:
     """SHA-256 of a file's bytes as 64 hexadecimal digits.
 
-    It tells whether a file is still the one that was read or written. Two VDB files of the same
-    grids differ, because each holds a random identifier; ``grids.content_hash`` compares those.
+    Two VDB files of the same grids differ, because each holds a random identifier. Content hashes
+    compare those.
 
     Raises:
         FileUnreadable: the file cannot be read.
@@ -115,76 +224,3 @@ def hash_stream(stream: BinaryIO) -> str:
     while block := stream.read(1 << 20):
         digest.update(block)
     return digest.hexdigest()
-
-
-def build_provenance(facts: RunFacts) -> Provenance:
-    """The flat record of a run; equal facts with a run id and a time give equal records.
-
-    Extinction is that of the two steps, per density, in 1/stage unit, as it was fitted or set.
-    The temporal error is the difference of a frame from its neighbour carried along, relative to
-    the frame; the overlap's that between two windows' versions of a frame before they are blended.
-    Pairs such as a file and its hash are texts ``name=value``, sorted by name where their order
-    means nothing.
-    """
-    return {
-        "schemaVersion": SCHEMA_VERSION,
-        "tool": "usdsmoke",
-        "version": facts.version,
-        "run": facts.run_id or new_run_id(),
-        "created": facts.created or utc_now(),
-        "seed": facts.seed,
-        "config": _as_json(facts.config),
-        "inputs": sorted(_file_pairs(facts.inputs)),
-        "styles": _file_pairs(facts.styles),
-        "features": facts.features,
-        "featuresHash": facts.features_hash,
-        "packages": [f"{name}={facts.packages[name]}" for name in sorted(facts.packages)],
-        "timings": [f"{step}={seconds:.3f}" for step, seconds in facts.timings.items()],
-        "extinction": [
-            f"{path}=colour {colour:.9g}, shape {shape:.9g}"
-            for path, (colour, shape) in facts.extinction.items()
-        ],
-        "temporalError": [f"{kind}={value:.6g}" for kind, value in facts.temporal_error.items()],
-        "overlapDifference": [
-            f"{grid}={value:.6g}" for grid, value in facts.overlap_difference.items()
-        ],
-        "omitted": list(facts.omissions),
-        "finished": facts.finished or utc_now(),
-        "platform": facts.platform,
-        "machine": list(facts.machine),
-        "figures": [f"{name}={figure}" for name, figure in facts.figures.items()],
-        "errorBudget": list(facts.error_budget),
-        "stageValues": [f"{name}={value}" for name, value in facts.stage_values.items()],
-        "request": _as_json(facts.request),
-        "inputState": _as_json(facts.input_state),
-        "styleFiles": [f"{file_path}={digest}" for file_path, digest in facts.style_files.items()],
-        "frames": [_as_json(frame) for frame in facts.frames],
-    }
-
-
-def authorship_inputs(provenance: Mapping[str, Any]) -> list[str]:
-    """The ``inputs`` of a UsdMedia authorship record: name, value, name, value, ...
-
-    Long lists of source files become their number and one digest over all of them.
-    """
-    sources = list(provenance.get("inputs", []))
-    digest = hashlib.sha256("\n".join(sources).encode()).hexdigest()
-    pairs = [("style", text) for text in provenance.get("styles", [])]
-    pairs += [
-        ("sources", f"{len(sources)} files, sha256 of their list {digest}"),
-        ("features", f"{provenance.get('features', '')} {provenance.get('featuresHash', '')}"),
-        ("seed", str(provenance.get("seed", ""))),
-        ("config", str(provenance.get("config", ""))),
-    ]
-    pairs += [("package", text) for text in provenance.get("packages", [])]
-    pairs += [("seconds", text) for text in provenance.get("timings", [])]
-    pairs += [("figure", text) for text in provenance.get("figures", [])]
-    return [text.strip() for pair in pairs for text in pair]
-
-
-def _as_json(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False)
-
-
-def _file_pairs(files: Mapping[str, str]) -> list[str]:
-    return [f"{PurePath(file_path).name}={digest}" for file_path, digest in files.items()]

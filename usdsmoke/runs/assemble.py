@@ -16,7 +16,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
-from usdsmoke.runs.frame_records import frame_metadata, make_provenance
+from usdsmoke.runs.frame_records import frame_metadata, keep_record, make_record
 from usdsmoke.runs.machine import processor_warnings
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
@@ -29,7 +29,7 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import write_contact_sheet
 from usdsmoke.usd import late_note
-from usdsmoke.usd.look import author_look, published_runs
+from usdsmoke.usd.look import author_look, published_runs, result_hashes
 from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
@@ -133,11 +133,11 @@ def _assemble(
         collect_volume(run, volume, scene["gamma_w"], job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
-    temporal, overlap = _temporal_error(run), _overlap_difference(run)
-    run.error_budget = run_budget(job.plan, run.reports).to_dict()
-    provenance = make_provenance(run, job.plan, job.styles, windows, temporal or {}, overlap or {})
+    run.error_budget = run_budget(job.plan, run.reports).to_json()
+    record = make_record(job, run, windows, result_hashes(volumes, run.output))
+    keep_record(run, record)
     source, layer = job.plan.source, job.config.layer
-    files = author_look(job.stage, source, volumes, job.output, layer, provenance, job.earlier)
+    files = author_look(job.stage, source, volumes, job.output, layer, record, job.earlier)
     failures = _draw_sheets(opened, tell)
     run.request = describe_request(job)  # the mode may be another one than it was begun with
     run.remove_locks()  # before the record says that nothing is left to do
@@ -167,7 +167,7 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
     """
     job, run = opened.job, opened.run
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
-    budget = ErrorBudget.from_dict(run.error_budget)
+    budget = ErrorBudget.from_json(run.error_budget)
     broken = budget.tolerance.warnings if budget.tolerance is not None else ()
     return StylizeResult(
         root_stage=job.targets.root_stage,
@@ -233,7 +233,7 @@ def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
     copied, report = reader.read_copied(volume, frame), _blended_report(pair, difference)
     fields, report = result_fields(blended, copied, report, gamma_w, config)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
-    metadata = frame_metadata(run, volume, frame, hashes, report, config.grids)
+    metadata = frame_metadata(run, volume, frame, hashes)
     target = run.folder / frame.file_name
     content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, hashes)

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.machine import usable_cpus
+from usdsmoke.base.machine import platform_name, usable_cpus
+from usdsmoke.base.record_format import MachineRecord
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "machine_of",
-    "machine_texts",
+    "machine_record",
     "processor_note",
     "processor_warnings",
     "settle_threads",
@@ -93,13 +94,16 @@ def processor_warnings(run: Run) -> list[str]:
     ]
 
 
-def machine_texts(run: Run) -> list[str]:
-    """Texts ``name=value`` for the record: threads, device, processor, and what others made."""
-    settled = _optimize(run)
-    texts = [f"{name}={settled[name]}" for name in ("threads", "device") if name in settled]
-    texts += [f"processor={run.processor}"] if run.processor else []
-    others = _others(run)
-    return texts + [f"{name}={kind}" for kind in sorted(others) for name in others[kind]]
+def machine_record(run: Run) -> MachineRecord:
+    """For the record: threads, device, processor, and what other kinds of processors made."""
+    settled, others = _optimize(run), _others(run)
+    return MachineRecord(
+        platform=platform_name(),
+        threads=settled.get("threads"),
+        device=settled.get("device", ""),
+        processor=run.processor,
+        others={name: kind for kind in sorted(others) for name in others[kind]},
+    )
 
 
 def _others(run: Run) -> dict[str, list[str]]:

@@ -108,7 +108,7 @@ def write_result(
         copied = opened.reader.read_copied(volume, frame)
         fields, report = result_fields(fields, copied, report, gamma_w, config)
     make_folders((run.folder / name).parent)
-    metadata = frame_metadata(run, volume, frame, source_hashes, report, config.grids)
+    metadata = frame_metadata(run, volume, frame, source_hashes)
     half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = frame_record(volume, frame, fields[0], content_hash, source_hashes)

@@ -1,7 +1,7 @@
 """A run's settings from a tolerance: one frame is calibrated, and the settings are chosen by it.
 
-The calibration is kept in the output folder, ``OUT/vdb/calibration/<key>.json``, with a digest of
-the inputs as its key: another tolerance, or another process of a queue, finds it there.
+The calibration is kept in the output folder, ``OUT/vdb/calibration/<key>.json``. Its key is a
+digest of the inputs, so another tolerance, or another process of a queue, finds it there.
 """
 
 import hashlib
@@ -29,9 +29,9 @@ _HEADING = "settings for a tolerance of"
 
 
 def settle_tolerance(job: Job, prepare: Callable[[Config], Job], keep: bool = True) -> Job:
-    """The job with the settings that ``optimize.target_error`` comes to; as it is without one.
+    """The job with settings chosen for ``optimize.target_error``; unchanged without one.
 
-    What the user has set, by name or in a file, stays. The plan tells what was chosen and why.
+    What the user has set, by name or in a file, stays. The plan says what was chosen and why.
 
     Args:
         job: as it was asked for.
@@ -48,9 +48,9 @@ def settle_tolerance(job: Job, prepare: Callable[[Config], Job], keep: bool = Tr
 
 
 def foresee_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
-    """The same from what the output folder has; no frame is read and nothing is written.
+    """The same from a calibration in the output folder; no frame is read, nothing is written.
 
-    Where these inputs were not calibrated there, the settings stay and the plan says so.
+    Without a calibration of these inputs, the settings stay and the plan says so.
     """
     target = job.config.optimize.target_error
     if target is None:
@@ -61,9 +61,8 @@ def foresee_tolerance(job: Job, prepare: Callable[[Config], Job]) -> Job:
         return _settled(job, prepare, found)
     return _with_notes(
         job,
-        f"all settings here are those BEFORE the choice for a tolerance of {target:g}: a run "
-        "first stylizes one frame in short, which takes some seconds, and then chooses; what "
-        "follows from the settings, such as the estimate, changes with them",
+        f"these settings are not final: a run with --tolerance {target:g} first calibrates on one "
+        "frame (a few seconds) and then chooses; the estimate changes with the settings",
     )
 
 

@@ -3,6 +3,7 @@
 - `stage`, `look`, `rules`: rooms of their own
 - `schema`: the names of usdsmoke's schemas, and their registration
 - `diagnostics`: OpenUSD's warnings and errors as messages
+- `layer_record`: the record of a run in a look layer, and its digests
 - `relationships`: a Volume's field relationships
 - `field_samples`: the file and grid that a field shows at a time
 - `values`: attribute values, alike in every version of OpenUSD
@@ -14,14 +15,28 @@
 
 from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
 from usdsmoke.usd.field_samples import held_time_code
+from usdsmoke.usd.layer_record import (
+    LAYER_HASH,
+    RECORD_HASH,
+    layer_digest,
+    read_record,
+    record_digest,
+    record_values,
+)
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.schema import late_note, register_schema
 
 __all__ = [
+    "LAYER_HASH",
+    "RECORD_HASH",
     "captured_diagnostics",
     "field_targets",
     "held_time_code",
     "late_note",
+    "layer_digest",
+    "read_record",
+    "record_digest",
+    "record_values",
     "register_schema",
     "short_reason",
 ]

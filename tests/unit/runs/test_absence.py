@@ -72,7 +72,7 @@ def test_the_border_between_windows_is_named_as_not_measured(tmp_path: Path) -> 
     note = budget.notes["temporal, colour"]
     assert note.startswith("2 of 3 pairs") and "border (2-3)" in note
     assert note in budget_text(budget)
-    assert ErrorBudget.from_dict(budget.to_dict()) == budget
+    assert ErrorBudget.from_json(budget.to_json()) == budget
 
 
 def test_a_frame_without_effect_is_no_border(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_a_report_comes_back_from_json() -> None:
 
 def test_a_budget_comes_back_from_json() -> None:
     budget = make_budget([FIRST, SECOND])
-    assert ErrorBudget.from_dict(json.loads(json.dumps(budget.to_dict()))) == budget
+    assert ErrorBudget.from_json(json.loads(json.dumps(budget.to_json()))) == budget
 
 
 def test_the_table_names_every_error() -> None:

@@ -6,7 +6,7 @@ import pytest
 from pxr import Sdf
 
 from tests.usd_fixtures import make_look, plume_stage
-from usdsmoke.usd.look import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
+from usdsmoke.usd import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
 
 
 def sealed(layer: Sdf.Layer) -> tuple[bool, bool]:
@@ -55,6 +55,9 @@ def test_stage_metadata_and_documentation_belong_to_the_layer(tmp_path):
 def test_an_edited_record_breaks_the_record_s_seal_alone(tmp_path):
     layer = opened(tmp_path)
     data = dict(layer.customLayerData)
-    data["usdsmoke"] = {**data["usdsmoke"], "seed": 8}
+    data["usdsmoke"] = {
+        **data["usdsmoke"],
+        "record": data["usdsmoke"]["record"].replace('"seed": 7', '"seed": 8'),
+    }
     layer.customLayerData = data
     assert sealed(layer) == (True, False)

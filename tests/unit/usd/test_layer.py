@@ -1,7 +1,6 @@
 """What the look says about a Volume and its run, and what it refuses to write."""
 
 import dataclasses
-import json
 import os
 
 import pytest
@@ -20,14 +19,15 @@ from tests.usd_fixtures import (
 )
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.naming import relative_asset_path
-from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.asset_paths import anchored_asset
+from usdsmoke.usd.layer_record import read_record
 from usdsmoke.usd.look import StylizedVolume, author_look, look_files
 from usdsmoke.usd.stage import find_volumes, open_stage
 
-PROVENANCE = build_provenance(RunFacts("1", 0, {}))
+RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")
 
 
 def read(stage_file, **settings):
@@ -36,7 +36,7 @@ def read(stage_file, **settings):
 
 
 def author(stage, source, volumes, folder, **config):
-    return author_look(stage, source, volumes, folder, LayerConfig(**config), PROVENANCE)
+    return author_look(stage, source, volumes, folder, LayerConfig(**config), RECORD)
 
 
 def test_the_volume_carries_the_look_schema_with_every_value_authored(tmp_path):
@@ -98,25 +98,24 @@ def test_the_authorship_record_is_usds_own(tmp_path):
     inputs = list(record.GetInputsAttr().Get())
     pairs = dict(zip(inputs[::2], inputs[1::2], strict=True))
     assert pairs["seed"] == "7"
-    assert json.loads(pairs["config"]) == {"a": {"b": 1}}
+    assert pairs["style"] == "x.png ff"
     for name in UsdMedia.AuthorshipAPI.GetSchemaAttributeNames(False, "usdsmoke_3f2b8c1e"):
         attribute = record.GetPrim().GetAttribute(name)
         if attribute.HasAuthoredValue():
             assert attribute.GetVariability() == Sdf.VariabilityUniform
 
 
-def test_the_layer_holds_the_flat_record_and_the_hash_of_every_file(tmp_path):
+def test_the_layer_holds_the_record_and_the_hash_of_every_file(tmp_path):
     files = make_look(plume_stage(tmp_path), tmp_path / "out", frames="2,3", ours=True)
     layer = Sdf.Layer.FindOrOpen(str(files.look_layer))
     assert layer.customLayerData["creator"] == "usdsmoke 1.2.3"
-    record = layer.customLayerData["usdsmoke"]
-    assert record["schemaVersion"] == 1
-    assert not [key for key, value in record.items() if isinstance(value, dict)]
-    assert [text.split("=")[0] for text in record["results"]] == [
-        "./vdb/smoke.0002.vdb",
-        "./vdb/smoke.0003.vdb",
-    ]
-    assert all(len(text.split("=")[1]) == 64 for text in record["results"])
+    values = layer.customLayerData["usdsmoke"]
+    assert all(isinstance(value, str) for value in values.values())
+    assert (values["tool"], values["version"]) == ("usdsmoke", "1.2.3")
+    record = read_record(layer)
+    assert record.format == 1 and record.run == values["run"]
+    assert list(record.results) == ["./vdb/smoke.0002.vdb", "./vdb/smoke.0003.vdb"]
+    assert all(len(digest) == 64 for digest in record.results.values())
     assert "</World/smoke>" in layer.documentation
 
 

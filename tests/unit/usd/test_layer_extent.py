@@ -16,12 +16,12 @@ from tests.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.record_format import RunFacts, build_provenance
+from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.stage import find_volumes, open_stage
 
-PROVENANCE = build_provenance(RunFacts("1", 0, {}))
+RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")
 
 
 def look_with_boxes(tmp_path, stage_file, boxes, **settings):
@@ -35,7 +35,7 @@ def look_with_boxes(tmp_path, stage_file, boxes, **settings):
         low, high = boxes[frame.time_code] or (None, None)
         frames.append(dataclasses.replace(written, extent_min=low, extent_max=high))
     volume = StylizedVolume(source.volumes[0], frames, 0.5)
-    files = author_look(stage, source, [volume], tmp_path / "out", LayerConfig(), PROVENANCE)
+    files = author_look(stage, source, [volume], tmp_path / "out", LayerConfig(), RECORD)
     return open_stage(files.root_stage)
 
 

@@ -1,8 +1,9 @@
 """The command that the menu copies: parsed back by usdsmoke's own parser."""
 
-import json
+import dataclasses
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pxr import Sdf, Usd, UsdVol
@@ -19,8 +20,8 @@ from tests.usd_fixtures import (
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
 from usdsmoke.base.resolve import resolve_config
-from usdsmoke.runs.run import Run
 from usdsmoke.ui.cli.arguments import build_parser, given_settings
+from usdsmoke.usd.layer_record import put_record, read_record
 from usdsmoke.usd.look import LookFiles
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
 
@@ -70,11 +71,10 @@ def test_smoke_that_is_not_animated_needs_no_frames(tmp_path: Path) -> None:
     assert command["output"] == str(tmp_path / "still_look_2")
 
 
-def change_record(look_layer: Path, **values: str) -> None:
-    """Put texts into the record of a look layer."""
+def change_record(look_layer: Path, **values: Any) -> None:
+    """Change values in the record of a look layer."""
     layer = Sdf.Layer.FindOrOpen(str(look_layer))
-    data = dict(layer.customLayerData)
-    layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], **values}}
+    put_record(layer, dataclasses.replace(read_record(layer), **values))
     layer.Save()
 
 
@@ -84,18 +84,18 @@ def result(tmp_path: Path) -> LookFiles:
     files = make_look(plume_stage(tmp_path), tmp_path / "out")
     given = ["windows.size=3", "stage.frames=1-2", "style.weights=[3, 1]"]
     config = resolve_config(given).model_dump()
-    change_record(files.look_layer, config=json.dumps(config))
+    change_record(files.look_layer, settings=config)
     return files
 
 
-REQUEST = {"stage": "../shot.usda", "styles": ["../a b.png", "../c.png"]}
+STYLES = ("../a b.png", "../c.png")
 
 
 def test_the_command_of_a_look_stylizes_its_source_with_its_styles_and_settings(
     result: LookFiles, tmp_path: Path
 ) -> None:
     styles = [str(write_text(tmp_path / name, "")) for name in ("a b.png", "c.png")]
-    change_record(result.look_layer, request=json.dumps(REQUEST))
+    change_record(result.look_layer, style_request=STYLES)
     api, _ = open_in_usdview(result.root_stage, "/World/smoke/density")
     window = do("copy_all", api)
     command = parsed(window.copied[0])
@@ -107,21 +107,13 @@ def test_the_command_of_a_look_stylizes_its_source_with_its_styles_and_settings(
     assert window.texts == []
 
 
-def test_an_older_look_is_traced_through_its_run_and_gaps_are_noted(
-    result: LookFiles, tmp_path: Path
-) -> None:
+def test_what_is_no_longer_where_it_was_is_noted(result: LookFiles) -> None:
+    change_record(result.look_layer, stage="../gone.usda")
     api, _ = open_in_usdview(result.root_stage)
     window = do("copy_all", api)
     assert parsed(window.copied[0])["stage"] == str(result.root_stage)
-    assert parsed(window.copied[0])["style"] == ["x.png"]
     assert "has a look already" in window.texts[0][1]
     assert "a style image is not where it was" in window.texts[0][1]
-
-    run = Run(tmp_path / "out/vdb/0123", {}, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34")
-    run.begin({}, REQUEST, [])
-    command = parsed(do("copy_all", api).copied[0])
-    assert command["stage"] == str(tmp_path / "shot.usda")
-    assert command["style"] == [str(tmp_path / "a b.png"), str(tmp_path / "c.png")]
 
 
 def test_edits_that_the_command_cannot_see_are_noted(two_plumes: Path) -> None:
@@ -178,18 +170,17 @@ def test_what_a_volume_asks_for_itself_is_given_only_if_it_was_given_for_the_run
     (row,) = (row for row in REQUEST_ATTRIBUTES if row.setting == "optimize.seed")
     volume.CreateAttribute(row.name, Sdf.ValueTypeNames.Int64).Set(8)
     config = resolve_config(["optimize.seed=5", "windows.size=3"]).model_dump()
-    change_record(result.look_layer, config=json.dumps(config), request=json.dumps(REQUEST))
+    change_record(result.look_layer, settings=config, style_request=STYLES)
     assert parsed(do("copy_all", api).copied[0])["set"] == ["windows.size=3"]
-    request = json.dumps({**REQUEST, "explicit": ["optimize.seed", "grids.half"]})
-    change_record(result.look_layer, request=request)
+    change_record(result.look_layer, explicit=("optimize.seed", "grids.half"))
     settings = parsed(do("copy_all", api).copied[0])["set"]
     assert settings == ["grids.half=false", "windows.size=3", "optimize.seed=5"]
 
 
 def test_a_parameter_file_is_named_where_it_is(result: LookFiles) -> None:
     given = ["features.vgg19_file=../in/weights.pth"]
-    config = json.dumps(resolve_config(given).model_dump())
-    change_record(result.look_layer, config=config, request=json.dumps(REQUEST))
+    config = resolve_config(given).model_dump()
+    change_record(result.look_layer, settings=config, style_request=STYLES)
     api, _ = open_in_usdview(result.root_stage)
     place = result.look_layer.parent.parent / "in/weights.pth"
     assert parsed(do("copy_all", api).copied[0])["set"] == [f'features.vgg19_file="{place}"']

@@ -27,7 +27,7 @@ __all__ = ["Choice", "choose_settings"]
 FEWEST_VIEWS, MOST_VIEWS = 4, 64
 FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
 USUAL_HALF = 15.0  # iterations, the "a" below; plumes that were measured have 10 to 20
-HARDLY_FALLEN = 0.9  # share of its fall that a pilot has before it, beyond which it tells nothing
+HARDLY_FALLEN = 0.9  # share of its fall still ahead of a pilot; above it, the fit means nothing
 LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
 LEAST_MOVE = 0.05  # voxels, below which a pilot has not moved its smoke
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER, "colour": COLOUR_OPTIMISER}
@@ -48,7 +48,7 @@ class _Choices:
         self.notes: list[str] = []
 
     def take(self, name: str, value: Any, why: str) -> None:
-        """Take a value, unless the user has said something else."""
+        """Take a value, unless the user has set another one."""
         if name in self.user:
             self.notes.append(f"{name}={self.user[name]} as set; the tolerance asks for {value}")
             return
@@ -73,7 +73,7 @@ def choose_settings(
     """
     choices = _Choices(set_by_user)
     if not measured:
-        why = "the calibrated frame has nothing to stylize: all settings stay as they are"
+        why = "the calibrated frame has nothing to stylize: all settings stay"
         return Choice({}, (why,))
     _choose_picture(choices, measured, target)
     _choose_transport(choices, measured["transport"], TRANSPORT.bound(target))
@@ -130,10 +130,10 @@ def _choose_iterations(
     part: float,
     planned: Sequence[int],
 ) -> None:
-    """What remains of the last octave's fall F goes as F / (1 + n / a).
+    """After n iterations, F / (1 + n / a) remains of the last octave's fall F.
 
-    The pilot's noisy tail tells ``a`` within a factor of three, and so does what plumes have: the
-    geometric mean of both is taken. What remains is bounded relative to the final loss.
+    The pilot's noisy tail gives ``a`` within a factor of three, and so does the usual value of
+    plumes: their geometric mean is taken. What remains is bounded relative to the final loss.
     """
     name = f"{step}.iterations"
     if found is None:
@@ -145,18 +145,18 @@ def _choose_iterations(
     share = found.get("remaining", 1.0)
     if "why" in found or share > HARDLY_FALLEN:
         why = found.get("why", "the pilot's loss hardly fell")
-        choices.notes.append(f"{name} stay, and nothing is known of what they leave: {why}")
+        choices.notes.append(f"{name} stay, and the error that they leave is unknown: {why}")
         return
     half, fall = _tail(found)
     finest = next((n for n in reversed(planned) if n), 0)
-    wanted = part / SAFETY
-    enough = half * (fall * (1 - wanted) / wanted - 1)
+    allowed = part / SAFETY
+    enough = half * (fall * (1 - allowed) / allowed - 1)
     needed = math.ceil(min(max(enough, FEWEST_ITERATIONS), LARGEST_FACTOR * finest))
     left = fall / (1 + needed / half)
     choices.take(
         name,
         _scaled(planned, needed),
-        _judged(f"share of the {step} step's loss that would still go", left / (1 + left), part),
+        _judged(f"remaining decrease of the {step} step's loss", left / (1 + left), part),
     )
 
 
@@ -184,13 +184,13 @@ def _scaled(planned: Sequence[int], finest: int) -> list[int]:
 
 
 def _choose_views(choices: _Choices, measured: Mapping[str, Any], target: float) -> None:
-    """Standard errors of means fall as 1 / sqrt(pool), those of views beside it as 1 / pool."""
+    """Standard errors of means fall as 1 / sqrt(pool), errors of unseen views as 1 / pool."""
     deviation, unseen = measured["view_deviation"], measured["unseen_views"]
     sampling, beside = VIEW_SAMPLING.bound(target), UNSEEN_VIEWS.bound(target)
-    wanted = (SAFETY * deviation / sampling) ** 2
+    n_views = (SAFETY * deviation / sampling) ** 2
     summed = 0.0 if unseen is None else unseen[0] * unseen[1]
-    wanted = max(wanted, SAFETY * summed / beside)
-    pool = min(max(math.ceil(min(wanted, MOST_VIEWS)), FEWEST_VIEWS), MOST_VIEWS)
+    n_views = max(n_views, SAFETY * summed / beside)
+    pool = min(max(math.ceil(min(n_views, MOST_VIEWS)), FEWEST_VIEWS), MOST_VIEWS)
     notes = [_judged(VIEW_SAMPLING.name, deviation / math.sqrt(pool), sampling)]
     if unseen is not None:
         notes.append(_judged(UNSEEN_VIEWS.name, summed / pool, beside))

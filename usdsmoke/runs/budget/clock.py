@@ -1,8 +1,7 @@
-"""Where the time of a run went, part by part; the parts add up to the whole.
+"""The time of a run by part; the parts add up to the whole.
 
-Windows and the coarse step keep their own time with them, whoever computed them and when; a call
-adds what it did around them. So the time of a run that several processes worked on is the sum of
-theirs.
+Windows and the coarse step keep their own time in their manifests. A call adds the time of its own
+work. So the time of a run of several processes is the sum of their times.
 """
 
 import math
@@ -15,7 +14,7 @@ from usdsmoke.base.frame_report import FrameReport
 
 __all__ = ["ELSEWHERE", "PartClock", "TimedWindow", "run_seconds", "step_seconds", "timed_items"]
 
-ELSEWHERE = "elsewhere"  # a part that is kept with windows and the coarse step
+ELSEWHERE = "elsewhere"  # time that windows and the coarse step keep themselves
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -34,7 +33,7 @@ class TimedWindow(Protocol):
 
 
 class PartClock:
-    """Seconds of a call's parts, and of all of it, from now on.
+    """Seconds of a call by part, and in all, from now on.
 
     Args:
         clock: for tests.
@@ -56,7 +55,7 @@ class PartClock:
         *arguments: _Arguments.args,
         **named: _Arguments.kwargs,
     ) -> _Result:
-        """What a call gives; its time goes to a part, also where it fails."""
+        """The result of a call. Its time is added to a part, also if it fails."""
         started = self._clock()
         try:
             return call(*arguments, **named)
@@ -75,7 +74,7 @@ class PartClock:
 
 
 def timed_items(clock: PartClock, part: str, items: Iterable[_Result]) -> Iterator[_Result]:
-    """The same items; the time that getting each takes goes to a part."""
+    """The same items. The time to get each is added to a part."""
     iterator = iter(items)
     while True:
         try:

@@ -5,10 +5,11 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.json_records import from_json, to_json
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.absence import PlannedVolume, temporal_note
 from usdsmoke.runs.budget.clock import step_seconds
@@ -39,11 +40,7 @@ class Verdict:
     name: str
     value: float  # the largest over the frames that have it
     bound: float
-
-    @property
-    def kept(self) -> bool:
-        """Whether the value is not above the bound."""
-        return self.value <= self.bound
+    kept: bool  # whether the value is not above the bound
 
     def __str__(self) -> str:
         return f"{self.value:.2%}, bound {self.bound:.2%}"
@@ -54,13 +51,14 @@ class Tolerance:
     """Whether a run kept the tolerance that its settings were chosen for."""
 
     target: float
-    verdicts: tuple[Verdict, ...]
+    kept: bool  # whether all rows are
+    rows: tuple[Verdict, ...]
     unknown: Mapping[str, str]  # bounded errors that were not estimated, and why
 
     @property
     def broken(self) -> tuple[Verdict, ...]:
         """What is above its bound."""
-        return tuple(verdict for verdict in self.verdicts if not verdict.kept)
+        return tuple(verdict for verdict in self.rows if not verdict.kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -76,21 +74,9 @@ class Tolerance:
             names = "; ".join(f"{item.name} ({item})" for item in self.broken)
             found = f"{self.target:g}: NOT kept by {names}"
         else:
-            found = f"{self.target:g}: kept by all {len(self.verdicts)} bounded errors"
+            found = f"{self.target:g}: kept by all {len(self.rows)} bounded errors"
         unknown = f"; not estimated: {', '.join(self.unknown)}" if self.unknown else ""
         return f"{found}{unknown}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON values."""
-        rows = [{**asdict(item), "kept": item.kept} for item in self.verdicts]
-        unknown = dict(self.unknown)
-        return {"target": self.target, "kept": not self.broken, "rows": rows, "unknown": unknown}
-
-    @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> "Tolerance":
-        """The one that ``to_dict`` gave."""
-        rows = [Verdict(row["name"], row["value"], row["bound"]) for row in found["rows"]]
-        return cls(found["target"], tuple(rows), found["unknown"])
 
 
 @dataclass(frozen=True)
@@ -107,24 +93,18 @@ class ErrorBudget:
         """The estimate of this name; KeyError if there is none."""
         return {estimate.name: estimate for estimate in self.estimates}[name]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """As JSON values."""
-        tolerance = None if self.tolerance is None else self.tolerance.to_dict()
-        return {**asdict(self), "estimates": list(map(asdict, self.estimates))} | {
-            "tolerance": tolerance
-        }
+        return to_json(self, defaults=True)
 
     @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> "ErrorBudget":
-        """The budget that ``to_dict`` gave."""
-        tolerance = found["tolerance"]
-        return cls(
-            tuple(ErrorEstimate(**values) for values in found["estimates"]),
-            found["left_out"],
-            found["seconds"],
-            found["notes"],
-            None if tolerance is None else Tolerance.from_dict(tolerance),
-        )
+    def from_json(cls, values: Mapping[str, Any]) -> "ErrorBudget":
+        """The budget that ``to_json`` gave.
+
+        Raises:
+            ValueError: the values are no budget.
+        """
+        return from_json(cls, values)
 
 
 def run_budget(plan: Plan, reports: Mapping[str, FrameReport]) -> ErrorBudget:
@@ -196,11 +176,11 @@ def _judge(
     target: float, estimates: Sequence[ErrorEstimate], left_out: Mapping[str, str]
 ) -> Tolerance:
     largest = {estimate.name: estimate.largest for estimate in estimates}
-    bounded = [row for row in ROWS if row.share is not None]
-    verdicts = tuple(
-        Verdict(row.name, largest[row.name], row.bound(target))
-        for row in bounded
-        if row.name in largest
-    )
-    unknown = {row.name: left_out[row.name] for row in bounded if row.name in left_out}
-    return Tolerance(target, verdicts, unknown)
+    rows, unknown = [], {}
+    for row in ROWS:
+        if row.share is not None and row.name in largest:
+            value, bound = largest[row.name], row.bound(target)
+            rows.append(Verdict(row.name, value, bound, value <= bound))
+        elif row.share is not None:
+            unknown[row.name] = left_out[row.name]
+    return Tolerance(target, all(row.kept for row in rows), tuple(rows), unknown)

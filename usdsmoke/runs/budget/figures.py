@@ -2,23 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.record_format import Figure
 
-__all__ = ["Figure", "figures_of", "mean_entries", "summarize_figures"]
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One figure over the frames that have it."""
-
-    mean: float
-    largest: float
-    n_frames: int
-
-    def __str__(self) -> str:
-        return f"mean {self.mean:.6g}, max {self.largest:.6g}, frames {self.n_frames}"
+__all__ = ["figures_of", "mean_entries", "summarize_figures"]
 
 
 def figures_of(report: FrameReport) -> dict[str, float]:

@@ -39,7 +39,7 @@ def budget_text(
     ]
     verdict = []
     if budget.tolerance is not None:
-        bounds = {item.name: _bound(item) for item in budget.tolerance.verdicts}
+        bounds = {item.name: _bound(item) for item in budget.tolerance.rows}
         rows = [(*rows[0], "bound"), *((*row, bounds.get(row[0], "-")) for row in rows[1:])]
         verdict = [f"tolerance of {budget.tolerance}"]
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
@@ -59,7 +59,7 @@ def _short(seconds: float) -> str:
 def _left_out(omitted: Sequence["Omission"]) -> str:
     """What was not read, computed or written, without the reasons."""
     names = "; ".join(dict.fromkeys(item.what for item in omitted))
-    return f"left out, for reasons that the plan and the provenance tell: {names}"
+    return f"left out, for the reasons in the plan and the record: {names}"
 
 
 def _bound(item: "Verdict") -> str:

@@ -13,21 +13,21 @@ __all__ = ["run_provenance", "run_rerun", "run_verify"]
 def run_provenance(arguments: argparse.Namespace) -> int:
     """``usdsmoke provenance``; the exit code."""
     from usdsmoke.audit.prov import prov_document
-    from usdsmoke.audit.records import find_records
+    from usdsmoke.audit.record import provenance
 
-    records = find_records(arguments.file)
+    found = provenance(arguments.file)
     if arguments.prov:
-        print_json(prov_document(records))
+        print_json(prov_document(found))
     elif arguments.json:
-        print_json({"records": [record.to_dict() for record in records]})
+        print_json({"records": [item.to_dict() for item in found]})
     else:
-        print("\n\n".join(provenance_text(record) for record in records))
+        print("\n\n".join(provenance_text(item) for item in found))
     return 0
 
 
 def run_verify(arguments: argparse.Namespace) -> int:
     """``usdsmoke verify``; the exit code, 1 where something has changed."""
-    from usdsmoke.audit.verify import verify
+    from usdsmoke.audit.verification import verify
 
     changes = verify(arguments.file)
     is_same = all(change.severity == "note" for change in changes)
@@ -42,7 +42,7 @@ def run_rerun(arguments: argparse.Namespace) -> int:
     """``usdsmoke rerun``; the exit code, 1 where the result differs from the recorded one."""
     from rich.console import Console
 
-    from usdsmoke.audit.rerun import rerun
+    from usdsmoke.audit.repetition import rerun
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:

@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.record_format import MachineRecord
 from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
-    from usdsmoke.audit.records import LookRecord
-    from usdsmoke.audit.rerun import Rerun
-    from usdsmoke.audit.verify import Change
+    from usdsmoke.audit.record import FoundRecord
+    from usdsmoke.audit.repetition import Rerun
+    from usdsmoke.audit.verification import Change
 
 __all__ = ["provenance_text", "rerun_text", "verification_text"]
 
@@ -17,32 +18,44 @@ _SHOWN = 12  # digits of a hash that people compare
 _MOST_LINES = 4  # of a long list of files
 
 
-def provenance_text(record: "LookRecord") -> str:
-    """A record as a table for people."""
-    values = record.values
-    request = record.request()
-    packages = [f"{name} {version}" for name, version in record.pairs("packages").items()]
-    timings = [f"{name} {seconds} s" for name, seconds in record.pairs("timings").items()]
+def provenance_text(item: "FoundRecord") -> str:
+    """A record as a table for people.
+
+    Raises:
+        LayerError: the record cannot be read.
+    """
+    record = item.record
+    grids = {(g.file, g.grid): g.hash for frame in record.frames for g in frame.sources}
+    inputs = {f"{file} {grid}": digest for (file, grid), digest in grids.items()}
     rows: list[tuple[str, str]] = [
-        ("record", str(record.file)),
-        ("made with", f"usdsmoke {values.get('version', '?')}"),
-        ("upon", ", ".join(packages)),
-        ("on", ", ".join([str(values.get("platform", "")), *record.texts("machine")])),
-        ("begun", str(values.get("created", ""))),
-        ("finished", str(values.get("finished", ""))),
-        ("run", str(values.get("run", ""))),
-        ("stage", str(request.get("stage", ""))),
-        *_listed("style", record.texts("styleFiles") or record.texts("styles")),
-        ("features", _with_hash(values.get("features"), values.get("featuresHash"))),
-        ("seed", str(values.get("seed", ""))),
-        *(("setting", text) for text in _other_settings(record.parsed("config"))),
-        *_listed("input", record.texts("inputs")),
-        *_listed("result", record.texts("results")),
-        ("time", ", ".join(timings)),
-        *(("figure", text.replace("=", ": ", 1)) for text in record.texts("figures")),
-        *(("error", text.replace("=", ": ", 1)) for text in record.texts("errorBudget")),
-        *(("extinction", text.replace("=", ": ", 1)) for text in record.texts("extinction")),
-        *(("left out", text) for text in record.texts("omitted")),
+        ("record", str(item.file)),
+        ("made with", f"usdsmoke {record.version or '?'}"),
+        ("with", ", ".join(f"{name} {text}" for name, text in record.packages.items())),
+        ("platform", _machine_text(record.machine)),
+        ("started", record.created),
+        ("finished", record.finished),
+        ("run", record.run),
+        ("stage", record.stage),
+        *_listed("style", {style.file: style.sha256 for style in record.styles}),
+        ("features", _with_hash(record.features, record.features_hash)),
+        ("seed", str(record.seed) if record.settings else ""),
+        *(("setting", text) for text in _other_settings(record.settings)),
+        *_listed("input", inputs),
+        *_listed("result", record.results),
+        ("time", ", ".join(f"{name} {value:.3f} s" for name, value in record.seconds.items())),
+        *(
+            (
+                "figure",
+                f"{name}: {_mean_and_largest(found.mean, found.largest)}, frames {found.n_frames}",
+            )
+            for name, found in record.figures.items()
+        ),
+        *(("error", text) for text in _error_texts(record.error_budget)),
+        *(
+            ("extinction", f"{path}: colour {found.colour:.9g}, shape {found.shape:.9g}")
+            for path, found in record.extinction.items()
+        ),
+        *(("left out", text) for text in record.omitted),
     ]
     return "\n".join(columns(_once([(name, text) for name, text in rows if text])))
 
@@ -76,18 +89,44 @@ def rerun_text(again: "Rerun") -> str:
     )
 
 
-def _listed(title: str, texts: Sequence[str]) -> list[tuple[str, str]]:
+def _machine_text(machine: MachineRecord) -> str:
+    threads = "" if machine.threads is None else f"threads={machine.threads}"
+    device = f"device={machine.device}" if machine.device else ""
+    processor = f"processor={machine.processor}" if machine.processor else ""
+    others = [f"{name}={kind}" for name, kind in machine.others.items()]
+    return ", ".join(filter(None, [machine.platform, threads, device, processor, *others]))
+
+
+def _error_texts(budget: Mapping[str, Any]) -> Iterable[str]:
+    """The error budget, a line for each error; see ``runs.budget``."""
+    for item in budget.get("estimates", ()):
+        note = budget["notes"].get(item["name"], "")
+        yield (
+            f"{item['name']}: {_mean_and_largest(item['mean'], item['largest'])}, of "
+            f"{item['relative_to']}, frames {item['n_frames']}, seconds {item['seconds']:.3f}, "
+            f"{item['how']}{f' ({note})' if note else ''}"
+        )
+    for name, why in budget.get("left_out", {}).items():
+        yield f"{name}: left out: {why}"
+    if tolerance := budget.get("tolerance"):
+        broken = [row["name"] for row in tolerance["rows"] if not row["kept"]]
+        kept = f"NOT kept by {', '.join(broken)}" if broken else "kept"
+        yield f"tolerance: {tolerance['target']:g}, {kept}"
+
+
+def _mean_and_largest(mean: float, largest: float) -> str:
+    return f"mean {mean:.6g}, max {largest:.6g}"
+
+
+def _listed(title: str, digests: Mapping[str, str]) -> list[tuple[str, str]]:
     """Files with their hashes, the first ones of a long list."""
-    rows = []
-    for text in texts[:_MOST_LINES]:
-        name, _, digest = text.rpartition("=")
-        rows.append((title, _with_hash(name, digest)))
-    left = len(texts) - _MOST_LINES
-    return [*rows, (title, f"and {left} more")] if left > 0 else rows
+    rows = [(title, _with_hash(name, digest)) for name, digest in digests.items()]
+    n_more = len(rows) - _MOST_LINES
+    return [*rows[:_MOST_LINES], (title, f"and {n_more} more")] if n_more > 0 else rows
 
 
-def _with_hash(name: Any, digest: Any) -> str:
-    return f"{name or ''}  {str(digest or '')[:_SHOWN]}".strip()
+def _with_hash(name: str, digest: str) -> str:
+    return f"{name}  {digest[:_SHOWN]}".strip()
 
 
 def _other_settings(config: Mapping[str, Any]) -> Iterable[str]:

@@ -153,7 +153,7 @@ def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
         "warnings": list(result.warnings),
         "temporal_error": result.temporal_error,
         "overlap_difference": result.overlap_difference,
-        "error_budget": result.error_budget.to_dict() if result.error_budget else None,
+        "error_budget": result.error_budget.to_json() if result.error_budget else None,
         "seconds": result.seconds,
         "plan": result.plan.to_dict(),
     }

@@ -1,24 +1,29 @@
 """The command that stylizes Volumes of an open stage, as text to paste into a terminal."""
 
 import json
+import os
 import shlex
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pxr import Sdf, Usd
 
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import LayerError, StageError
+from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VolumeSource
-from usdsmoke.ui.usdview.look_request import LookRequest, read_look_request
 from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
+from usdsmoke.usd import read_record
 from usdsmoke.usd.stage import find_volumes
 
 __all__ = ["NO_STYLE", "CommandText", "stylize_command"]
 
-NO_STYLE = "STYLE.png"  # where nothing tells which image
+NO_STYLE = "STYLE.png"  # stands for an image that is not known
+_GIVEN_OTHERWISE = ("stage.prims", "stage.frames")  # by options of their own
 
 
 @dataclass(frozen=True)
@@ -34,9 +39,9 @@ def stylize_command(
 ) -> CommandText:
     """``usdsmoke stylize`` for Volumes of an open stage, quoted for a POSIX shell.
 
-    Where the Volumes have a look, the stage, the style images and the settings are those that it
-    was made with, as far as its record tells; else the stage is the open one, and Volumes that name
-    images themselves get no others. The output folder is a new one beside the stage.
+    Where the Volumes have a look, the stage, the style images and the settings are those of its
+    record. Otherwise the stage is the open one, and Volumes that name images themselves get no
+    others. The output folder is a new one beside the stage.
 
     Args:
         stage: the open stage; its root layer needs a file.
@@ -50,27 +55,35 @@ def stylize_command(
     if root.anonymous or not root.realPath:
         raise StageError(f"the stage {root.identifier} has no file; save it first")
     paths = [str(volume.GetPath()) for volume in volumes]
-    source = find_volumes(stage, StageConfig(prims=paths))
-    look, root_file = _shown_look(stage, volumes), Path(root.realPath)
-    request = LookRequest(root_file, (), {})
+    found = find_volumes(stage, StageConfig(prims=paths))
+    look, stage_file = _shown_look(stage, volumes), Path(root.realPath)
+    styles, settings, explicit = [], dict[str, Any](), frozenset[str]()
     notes: list[str] = []
     if look is not None:
-        request, notes = _of_look(read_look_request(look), root_file)
-    elif not all(volume.request.styles for volume in source.volumes):
-        request = replace(request, styles=(NO_STYLE,))
-        notes = [f"{NO_STYLE} stands for your style image"]
+        folder, record = Path(look.layer.realPath).parent, _record_of(look)
+        styles = [_place(folder, name) for name in record.style_request]
+        settings, explicit = _given_settings(record, folder), frozenset(record.explicit)
+        source = Path(_place(folder, record.stage))
+        if source.is_file():
+            stage_file = source
+        else:
+            notes.append(f"{stage_file.name} has a look already; name its source where you can")
+        if not all(map(os.path.isfile, styles)):
+            notes.append("a style image is not where it was; correct its path")
+    elif not all(volume.request.styles for volume in found.volumes):
+        styles, notes = [NO_STYLE], [f"{NO_STYLE} stands for your style image"]
     if unsaved := _unsaved(stage):
         notes.append(f"unsaved edits are not in the command's stage: {', '.join(unsaved)}")
-    words = ["usdsmoke", "stylize", str(request.stage_file)]
+    words = ["usdsmoke", "stylize", str(stage_file)]
     words += [word for path in paths for word in ("--prim", path)]
-    if any(volume.animated for volume in source.volumes):
-        words += ["--frames", _frames(source.volumes, time_code)]
-    words += [word for style in request.styles for word in ("--style", style)]
-    own = _own_settings(source.volumes) - request.explicit
-    for name, value in request.settings.items():
+    if any(volume.animated for volume in found.volumes):
+        words += ["--frames", _frames(found.volumes, time_code)]
+    words += [word for style in styles for word in ("--style", style)]
+    own = _own_settings(found.volumes) - explicit
+    for name, value in settings.items():
         if name not in own:  # an option is stronger than what a Volume asks for
             words += ["--set", f"{name}={json.dumps(value, ensure_ascii=False)}"]
-    words += ["-o", str(_new_folder(request.stage_file or root_file))]
+    words += ["-o", str(_new_folder(stage_file))]
     return CommandText(shlex.join(words), tuple(notes))
 
 
@@ -81,14 +94,31 @@ def _shown_look(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> Look | None:
     return next((look for look in looks if look.run in runs), looks[-1] if looks else None)
 
 
-def _of_look(request: LookRequest, stage_file: Path) -> tuple[LookRequest, list[str]]:
-    """What a look was asked for, with its stage in any case, and notes on what is not known."""
-    notes = []
-    if request.stage_file is None:
-        notes.append(f"{stage_file.name} has a look already; name its source where you can")
-    if any(not Path(style).is_file() for style in request.styles):
-        notes.append("a style image is not where it was; correct its path")
-    return replace(request, stage_file=request.stage_file or stage_file), notes
+def _record_of(look: Look) -> RunRecord:
+    try:
+        return read_record(look.layer)
+    except LayerError as error:
+        raise StageError(str(error)) from None
+
+
+def _given_settings(record: RunRecord, folder: Path) -> dict[str, Any]:
+    """Settings of a record by section.key: those that were given, or are no default of today."""
+    found = {}
+    for section, defaults in Config().model_dump().items():
+        values: Mapping[str, Any] = record.settings.get(section, {})
+        for key in (key for key in defaults if key in values):
+            name, value = f"{section}.{key}", values[key]
+            if (value == defaults[key] and name not in record.explicit) or name in _GIVEN_OTHERWISE:
+                continue
+            if name == "features.vgg19_file" and value.startswith(("./", "../")):
+                value = _place(folder, value)
+            found[name] = value
+    return found
+
+
+def _place(folder: Path, name: str) -> str:
+    """The absolute path of a file in a record."""
+    return str((folder / name).resolve())
 
 
 def _own_settings(volumes: Sequence[VolumeSource]) -> set[str]:

@@ -6,7 +6,8 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.audit.records import LookRecord
+from usdsmoke.audit.record import FoundRecord
+from usdsmoke.base.errors import LayerError
 from usdsmoke.ui.cli.record_text import provenance_text
 from usdsmoke.ui.usdview.looks import Look, looks_of, shown_run
 from usdsmoke.usd import schema
@@ -20,7 +21,7 @@ _SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by i
 def look_text(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
     """The records of the Volumes' looks, and what the composed Volumes say of themselves.
 
-    Only what stands in the layers is told; ``usdsmoke validate`` compares files with it.
+    Only the layers are read; ``usdsmoke validate`` compares the files with them.
 
     Args:
         volumes: composed prims.
@@ -48,12 +49,11 @@ def _volume_lines(volume: Usd.Prim) -> list[str]:
 
 def _look_lines(look: Look) -> list[str]:
     """The record as ``usdsmoke provenance`` prints it, from the layer as it is in memory."""
-    name = look.layer.realPath or look.layer.identifier
-    values = {
-        key: value if _items(value) is None else [str(item) for item in value]
-        for key, value in look.record.items()
-    }
-    text = provenance_text(LookRecord(Path(name), values, look.layer))
+    place = Path(look.layer.realPath or look.layer.identifier)
+    try:
+        text = provenance_text(FoundRecord(place, place.parent, look.layer))
+    except LayerError as error:
+        text = str(error)
     heading = f"look {look.layer.GetDisplayName()}{' (muted)' * look.muted}"
     return [heading, *(f"  {line}" for line in text.splitlines())]
 

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.usd import captured_diagnostics, schema
+from usdsmoke.usd import captured_diagnostics, read_record, record_values, schema
 
 __all__ = ["Look", "find_looks", "looks_of", "show_next", "shown_run"]
 
@@ -22,14 +21,22 @@ class Look:
     """A look layer that a stage is made of, muted or not."""
 
     layer: Sdf.Layer
-    record: dict[str, Any]  # customLayerData["usdsmoke"]
+    values: dict[str, str]  # the plain texts of its record
     muted: bool
     volume_paths: frozenset[Sdf.Path]  # where it styles Volumes, in its own namespace
 
     @property
     def run(self) -> str:
         """The run's id."""
-        return str(self.record.get("run", ""))
+        return self.values["run"]
+
+    @property
+    def created(self) -> str:
+        """When the run was begun, UTC; "" where the record cannot be read."""
+        try:
+            return read_record(self.layer).created
+        except LayerError:
+            return ""
 
 
 def find_looks(stage: Usd.Stage) -> list[Look]:
@@ -42,11 +49,11 @@ def find_looks(stage: Usd.Stage) -> list[Look]:
             layers[identifier] = layer
     looks = []
     for identifier, layer in layers.items():
-        record = layer.customLayerData.get("usdsmoke")
-        volume_paths = _styled_paths(layer) if isinstance(record, dict) else frozenset()
+        values = record_values(layer)
+        volume_paths = _styled_paths(layer) if values else frozenset()
         if volume_paths:
-            looks.append(Look(layer, record, identifier in muted, volume_paths))
-    return sorted(looks, key=lambda look: (str(look.record.get("created", "")), look.run))
+            looks.append(Look(layer, values, identifier in muted, volume_paths))
+    return sorted(looks, key=lambda look: (look.created, look.run))
 
 
 def looks_of(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> list[Look]:
@@ -106,7 +113,7 @@ def _switch_layers(stage: Usd.Stage, volumes: Sequence[Usd.Prim], looks: Sequenc
     if chosen is None:
         return f"{ORIGINAL}: muted {', '.join(look.layer.GetDisplayName() for look in looks)}"
     _HELD.pop(chosen.layer.identifier, None)
-    name = str(chosen.record.get("look", "")) or "look"
+    name = chosen.values.get("look", "") or "look"
     return f"{name}: {chosen.layer.GetDisplayName()}, run {chosen.run}"
 
 

@@ -19,6 +19,7 @@ from pxr import Sdf, Tf, Usd
 from usdsmoke.base.errors import LayerError
 from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET, relative_asset_path
 from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.layer_record import record_values
 from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 
 __all__ = ["author_asset", "check_asset"]
@@ -110,7 +111,7 @@ def _find_looks(folder: Path, source_file: Path) -> dict[str, _Look]:
                 layer = Sdf.Layer.OpenAsAnonymous(str(file_path), metadataOnly=True)
         except Tf.ErrorException:
             continue  # no layer
-        record = layer.customLayerData.get("usdsmoke", {})
+        record = record_values(layer)
         name, theirs = record.get("look", ""), record.get("stage", "")
         if name and theirs and (folder / theirs).resolve() == source_file.resolve():
             found[str(name)] = _read_look(file_path)

@@ -1,21 +1,21 @@
 """The way through: from finished VDB files to a look layer and a stage to open."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke.base.errors import LayerError, WriteFailed
-from usdsmoke.base.naming import ORIGINAL, VARIANT_SET, relative_asset_path
+from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
+from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.usd.layer_record import add_digests, put_record, record_values
 from usdsmoke.usd.look.asset import author_asset
-from usdsmoke.usd.look.attributes import author_attributes, custom_layer_data, result_hashes
-from usdsmoke.usd.look.digests import add_digests
+from usdsmoke.usd.look.attributes import author_attributes
 from usdsmoke.usd.look.extent import author_extent
 from usdsmoke.usd.look.field_prims import choose_field_prims, count_field_uses
 from usdsmoke.usd.look.fields import author_field, close_fields, retarget
@@ -31,7 +31,7 @@ def author_look(
     volumes: Sequence[StylizedVolume],
     output_folder: Path,
     config: LayerConfig,
-    provenance: Mapping[str, Any],
+    record: RunRecord,
     earlier: EarlierLooks | None = None,
 ) -> LookFiles:
     """Write the look layer and then the thin root stage, both checked and each in one step.
@@ -45,7 +45,7 @@ def author_look(
         volumes: the results, one for each Volume that was stylized.
         output_folder: an existing folder; asset paths are relative to it.
         config: the section ``layer`` of the settings.
-        provenance: from ``provenance.build_provenance``; flat.
+        record: of the run, with the hashes of the results (``result_hashes``).
         earlier: looks that the stage's files still have and that this one takes the place of.
 
     Raises:
@@ -57,7 +57,7 @@ def author_look(
     files = look_files(source, folder, config)
     _check_volumes(volumes)
     _check_targets(stage, files)
-    look = _author_look_layer(stage, volumes, folder, config, provenance, earlier or EarlierLooks())
+    look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())
     _publish(look, files.look_layer)
     if files.root_stage is not None:
         if config.mode == "reference":
@@ -73,7 +73,7 @@ def _author_look_layer(
     volumes: Sequence[StylizedVolume],
     folder: Path,
     config: LayerConfig,
-    provenance: Mapping[str, Any],
+    record: RunRecord,
     earlier: EarlierLooks,
 ) -> Sdf.Layer:
     layer = Sdf.Layer.CreateAnonymous(f".{config.format}")
@@ -81,18 +81,16 @@ def _author_look_layer(
     names = ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
     layer.documentation = (
         f"Stylized smoke of {names}. Mute this layer to see the source; "
-        "customLayerData.usdsmoke tells how it was made."
+        "customLayerData.usdsmoke records how it was made."
     )
-    source = relative_asset_path(stage.GetRootLayer().realPath, folder)
-    record = {**provenance, "look": config.look, "stage": source}
-    layer.customLayerData = custom_layer_data(record, result_hashes(volumes, folder))
+    put_record(layer, record)
     uses = count_field_uses(stage)
     taken: set[Sdf.Path] = set()
     for volume in volumes:
         prim = stage.GetPrimAtPath(volume.source.prim_path)
         spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
         targets = choose_field_prims(stage, volume, uses, taken)
-        author_attributes(spec, volume, config.digital_source_type, provenance)
+        author_attributes(spec, volume, config.digital_source_type, record)
         author_extent(spec, prim, targets[0].beside, volume)
         for target in targets:
             author_field(layer, target, volume, folder)
@@ -195,5 +193,4 @@ def _named_run(look_layer: Path) -> str:
             layer = Sdf.Layer.OpenAsAnonymous(str(look_layer), metadataOnly=True)
     except Tf.ErrorException:
         return ""  # not a layer that usdsmoke has written
-    record = layer.customLayerData.get("usdsmoke", {})
-    return str(record.get("run", "")) if isinstance(record, dict) else ""
+    return record_values(layer).get("run", "")

@@ -11,7 +11,7 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.base.naming import ASSET_SOURCE, relative_asset_path
-from usdsmoke.usd.look.digests import RECORD_KEY
+from usdsmoke.usd.layer_record import RECORD_KEY
 
 __all__ = ["author_root", "copied_layer_data", "copy_stage_metadata"]
 

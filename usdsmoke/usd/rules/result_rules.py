@@ -2,12 +2,14 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import lru_cache
 
 from pxr import Gf, Sdf, Usd
 
-from usdsmoke.base.errors import BindingMissing, GridError, StageError
+from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.sections import GridsConfig
+from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.rules.facts import collect_fields, header_of
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
@@ -19,20 +21,25 @@ _DIGITS = 12  # digits of a hash that people compare
 
 
 def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
-    """Absolute path and content hash of every file that a look layer says it came with."""
-    record = layer.customLayerData.get("usdsmoke", {})
-    results = record.get("results", []) if isinstance(record, dict) else []
-    pairs = [str(text).rpartition("=") for text in results]
+    """Absolute path and content hash of every file that a look layer says it came with.
+
+    Raises:
+        LayerError: the layer's record cannot be read.
+    """
+    if not record_values(layer):
+        return {}
+    results = read_record(layer).results
     return {
-        Sdf.ComputeAssetPathRelativeToLayer(layer, path): digest
-        for path, equals, digest in pairs
-        if equals
+        Sdf.ComputeAssetPathRelativeToLayer(layer, path): digest for path, digest in results.items()
     }
 
 
 def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
     """The files of a look are there and hold what the layer recorded."""
-    results = recorded_results(layer)
+    try:
+        results = recorded_results(layer)
+    except LayerError as error:
+        return [Problem(Severity.ERROR, "", str(error))]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = list(pool.map(_compare, results.keys(), results.values()))
     return [
@@ -44,13 +51,11 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
 
 def check_field_results(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Files with a hash of ours hold what they were written with, also without their look layer."""
-    recorded = {
-        file_path
-        for layer in volume.GetStage().GetUsedLayers()
-        for file_path in recorded_results(layer)
-    }
     problems = []
-    seen: set[str] = set(recorded)
+    seen: set[str] = set()
+    for layer in volume.GetStage().GetUsedLayers():
+        with suppress(LayerError):  # ``check_layer_results`` reports it
+            seen |= recorded_results(layer).keys()
     for field in collect_fields(volume, interval):
         for sample in field.samples:
             if not os.path.isfile(sample.file_path) or sample.file_path in seen:

@@ -14,6 +14,7 @@ from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd import schema
 from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.layer_record import record_values
 from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.stage.opening import StageOrFile, open_stage
 from usdsmoke.vdb.header import read_header
@@ -162,8 +163,7 @@ def check_originals(stage: Usd.Stage, source: StageSource) -> None:
 
 def is_look_layer(layer: Sdf.Layer) -> bool:
     """Whether a layer is a look that usdsmoke has authored."""
-    record = layer.customLayerData.get("usdsmoke")
-    return isinstance(record, dict) and "run" in record
+    return bool(record_values(layer))
 
 
 def _real_path(stage: Usd.Stage) -> Path:

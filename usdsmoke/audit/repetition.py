@@ -1,15 +1,15 @@
-"""A result made again from its own record, and compared with what it was."""
+"""A result made again from its own record, and compared with the recorded content."""
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
 from usdsmoke.audit.inputs import recorded_config, shown
-from usdsmoke.audit.records import LookRecord, find_records
-from usdsmoke.audit.verify import verify_inputs
+from usdsmoke.audit.record import FoundRecord, find_records
+from usdsmoke.audit.verification import verify_inputs
 from usdsmoke.base.errors import LayerError
+from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.plan import Plan
@@ -55,21 +55,21 @@ def rerun(
         ConfigError: this version of usdsmoke knows other settings.
         UsdSmokeError: see ``pipeline.stylize``.
     """
-    record = _nearest(find_records(file))
-    request = record.request()
-    if not request:
+    item = _nearest(find_records(file))
+    record = item.record
+    if not record.stage:
         raise LayerError(
-            f"the record in {record.file} does not say what the run was begun with; give its look "
-            "layer, or stylize again with 'usdsmoke stylize'"
+            f"{item.file} does not record the source stage. Give the look layer, or stylize again "
+            "with 'usdsmoke stylize'."
         )
     if not force:
-        _refuse_changes(record)
-    config = recorded_config(record)
-    # what a tolerance came to stands in the record, and is not chosen again
+        _refuse_changes(item)
+    config = recorded_config(item)
+    # the settings that were chosen for a tolerance are in the record, and are not chosen again
     config = config.replace(optimize=config.optimize.replace(target_error=None))
     result = stylize(
-        _place(record, request["stage"]),
-        [_place(record, name) for name in request["styles"]],
+        item.place(record.stage),
+        [item.place(name) for name in record.style_request],
         output,
         config,
         force=force,
@@ -78,24 +78,25 @@ def rerun(
     )
     (again,) = find_records(result.look_layer)
     frames = _frame_hashes(record)
-    return Rerun(result, record.file, len(frames), _differences(frames, _frame_hashes(again)))
+    differences = _differences(frames, _frame_hashes(again.record))
+    return Rerun(result, item.file, len(frames), differences)
 
 
-def _nearest(records: list[LookRecord]) -> LookRecord:
+def _nearest(found: list[FoundRecord]) -> FoundRecord:
     """The one record that is meant; looks that the source itself has are further away.
 
     Raises:
         LayerError: several are equally near.
     """
-    nearest = [record for record in records if record.depth == records[0].depth]
+    nearest = [item for item in found if item.depth == found[0].depth]
     if len(nearest) > 1:
-        files = ", ".join(str(record.file) for record in nearest)
-        raise LayerError(f"there are several looks: {files}; give the look layer of one of them")
+        files = ", ".join(str(item.file) for item in nearest)
+        raise LayerError(f"there are several looks: {files}. Give the look layer of one of them.")
     return nearest[0]
 
 
-def _refuse_changes(record: LookRecord) -> None:
-    changes = verify_inputs(record)
+def _refuse_changes(item: FoundRecord) -> None:
+    changes = verify_inputs(item)
     if changes:
         named = "; ".join(
             f"{change.file}: expected {change.expected}, found {change.found}"
@@ -103,21 +104,15 @@ def _refuse_changes(record: LookRecord) -> None:
         )
         more = f"; and {len(changes) - _MOST_NAMED} more" if len(changes) > _MOST_NAMED else ""
         raise LayerError(
-            f"what the result of {record.file} was made from has changed: {named}{more}; bring it "
-            "back, or make another result of it with --force"
+            f"the inputs of {item.file} have changed: {named}{more}. Restore them, or use --force "
+            "to make another result of the changed inputs."
         )
 
 
-def _place(record: LookRecord, name: str) -> Path:
-    return Path(os.path.normpath(record.folder / name))
-
-
-def _frame_hashes(record: LookRecord) -> dict[tuple[str, float], str]:
+def _frame_hashes(record: RunRecord) -> dict[tuple[str, float], str]:
     """Content hash by Volume and timeCode."""
-    results = record.pairs("results")
     return {
-        (frame["prim"], frame["timeCode"]): results.get(frame["file"], "")
-        for frame in record.frames()
+        (frame.prim, frame.time_code): record.results.get(frame.file, "") for frame in record.frames
     }
 
 

@@ -1,8 +1,7 @@
 """What has changed since a result was made: inputs, stage, images, features, results, the layer.
 
-Everything is compared with the record in the look layer; nothing is written. The digests tell of
-accidents and of edits that were forgotten. They are no signature: whoever wants to deceive can
-write a record anew.
+Everything is compared with the record; nothing is written. The digests detect accidents and
+forgotten edits. They are not signatures, and do not detect fraud.
 """
 
 import os
@@ -14,11 +13,17 @@ from pathlib import Path
 
 from usdsmoke import __version__
 from usdsmoke.audit.inputs import Change, check_inputs, recorded_config, shown
-from usdsmoke.audit.records import LookRecord, find_records
-from usdsmoke.base.errors import BindingMissing, ConfigError, UsdSmokeError
+from usdsmoke.audit.record import FoundRecord, find_records
+from usdsmoke.base.errors import BindingMissing, ConfigError, LayerError, UsdSmokeError
 from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.usd.look import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
+from usdsmoke.usd import (
+    LAYER_HASH,
+    RECORD_HASH,
+    layer_digest,
+    record_digest,
+    record_values,
+)
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
@@ -48,86 +53,87 @@ def verify(file: str | PathLike[str]) -> list[Change]:
     Raises:
         UsdSmokeError: see ``find_records``.
     """
-    changes = []
-    for record in find_records(file):
-        changes += [
-            *_check_layer(record),
-            *_check_results(record),
-            *check_inputs(record),
-            *_check_versions(record),
-        ]
+    changes: list[Change] = []
+    for item in find_records(file):
+        edited = list(_check_layer(item))
+        changes += edited
+        try:
+            _ = item.record
+        except LayerError:
+            if any(change.kind == "record-edited" for change in edited):
+                continue  # there is nothing left to compare with
+            raise
+        changes += [*_check_results(item), *check_inputs(item), *_check_versions(item)]
     return list(dict.fromkeys(changes))
 
 
-def verify_inputs(record: LookRecord) -> list[Change]:
+def verify_inputs(item: FoundRecord) -> list[Change]:
     """Those changes of what a result was made from that make another result of it."""
-    return [change for change in check_inputs(record) if change.severity != "note"]
+    return [change for change in check_inputs(item) if change.severity != "note"]
 
 
-def _check_layer(record: LookRecord) -> Iterator[Change]:
-    if record.layer is None:
+def _check_layer(item: FoundRecord) -> Iterator[Change]:
+    if item.layer is None:
         return
-    file, values = str(record.file), record.values
+    file, values = str(item.file), record_values(item.layer)
     if LAYER_HASH not in values:
         yield Change.note("unchecked", file, "a digest of the layer", "a record without one")
         return
-    found = layer_digest(record.layer)
+    found = layer_digest(item.layer)
     if found != values[LAYER_HASH]:
         yield Change("layer-edited", file, f"layer {shown(values[LAYER_HASH])}", shown(found))
-    found = record_digest(record.layer)
+    found = record_digest(item.layer)
     if found != values.get(RECORD_HASH):
-        recorded = shown(str(values.get(RECORD_HASH, "")))
+        recorded = shown(values.get(RECORD_HASH, ""))
         yield Change("record-edited", file, f"record {recorded}", shown(found))
 
 
-def _check_results(record: LookRecord) -> list[Change]:
-    results = [
-        _Result(Path(os.path.normpath(record.folder / name)), digest)
-        for name, digest in record.pairs("results").items()
-    ]
+def _check_results(item: FoundRecord) -> list[Change]:
+    results = [_Result(item.place(n), digest) for n, digest in item.record.results.items()]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = pool.map(_check_result, results)
     return [change for change in found if change is not None]
 
 
 def _check_result(result: _Result) -> Change | None:
-    file, wanted = str(result.file), f"grids {shown(result.digest)}"
+    file, expected = str(result.file), f"grids {shown(result.digest)}"
     if not result.file.is_file():
-        return Change("result-missing", file, wanted, "no file")
+        return Change("result-missing", file, expected, "no file")
     try:
         promised = str(read_header(result.file).metadata.get(CONTENT_KEY, ""))
         if promised != result.digest:
             what = f"a file of grids {shown(promised)}" if promised else "a file of another program"
-            return Change("result-replaced", file, wanted, what)
+            return Change("result-replaced", file, expected, what)
         digest = hash_vdb_file(result.file, GridsConfig())
     except BindingMissing as error:
-        return Change.note("unchecked", file, wanted, str(error))
+        return Change.note("unchecked", file, expected, str(error))
     except UsdSmokeError as error:
-        return Change("result-edited", file, wanted, f"a file that cannot be read: {error}")
+        return Change("result-edited", file, expected, f"a file that cannot be read: {error}")
     if digest != result.digest:
-        return Change("result-edited", file, wanted, f"grids {shown(digest)}")
+        return Change("result-edited", file, expected, f"grids {shown(digest)}")
     return None
 
 
-def _check_versions(record: LookRecord) -> Iterator[Change]:
-    recorded = {"usdsmoke": str(record.values.get("version", "")), **record.pairs("packages")}
+def _check_versions(item: FoundRecord) -> Iterator[Change]:
+    record = item.record
+    recorded = {"usdsmoke": record.version, **record.packages}
     here = {"usdsmoke": __version__, **package_versions()}
     try:
-        here["openvdb"] = read_binding_version(_grids_config(record))
+        here["openvdb"] = read_binding_version(_grids_config(item))
     except BindingMissing:
         here["openvdb"] = "none"
-    recorded["platform"] = str(record.values.get("platform", ""))
+    recorded["platform"] = record.machine.platform
     here["platform"] = platform_name()
     for name, version in recorded.items():
         if version and version != here.get(name, version):
             yield Change.note(
-                "version", str(record.file), f"{name} {version}", f"{name} {here[name]}"
+                "version", str(item.file), f"{name} {version}", f"{name} {here[name]}"
             )
 
 
-def _grids_config(record: LookRecord) -> GridsConfig:
+def _grids_config(item: FoundRecord) -> GridsConfig:
     """Limits of reading as at the time, or the defaults where this version knows other settings."""
     try:
-        return recorded_config(record).grids
+        return recorded_config(item).grids
     except ConfigError:
         return GridsConfig()

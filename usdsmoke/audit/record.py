@@ -1,0 +1,215 @@
+"""Records of runs, found from whatever is at hand: a layer, a stage, a file, a folder."""
+
+import os
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from pxr import Ar, Sdf, Tf
+
+from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
+from usdsmoke.base.record_format import (
+    RECORD_FILE,
+    RECORD_FORMAT,
+    FrameRecord,
+    RunRecord,
+    SourceGrid,
+)
+from usdsmoke.usd import captured_diagnostics, read_record, record_values, short_reason
+from usdsmoke.vdb.content_hash import CONTENT_KEY
+from usdsmoke.vdb.header import read_header
+
+__all__ = ["FoundRecord", "find_records", "provenance"]
+
+_LAYERS = (".usda", ".usdc", ".usd")
+_OURS = "usdsmoke:"
+
+
+@dataclass(frozen=True)
+class FoundRecord:
+    """The record of one run, and where it was found."""
+
+    file: Path  # a look layer; without one ``provenance.json``, or a frame's VDB file
+    folder: Path  # that files in the record are relative to
+    layer: Sdf.Layer | None = None  # None where there is no look layer
+    depth: int = 0  # composition arcs from the file that was asked for
+    known: RunRecord | None = None  # where there is no look layer
+
+    @cached_property
+    def record(self) -> RunRecord:
+        """What is recorded.
+
+        Raises:
+            LayerError: the record cannot be read, or has a format of another version.
+        """
+        if self.known is not None:
+            return self.known
+        assert self.layer is not None  # one of both is there
+        try:
+            return read_record(self.layer)
+        except LayerError as error:  # the layer is read anonymously and has no name
+            text = str(error).replace(self.layer.identifier, str(self.file))
+            raise LayerError(text) from None
+
+    def place(self, name: str) -> Path:
+        """The file of a path in the record."""
+        return Path(os.path.normpath(self.folder / name))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values, with the file that holds the record."""
+        return {"file": str(self.file), **self.record.to_json()}
+
+
+def provenance(file: str | PathLike[str]) -> list[FoundRecord]:
+    """How a result was made: the records of the looks that a file belongs to, nearest first.
+
+    >>> provenance("look/look.usda")[0].record.settings["windows"]["size"]  # doctest: +SKIP
+    8
+
+    Args:
+        file: as ``find_records`` takes it.
+
+    Raises:
+        UsdSmokeError: see ``find_records``; a record cannot be read.
+    """
+    found = find_records(file)
+    for item in found:
+        _ = item.record
+    return found
+
+
+def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
+    """The records of the looks that a file or folder belongs to, nearest first; not yet read.
+
+    Args:
+        file: a look layer; a stage or asset that has looks in its layer stack, references or
+            variants; a VDB file of a result; an output folder; or the ``provenance.json`` of a run.
+
+    Raises:
+        FileUnreadable: there is no such file or folder.
+        StageError: USD cannot read it.
+        GridError: a VDB file is damaged.
+        LayerError: it has no record.
+    """
+    path = Path(file).absolute()
+    what = "Give a look layer, a stage with a look, a VDB file of a result or an output folder."
+    if not path.exists():
+        raise FileUnreadable(f"there is no {path}. {what}")
+    if path.is_dir():
+        found = _in_folder(path)
+    elif path.suffix.lower() == ".vdb":
+        found = _of_grids(path)
+    elif path.name == RECORD_FILE:
+        found = [_of_run(path)]
+    else:
+        found = list(_of_layers(path))
+    if not found:
+        raise LayerError(f"{path} has no record of usdsmoke. {what}")
+    return found
+
+
+def _in_folder(folder: Path) -> list[FoundRecord]:
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _LAYERS)
+    layers = [(path, _open(path)) for path in files]
+    return [
+        FoundRecord(path, folder, layer)
+        for path, layer in layers
+        if layer is not None and record_values(layer)
+    ]
+
+
+def _of_run(path: Path) -> FoundRecord:
+    """The record in the folder of a run, OUT/vdb/KEY/provenance.json."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileUnreadable(f"cannot read {path} ({error}). Check its permissions.") from None
+    output = path.parents[2] if len(path.parents) > 2 else path.parent
+    return FoundRecord(path, output, known=RunRecord.from_text(text, str(path)))
+
+
+def _of_grids(path: Path) -> list[FoundRecord]:
+    """The look that a frame belongs to, else its run's record, else what the file itself says."""
+    metadata = read_header(path).metadata
+    run = str(metadata.get(_OURS + "run", ""))
+    if not run:
+        return []
+    output = path.parents[2] if len(path.parents) > 2 else path.parent  # OUT/vdb/KEY/NAME.vdb
+    looks = _in_folder(output)
+    looks = [look for look in looks if look.layer and record_values(look.layer)["run"] == run]
+    beside = path.with_name(RECORD_FILE)
+    if not looks and beside.is_file() and (found := _of_run(beside)).record.run == run:
+        return [found]
+    return looks or [FoundRecord(path, path.parent, known=_of_metadata(path, metadata))]
+
+
+def _of_metadata(path: Path, metadata: Mapping[str, Any]) -> RunRecord:
+    """What a frame's file knows without the record of its run."""
+    ours = {k.removeprefix(_OURS): str(v) for k, v in metadata.items() if k.startswith(_OURS)}
+    source = ours.get("source", "")
+    grids = tuple(
+        SourceGrid(field, source, field, ours[key])
+        for field in ("density", "mask", "velocity")
+        if (key := "source_sha256" if field == "density" else f"{field}_sha256") in ours
+    )
+    place = f"./{path.name}"
+    return RunRecord(
+        format=RECORD_FORMAT,
+        run=ours["run"],
+        version=ours.get("version", ""),
+        frames=(FrameRecord(place, "", 0.0, grids),),
+        results={place: str(metadata.get(CONTENT_KEY, ""))},
+    )
+
+
+def _of_layers(path: Path) -> Iterator[FoundRecord]:
+    """The layer's own record; without one, those of what it is composed from, nearest first."""
+    root = _open(path)
+    if root is None:
+        raise StageError(_refusal(path))
+    waiting, seen = deque([(path, root, 0)]), {str(path)}
+    while waiting:
+        place, layer, depth = waiting.popleft()
+        if record_values(layer):
+            yield FoundRecord(place, place.parent, layer, depth)
+            if depth == 0:
+                return
+        for name in layer.GetCompositionAssetDependencies():
+            found = _resolve(name, place)
+            if found is None or str(found) in seen:
+                continue
+            seen.add(str(found))
+            opened = _open(found)
+            if opened is not None:
+                waiting.append((found, opened, depth + 1))
+
+
+def _resolve(name: str, beside: Path) -> Path | None:
+    """The file that an asset path in a layer means; None when there is none."""
+    resolver = Ar.GetResolver()
+    identifier = resolver.CreateIdentifier(name, Ar.ResolvedPath(str(beside)))
+    resolved = str(resolver.Resolve(identifier))
+    return Path(resolved) if resolved and Path(resolved).is_file() else None
+
+
+def _open(path: Path) -> Sdf.Layer | None:
+    """The layer as it is on the disk now, whatever this process has open; None for no layer."""
+    with captured_diagnostics():
+        try:
+            return Sdf.Layer.OpenAsAnonymous(str(path))
+        except Tf.ErrorException:
+            return None
+
+
+def _refusal(path: Path) -> str:
+    reason = ""
+    try:
+        with captured_diagnostics():
+            Sdf.Layer.OpenAsAnonymous(str(path))
+    except Tf.ErrorException as error:
+        reason = f" ({short_reason(error)})"
+    return f"cannot read {path}{reason}. Give a layer, a stage or a VDB file."
