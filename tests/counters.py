@@ -1,10 +1,8 @@
-"""Counters of what a run does: calls, what OpenVDB is asked for, elements that torch makes."""
+"""Counters of the work of a run: what OpenVDB is asked for, and elements that torch makes."""
 
-import importlib
-import inspect
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,47 +11,22 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-__all__ = ["Elements", "Reads", "count_calls", "watch_calls"]
-
-
-def watch_calls(monkeypatch: pytest.MonkeyPatch, target: str, told: Callable[..., None]) -> None:
-    """Tell the arguments of every call of ``module:function`` or ``module:Class.method``."""
-    module, _, path = target.partition(":")
-    owner: Any = importlib.import_module(module)
-    *outer, name = path.split(".")
-    for part in outer:
-        owner = getattr(owner, part)
-    real = getattr(owner, name)
-
-    def watched(*arguments: Any, **named: Any) -> Any:
-        told(*arguments, **named)
-        return real(*arguments, **named)
-
-    is_static = isinstance(inspect.getattr_static(owner, name), staticmethod)
-    monkeypatch.setattr(owner, name, staticmethod(watched) if is_static else watched)
-
-
-def count_calls(monkeypatch: pytest.MonkeyPatch, *targets: str) -> Counter[str]:
-    """How often each target is called from now on; names without their module."""
-    calls: Counter[str] = Counter()
-
-    def counter(name: str) -> Callable[..., None]:
-        return lambda *_, **__: calls.update([name])
-
-    for target in targets:
-        watch_calls(monkeypatch, target, counter(target.partition(":")[2]))
-    return calls
+__all__ = ["Elements", "Reads"]
 
 
 class Elements(TorchDispatchMode):
-    """How many elements all tensors have that torch's operations make, gradients included.
+    """Counts the elements of all tensors that torch's operations make, gradients included.
 
-    Views of tensors cost nothing however large what they show: ``views=False`` leaves them out.
+    A view of a tensor takes no work, however large it is: ``views=False`` leaves views out.
+
+    Attributes:
+        made: elements of all tensors.
+        convolved: those that convolutions make. Only the feature networks have convolutions.
     """
 
     def __init__(self, views: bool = True) -> None:
         super().__init__()
-        self.made = 0
+        self.made = self.convolved = 0
         self._views = views
 
     def __torch_dispatch__(
@@ -63,18 +36,26 @@ class Elements(TorchDispatchMode):
         if func.is_view and not self._views:
             return found
         parts = found if isinstance(found, (tuple, list)) else [found]
-        self.made += sum(part.numel() for part in parts if isinstance(part, torch.Tensor))
+        n_elements = sum(part.numel() for part in parts if isinstance(part, torch.Tensor))
+        self.made += n_elements
+        if "convolution" in func.name():
+            self.convolved += n_elements
         return found
 
 
 class Reads:
-    """What the process that opens VDB files is asked for: file names, grids and bytes."""
+    """Counts what the process that opens VDB files is asked for."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.grids: list[tuple[str, str]] = []  # folder and file name, grid
         self.n_bytes = 0
         self.written: Counter[str] = Counter()  # bytes of arrays by grid
         self._pose(monkeypatch)
+
+    @property
+    def sources(self) -> Counter[tuple[str, str]]:
+        """How often each file and grid of the folder ``cache`` is read."""
+        return Counter((name, grid) for name, grid in self.grids if name.startswith("cache/"))
 
     def _pose(self, monkeypatch: pytest.MonkeyPatch) -> None:
         from tests.pipeline_fixtures import run_here

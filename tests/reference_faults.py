@@ -111,7 +111,7 @@ FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
      "along the smoke's path; windows have the requested size; each iteration reports its loss",
      (FAULT + "test_a_frame_depends_on_no_frame_after_it_but_those_it_is_averaged_with",
       WARM + "test_the_sign_of_time_follows_the_neighbour",
-      "tests/unit/test_windows.py::test_without_gaps_all_but_the_last_window_are_full",
+      "tests/unit/planning/test_windows.py::test_without_gaps_all_but_the_last_window_are_full",
       WINDOW + "test_progress_counts_over_octaves_and_frames")),
     ("W18: rays have no step length: optical depth changes with octave and resolution",
      "finite: extinction has a length; half and double resolution give the same picture",

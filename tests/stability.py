@@ -23,9 +23,9 @@ READ = "tests/unit/vdb/test_read.py::"
 VELOCITY = "tests/unit/vdb/test_velocity.py::"
 REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
 STAGES = "tests/test_extreme_stages.py::"
-MASK = "tests/unit/test_mask.py::"
+MASK = "tests/unit/planning/test_mask.py::"
 WARM = "tests/unit/core/test_departures.py::"
-WINDOWS = "tests/unit/test_windows.py::"
+WINDOWS = "tests/unit/planning/test_windows.py::"
 
 
 @dataclass(frozen=True)

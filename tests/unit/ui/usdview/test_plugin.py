@@ -11,7 +11,7 @@ from tests.usd_fixtures import make_look, needs_usd, plume_stage
 from tests.usdview_fixtures import STAND_IN
 from usdsmoke.ui.usdview import PLUGIN_FOLDER
 
-PROJECT = Path(__file__).resolve().parents[3]
+PROJECT = Path(__file__).resolve().parents[4]
 ITEMS = [
     "usdsmoke.inspect",
     "usdsmoke.provenance",
