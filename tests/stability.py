@@ -125,8 +125,7 @@ OPTICAL = _group(
      (STAGES + "test_no_extinction_is_refused_as_a_setting",
       EXTREMES + "test_no_extinction_gives_no_light_and_no_motion_but_a_finite_result")),
     ("emission in voxels of zero density", "finite: no light, no gradient",
-     (OPTICS + "test_emission_without_density_gives_no_light_and_no_gradient_trouble",
-      "tests/unit/core/test_render.py::test_emission_where_there_is_no_density_is_not_seen")),
+     (OPTICS + "test_emission_without_density_gives_no_light_and_no_gradient_trouble",)),
 )  # fmt: skip
 
 TRANSPORT = _group(

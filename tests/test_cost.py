@@ -20,18 +20,15 @@ from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.vdb.binding import find_binding
 
 QUICK = ("views.pool=2", "views.image_size=16", "optimize.threads=1")
-ONE_VIEW = {"azimuth": 90.0, "elevation": 0.0}  # looks along the i axis
-
-
-@pytest.fixture(scope="module", autouse=True)
-def made_once() -> None:
-    """Fill what is kept for the process, so that every count begins from the same state."""
-    run_core([frame_of(puff(8))], quick_config(losses={"histogram": 0.1}))
+ONE_VIEW = {"azimuth": 0.0, "elevation": 0.0, "centre_azimuth": 90.0}  # along the i axis
 
 
 def work(frames: Sequence[VolumeFrame], **sections: Any) -> Elements:
+    """The work of a window, counted the second time: some tensors are kept for the process."""
+    config = quick_config(**sections)
+    run_core(frames, config)
     with Elements(views=False) as elements:
-        run_core(frames, quick_config(**sections))
+        run_core(frames, config)
     return elements
 
 
@@ -56,7 +53,7 @@ def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box() -> None:
         ).made
 
     short, long = (iterations(length, 8) - iterations(length, 4) for length in (160, 640))
-    assert short > 0 and long == pytest.approx(short, rel=0.03)
+    assert short > 0 and long == pytest.approx(short, rel=1e-3)
 
 
 def test_an_empty_frame_calls_neither_renderer_nor_network() -> None:
@@ -101,10 +98,16 @@ def test_one_view_is_projected_once_and_a_view_that_is_not_drawn_never() -> None
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_slab_is_seen_from_one_side_and_moved_along_two_axes(axis: int) -> None:
+def test_a_slab_is_seen_from_one_side_only(axis: int) -> None:
     slab = np.moveaxis(puff(12)[:, :, 5:6], 2, axis)
-    flat, thick = work([frame_of(slab)]), work([frame_of(np.repeat(slab, 2, axis))])
-    assert 0 < flat.made < 0.6 * thick.made
+
+    def views(density: np.ndarray, pool: int) -> int:
+        found = {"pool": pool, "count": pool, "image_size": 16}
+        return work([frame_of(density)], views=found).made
+
+    assert views(slab, 3) == views(slab, 1)
+    thick = np.repeat(slab, 2, axis)
+    assert views(thick, 3) > 1.2 * views(thick, 1)
 
 
 def test_no_detail_is_optimised_that_a_small_picture_cannot_show() -> None:
@@ -208,7 +211,7 @@ def test_the_result_says_what_was_left_out(tmp_path: Path) -> None:
     for what, setting in (
         ("style loss and features", "losses.style"),
         ("iterations after convergence", "optimize.tolerance"),
-        ("further views", "one view"),
+        ("other views", "views.azimuth"),
     ):
         assert setting in said[what]
     for part in ("% of the boxes of", "everything three-dimensional of"):
