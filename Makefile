@@ -1,4 +1,6 @@
 PYTHON_IN = .venv/bin/python
+# processes that run the tests
+JOBS ?= 2
 .DEFAULT_GOAL := help
 .PHONY: help env demo test check bench pictures schema clean
 
@@ -11,7 +13,7 @@ demo: env ## simulate a small plume, stylize it, and say where the result is
 	@sh examples/plume/demo.sh out/demo
 
 test: check ## everything that CI runs: the checks, then all tests
-	$(PYTHON_IN) -m pytest
+	$(PYTHON_IN) -m pytest -n $(JOBS) --dist loadfile
 
 check: env ## formatting, lint and types
 	$(PYTHON_IN) -m ruff format --check .
