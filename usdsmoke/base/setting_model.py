@@ -201,12 +201,12 @@ def range_text(field: FieldInfo) -> str:
 
 def _wanted_text(field: FieldInfo) -> str:
     is_list, limits, limits_text = ValueType.of(field).is_list, limits_of(field), range_text(field)
-    between = ", " if is_list or "pattern" in extra_of(field) else " "
-    if allowed_values(field) or not limits_text:
-        between = " " if limits_text else ""
-    elif between == " " and {"ge", "le"} <= limits.keys():
-        between = " from "
-    return f"{type_text(field)}{between}{limits_text}"
+    if not limits_text:
+        return type_text(field)
+    between = ", " if is_list else " from " if {"ge", "le"} <= limits.keys() else " "
+    if "pattern" in extra_of(field):
+        between = " of "
+    return f"{type_text(field)}{' ' if allowed_values(field) else between}{limits_text}"
 
 
 def _number(value: float) -> str:

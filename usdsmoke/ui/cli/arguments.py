@@ -7,9 +7,8 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.resolve import GivenSettings, read_settings
-from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.setting_model import allowed_values
-from usdsmoke.base.settings import Config
+from usdsmoke.base.settings import SECTIONS, declared_settings
 from usdsmoke.ui.cli.record_arguments import add_record_commands
 from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 
@@ -90,6 +89,19 @@ def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPar
     return parser
 
 
+def _add_option(parser: argparse.ArgumentParser, option: str, **more: Any) -> None:
+    """An option that stands for a setting; meaning and choices are the setting's."""
+    name = _OPTIONS[option]
+    field = declared_settings()[name]
+    if words := allowed_values(field):
+        more.setdefault("choices", words)
+    parser.add_argument(option, help=f"{field.description} ({name})", **more)
+
+
+def _add_flag(parser: argparse.ArgumentParser, option: str) -> None:
+    _add_option(parser, option, action="store_const", const=True)
+
+
 def _add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prim",
@@ -97,21 +109,12 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="a Volume prim; may be repeated (default: all)",
     )
-    parser.add_argument(
-        "--frames", metavar="1-24", help="timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: all)"
-    )
+    _add_option(parser, "--frames", metavar="1-24")
 
 
 def _add_layer(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--mode",
-        choices=allowed_values(LayerConfig.model_fields["mode"]),
-        help="what to write: sublayer: a root stage with the look over the source (default); "
-        "reference: an asset with a variant for each look; layer: only the look layer",
-    )
-    parser.add_argument(
-        "--look", metavar="NAME", help="the name of the look; looks with other names are kept"
-    )
+    _add_option(parser, "--mode")
+    _add_option(parser, "--look", metavar="NAME")
 
 
 def _add_inspect(commands: Any) -> None:
@@ -227,23 +230,11 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     )
     _add_selection(parser)
     _add_layer(parser)
-    parser.add_argument(
-        "--restylize",
-        action="store_const",
-        const=True,
-        help="use an earlier look as the source instead of the original",
-    )
+    _add_flag(parser, "--restylize")
     _add_settings(parser)
-    parser.add_argument(
-        "--half", action="store_const", const=True, help="write 16-bit floats (grids.half)"
-    )
+    _add_flag(parser, "--half")
     _add_client_options(parser)
-    parser.add_argument(
-        "--repair",
-        type=repair_value,
-        metavar="nan=0",
-        help="replace NaN and infinite voxels by a number; without it they are an error",
-    )
+    _add_option(parser, "--repair", type=repair_value, metavar="nan=0")
 
 
 def _add_style(parser: argparse.ArgumentParser) -> None:
@@ -273,18 +264,9 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="one setting, such as windows.size=3; may be repeated; overrides everything else",
     )
-    parser.add_argument(
-        "--camera",
-        metavar="PATH",
-        help="the shot's Camera prim; only what it sees is stylized (views.camera)",
-    )
-    parser.add_argument("--seed", type=int, metavar="N", help="the random seed (optimize.seed)")
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="E",
-        help="choose the cheapest settings whose estimated errors stay below E, such as 0.3",
-    )
+    _add_option(parser, "--camera", metavar="PATH")
+    _add_option(parser, "--seed", type=int, metavar="N")
+    _add_option(parser, "--tolerance", type=float, metavar="E")
 
 
 def _add_client_options(parser: argparse.ArgumentParser) -> None:
@@ -295,21 +277,12 @@ def _add_client_options(parser: argparse.ArgumentParser) -> None:
         const=["Cd"],
         help="also write the colour as a scattering colour Cd (layer.scatter_colour)",
     )
-    parser.add_argument(
-        "--split-rgb",
-        action="store_const",
-        const=True,
-        help="also write colours as three float grids (layer.split_rgb)",
-    )
-    parser.add_argument(
-        "--emission-mode",
-        choices=("absolute", "perDensity"),
-        help="perDensity is for renderers that multiply emission by density (layer.emission_mode)",
-    )
+    _add_flag(parser, "--split-rgb")
+    _add_option(parser, "--emission-mode")
 
 
 def _settings_summary() -> str:
     lines = ["settings for --set and --config (explained by 'usdsmoke settings'):"]
-    for section, settings in Config().model_dump().items():
-        lines.append(f"  {section}: {', '.join(settings)}")
+    for section, model in SECTIONS.items():
+        lines.append(f"  {section}: {', '.join(model.model_fields)}")
     return "\n".join(lines)
