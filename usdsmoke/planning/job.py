@@ -23,8 +23,7 @@ from usdsmoke.base.resolve import (
 )
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
-from usdsmoke.pictures.contact_sheet import sheet_files
-from usdsmoke.pictures.png import StyleImage, read_style_image
+from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.features import check_features
 from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.output_folder import check_output_folder, settle_output

@@ -12,7 +12,7 @@ from usdsmoke import __version__
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.pictures.png import StyleImage
+from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan, VolumePlan

@@ -14,7 +14,7 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import pruned, storage_errors
-from usdsmoke.pictures.png import StyleImage
+from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
 from usdsmoke.runs.frame_records import frame_metadata

@@ -13,8 +13,14 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.controls import frame_config
-from usdsmoke.pictures.contact_sheet import compose_sheet
-from usdsmoke.pictures.png import write_png
+from usdsmoke.pictures import (
+    compose_sheet,
+    display_picture,
+    draw_fields,
+    front_view,
+    grey_picture,
+    write_png,
+)
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.colour_grids import absolute_emission
@@ -117,8 +123,6 @@ def _picture(
     scene: Mapping[str, Any],
     config: Config,
 ) -> np.ndarray:
-    from usdsmoke.pictures.drawing import display_picture, draw_fields, front_view, grey_picture
-
     gamma_w = scene["gamma_w_shape"] if emission is None else scene["gamma_w"]
     direction = front_view(scene["up_axis"], config.views)
     picture = draw_fields(density, emission, to_stage, gamma_w, direction, _PICTURE_SIZE)

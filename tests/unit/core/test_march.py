@@ -16,7 +16,7 @@ from usdsmoke.core.views.cameras import View, orbit_view, view_rays
 from usdsmoke.core.views.march import march
 from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.project import project_voxels
-from usdsmoke.pictures.png import encode_srgb
+from usdsmoke.pictures import encode_srgb
 
 EIGHT_BITS = 1 / 255
 BOX = (12, 10, 8)

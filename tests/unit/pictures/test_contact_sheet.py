@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.pictures.contact_sheet import compose_sheet, sheet_files
+from usdsmoke.pictures import compose_sheet, sheet_files
 
 
 def flat(colour: tuple[float, float, float], height: int = 40, width: int = 40) -> np.ndarray:

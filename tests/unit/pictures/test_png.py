@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from usdsmoke.base.errors import ImageError
+from usdsmoke.pictures import encode_srgb, read_style_image
 from usdsmoke.pictures import png as images
-from usdsmoke.pictures.png import encode_srgb, read_style_image
 
 LEVELS = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
 LINEAR = np.random.default_rng(1).random((4, 5, 3), dtype=np.float32)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from usdsmoke.base.errors import ImageError, WriteFailed
-from usdsmoke.pictures.png import read_style_image, write_png
+from usdsmoke.pictures import read_style_image, write_png
 
 LEVELS = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
 

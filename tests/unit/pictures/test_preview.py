@@ -17,8 +17,8 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import StageError, WriteFailed
+from usdsmoke.pictures import encode_srgb
 from usdsmoke.pictures.drawing import GREY
-from usdsmoke.pictures.png import encode_srgb
 from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
