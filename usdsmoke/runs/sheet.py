@@ -13,14 +13,8 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.controls import frame_config
-from usdsmoke.pictures import (
-    compose_sheet,
-    display_picture,
-    draw_fields,
-    front_view,
-    grey_picture,
-    write_png,
-)
+from usdsmoke.pictures import compose_sheet, write_png
+from usdsmoke.pictures.drawing import display_picture, draw_fields, front_view, grey_picture
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.colour_grids import absolute_emission
