@@ -18,8 +18,8 @@ fail() { say "$*"; exit 1; }
 
 # The interpreters to try, best first; those that are missing or too old are left out.
 pythons() {
-    for name in ${PYTHON:-python3 /usr/bin/python3 python3.11 python3.12 python3.13}; do
-        "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$name"
+    for name in ${PYTHON:-python3 /usr/bin/python3 python3.11 python3.12 python3.13 python3.10}; do
+        "$name" -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && echo "$name"
     done
     return 0
 }
@@ -47,7 +47,7 @@ END
 # Install Debian packages; says what is missing where that cannot be done.
 apt_install() {
     command -v apt-get >/dev/null || fail "apt-get is not here, so $* cannot be installed;" \
-        "install OpenVDB's Python bindings for Python 3.11 or newer by hand (conda-forge has them" \
+        "install OpenVDB's Python bindings for Python 3.10 or newer by hand (conda-forge has them" \
         "as 'openvdb'), and run 'PYTHON=/that/python make env'"
     as_root=
     if [ "$(id -u)" != 0 ]; then
@@ -121,7 +121,7 @@ END
 
 if [ -z "$(pythons)" ]; then
     found=$("${PYTHON:-python3}" -V 2>/dev/null || echo "not here")
-    fail "Python 3.11 or newer is needed; ${PYTHON:-python3} is $found;" \
+    fail "Python 3.10 or newer is needed; ${PYTHON:-python3} is $found;" \
         "install a newer one, or name it: PYTHON=/that/python make env"
 fi
 choose_python
@@ -130,7 +130,7 @@ if [ -z "$python" ]; then
     choose_python
 fi
 [ -n "$python" ] || fail "python3-openvdb is installed, but for $(/usr/bin/python3 -V 2>&1)," \
-    "and usdsmoke needs Python 3.11 or newer; bring OpenVDB's bindings for a newer Python," \
+    "and usdsmoke needs Python 3.10 or newer; bring OpenVDB's bindings for a newer Python," \
     "and run 'PYTHON=/that/python make env'"
 make_venv
 install_packages

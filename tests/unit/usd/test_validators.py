@@ -281,7 +281,7 @@ def test_stock_validators_are_heard_too_and_nothing_is_said_twice(tmp_path, capf
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_older_usd_is_refused_with_both_versions(tmp_path, monkeypatch):
+def test_an_openusd_that_takes_no_validators_from_python_is_named_too(tmp_path, monkeypatch):
     monkeypatch.delattr(UsdValidation.ValidationRegistry, "RegisterPrimValidator")
     _, year, month = Usd.GetVersion()
     with pytest.raises(StageError, match=rf"26\.05.*{year}\.{month:02}"):
