@@ -1,8 +1,8 @@
-"""Windows of a run as tasks of a Dask cluster that is already there, for those without a farm.
+"""Windows of a run as tasks of an existing Dask cluster, without a render farm.
 
-Each task reads the inputs and writes its window into the output folder itself, so only names
-travel over the network, and a worker that dies takes with it only the window that it was computing.
-Dask gives that window to another worker.
+Each task reads the inputs and writes its window into the output folder itself, so only names are
+sent over the network. If a worker dies, only its current window is lost, and Dask gives it to
+another worker.
 """
 
 import asyncio
@@ -42,12 +42,12 @@ __all__ = ["stylize_on_cluster"]
 
 _CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
-_LOST_S = 60.0  # without any worker, after which the run is given up
+_LOST_S = 60.0  # without any worker, after which the run stops
 _POLL_S = 2.0
 _VISIBLE_S = 5.0  # for a new file to appear on another machine
-_RETRIES = 2  # of a task that failed for a reason that may pass
+_RETRIES = 2  # of a task that failed for a temporary reason
 _LONGEST_GREETING = 2**20  # bytes; a scheduler's has about 100
-_PACKAGES = ("torch", "numpy")  # their versions decide the last bits of a result
+_PACKAGES = ("torch", "numpy")  # their versions determine the last bits of a result
 _LOUD = ("distributed", "tornado")  # loggers that print tracebacks when a connection breaks
 
 _one_at_a_time = threading.Lock()  # threads and determinism of torch belong to the whole process
@@ -63,18 +63,18 @@ def stylize_on_cluster(
 
     The coarse step is one task, then every window is one; the result is assembled here. Workers
     need the same usdsmoke and see the inputs and the output folder under the same paths. A task
-    uses ``optimize.threads`` threads, or as many as the run was begun with, or as a plain run here.
+    uses ``optimize.threads`` threads, or as many as the run started with, or as a plain run here.
 
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.
-        request: what is asked for.
+        request: the request.
         progress: called when a step or a window is finished.
-        planned: called once with the plan, before the cluster is asked.
+        planned: called once with the plan, before the cluster is contacted.
 
     Raises:
         ClusterError: the cluster cannot be reached or used, or lost its workers.
-        UsdSmokeError: what ``stylize`` raises; a task's own error is raised here.
-        Interrupted: by Ctrl-C; workers end the windows they are at.
+        UsdSmokeError: the errors of ``stylize``, also if they occur in a task.
+        Interrupted: by Ctrl-C; workers finish their current windows.
     """
     found = plan_request(request, fits=False)
     if planned is not None:
@@ -89,8 +89,8 @@ def stylize_on_cluster(
 
 
 def _whole_request(request: Request, found: Plan) -> tuple[Request, Plan, frozenset[int]]:
-    """What the tasks are asked for: with the number of threads settled, and where some frames of a
-    result are selected, with all of them; the plan, and the windows to make once more."""
+    """The tasks' request, with a fixed number of threads and, if some frames of a result are
+    selected, with all of its frames; the plan; and the windows to compute again."""
     output, again = Path(request.output), frozenset[int]()
     if not request.force and found.config.stage.frames:
         repeated = frames_again(prepare_job(request.with_config(found.config), fits=False))
@@ -138,12 +138,12 @@ def _compute(
             "Run the same command again to continue."
         ) from None
     finally:
-        with suppress(Exception):  # the scheduler may be gone
+        with suppress(Exception):  # the scheduler may have ended
             client.cancel([future for future in futures if not future.done()])
 
 
 def _run_task(window: int | None, request: Request, again: frozenset[int]) -> UsdSmokeError | None:
-    """On a worker: one window, or the coarse step; an error that another try would not mend."""
+    """On a worker: one window, or the coarse step; returns an error that a retry cannot avoid."""
     with _one_at_a_time:
         try:
             if window is None:
@@ -151,16 +151,16 @@ def _run_task(window: int | None, request: Request, again: frozenset[int]) -> Us
             else:
                 run_window(replace(request, force=False), window, again=window in again)
         except (WriteFailed, FileUnreadable):
-            raise  # the next try may succeed: a full disk, a file server
+            raise  # a retry may succeed: a full disk, a file server
         except UsdSmokeError as error:
             return error
     return None
 
 
 def _finished(client: "Client", futures: Sequence["Future"], names: Sequence[str]) -> Iterator[int]:
-    """The places of futures as they succeed; the first error of one is raised.
+    """The indices of futures as they succeed; the first error of one is raised.
 
-    A scheduler that is gone and a cluster without workers are errors too.
+    A lost scheduler and a cluster without workers are errors too.
     """
     from distributed import wait
 
@@ -181,7 +181,7 @@ def _finished(client: "Client", futures: Sequence["Future"], names: Sequence[str
 
 
 def _succeeded(future: "Future", name: str) -> bool:
-    """Raise what went wrong in a task; False where its worker died before it could tell."""
+    """Raise a task's error; False if its worker died before it could report one."""
     from distributed.scheduler import KilledWorker
 
     try:
@@ -192,8 +192,8 @@ def _succeeded(future: "Future", name: str) -> bool:
         return False
     if isinstance(failure, KilledWorker):
         raise _lost(
-            f"{name} was given up: every worker that took it died. Their logs say why. If it was "
-            "memory, give workers more, or lower views.pool, views.image_size or grids.refine"
+            f"{name} failed: every worker that took it died. Their logs say why. If they ran out "
+            "of memory, give workers more, or lower views.pool, views.image_size or grids.refine"
         )
     if failure is not None:
         raise failure
@@ -204,7 +204,7 @@ def _succeeded(future: "Future", name: str) -> bool:
 
 
 def _check_workers(client: "Client", request: Request, found: Plan) -> list[str]:
-    """Refuse workers that would give another result or none; what is worth knowing otherwise."""
+    """Refuse workers that would give another result or none; returns notes for the user."""
     try:
         with _asking(limited=True):
             client.wait_for_workers(1, timeout=_WORKERS_S)
@@ -224,14 +224,14 @@ def _check_workers(client: "Client", request: Request, found: Plan) -> list[str]
         token.unlink(missing_ok=True)
         remove_empty(made)
     answers = {worker: answer for worker, answer in answers.items() if worker in n_threads}
-    if not answers:  # workers that are gone meanwhile have nothing to say
+    if not answers:  # all workers have ended meanwhile
         raise _no_workers()
     notes = [n for worker in sorted(answers) for n in _check_answer(worker, answers[worker])]
     several = sorted(worker for worker, threads in n_threads.items() if threads > 1)
     if several:
         notes.append(
             f"windows run one after another in a worker process, and {several[0]} has several "
-            "threads; with --nthreads 1 and more workers they are shared out more evenly"
+            "threads. Use --nthreads 1 and more workers to distribute them more evenly."
         )
     return notes
 
@@ -250,7 +250,7 @@ def _check_answer(worker: str, answer: Any) -> list[str]:
 
     Args:
         worker: its address.
-        answer: of ``_look_around`` there, or the exception that came instead.
+        answer: of ``_look_around`` there, or an exception.
     """
     if isinstance(answer, BaseException):
         raise ClusterError(
@@ -287,7 +287,7 @@ def _package_version(name: str) -> str:
 
 @contextmanager
 def _connected(address: str) -> "Iterator[Client]":
-    """A client of the scheduler at an address; an error within seconds where there is none."""
+    """A client of the scheduler at an address; an error within seconds if there is none."""
     try:
         from distributed import Client
     except ImportError:
@@ -301,7 +301,7 @@ def _connected(address: str) -> "Iterator[Client]":
             client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except Exception as error:
             raise _no_scheduler(address, " ".join(str(error).split())[:200]) from None
-        # Exceptions that nobody has fetched would be printed later, when they are garbage.
+        # Exceptions that were not fetched would be printed later, at garbage collection.
         loop = getattr(client.loop, "asyncio_loop", None)
         if loop is not None:
             loop.set_exception_handler(lambda loop, context: None)
@@ -309,15 +309,15 @@ def _connected(address: str) -> "Iterator[Client]":
             with client.as_current():
                 yield client
         finally:
-            with suppress(Exception):  # a scheduler that is gone cannot say goodbye
+            with suppress(Exception):  # the scheduler may have ended
                 client.close(timeout=_CONNECT_S)
 
 
 def _check_greeting(address: str) -> None:
-    """Refuse an address where something else than a scheduler answers, or nothing.
+    """Refuse an address without a scheduler.
 
-    Dask itself takes the first eight bytes of any server for a length and reserves that much
-    memory, or waits for them for ever. A scheduler sends its greeting first.
+    Dask itself interprets the first eight bytes of any server as a length and reserves that much
+    memory, or waits for them forever. A scheduler sends its greeting first.
     """
     protocol, separator, place = address.partition("://")
     host, _, port = place.rpartition(":")
@@ -337,9 +337,9 @@ def _check_greeting(address: str) -> None:
 
 @contextmanager
 def _asking(limited: bool = False) -> Iterator[None]:
-    """Whatever goes wrong between this process and the scheduler is a lost connection.
+    """Turn every error between this process and the scheduler into a lost connection.
 
-    For calls of the client only: errors of tasks and of this program have names of their own.
+    For calls of the client only: errors of tasks and of this program have their own classes.
 
     Args:
         limited: the call has a time limit of its own, and may raise TimeoutError.
@@ -349,12 +349,12 @@ def _asking(limited: bool = False) -> Iterator[None]:
     except (Exception, asyncio.CancelledError) as error:
         if limited and isinstance(error, TimeoutError):
             raise
-        raise _lost("the Dask scheduler is gone, or has dropped the run") from None
+        raise _lost("the Dask scheduler has ended or dropped the run") from None
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the tracebacks that Dask logs when a connection breaks; the error says it all."""
+    """Suppress the tracebacks that Dask logs when a connection breaks; the error is enough."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in _LOUD]
     loggers = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
     for logger in loggers:

@@ -1,4 +1,4 @@
-"""A run handed to a render queue: a folder with a job template and what belongs to it."""
+"""A run as a job for a render queue: a folder with a job template and its files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def submit(
     when frames come or go.
 
     Args:
-        request: what is asked for.
+        request: the request.
         template: the file to write; None takes ``OUT/job/template.yaml``. The folder becomes a
             job bundle of AWS Deadline Cloud when the file is named ``template.yaml``.
         command: the program that the queue's machines start.
@@ -50,7 +50,7 @@ def submit(
     Raises:
         UsdSmokeError: what ``plan`` raises.
         ConfigError: the command is not one program.
-        OutputExists: a file of another origin stands where one of the bundle goes.
+        OutputExists: a file of another origin has the path of a file of the bundle.
         WriteFailed: the operating system refused.
     """
     _check_program(command)
@@ -85,7 +85,7 @@ def submit(
 
 
 def _check_program(command: str) -> None:
-    """A queue starts a program and hands it arguments; it takes no line of a shell apart."""
+    """A queue starts a program with arguments; it does not parse a shell command."""
     if len(command.split()) > 1 and not Path(command).is_file():
         raise ConfigError(
             f"--command takes one program without arguments, got {command!r}. Put the call into "
@@ -102,7 +102,7 @@ def _with_network_file(config: Config) -> Config:
 
 
 def _read_stage(given: Path, plan: Plan) -> Path:
-    """The stage as it was given, or what it was made from where it is a result itself."""
+    """The given stage, or the stage that it was made from if it is a result itself."""
     source = Path(plan.source.file_path)
     return given if given.samefile(source) else source
 
@@ -118,8 +118,8 @@ def _refuse_foreign(file_path: Path) -> None:
         is_own = False
     if not is_own:
         raise OutputExists(
-            f"{file_path} stands where a file of the job goes and was not written by 'usdsmoke "
-            "submit'; choose another folder with --template"
+            f"{file_path} would be replaced by a file of the job, but was not written by "
+            "'usdsmoke submit'. Choose another folder with --template."
         )
 
 

@@ -1,8 +1,8 @@
 """A run as an Open Job Description: the coarse step, one task for each window, the assembly.
 
 The template follows version 2023-09 of the specification without extensions (OpenJD2023).
-It names no folder of this machine: files are parameters, and their values stand in a file of their
-own, in the form that AWS Deadline Cloud reads beside a template.
+It contains no path of this machine: files are parameters, and their values are in a separate file,
+in the form that AWS Deadline Cloud reads beside a template.
 """
 
 import math
@@ -24,10 +24,10 @@ __all__ = [
 ]
 
 FIRST_LINE = "# Written by 'usdsmoke submit', which replaces it; change the copy that is submitted."
-_LONGEST_NAME = 128  # letters of a job's name
-_LONGEST_VALUE = 1024  # letters of a parameter's value
+_LONGEST_NAME = 128  # characters of a job's name
+_LONGEST_VALUE = 1024  # characters of a parameter's value
 _MOST_PARAMETERS = 50
-_NOTICE_S = 60  # between the polite kill and the rude one: a frame that is being written is ended
+_NOTICE_S = 60  # between SIGTERM and SIGKILL: time to finish writing a frame
 
 
 def job_template(
@@ -41,12 +41,12 @@ def job_template(
     """The job template as plain values, in the order in which they are written.
 
     Args:
-        name: of the shot; what a job's name may not hold is taken out.
+        name: of the shot; characters that a job's name may not have are removed.
         n_windows: of the plan, all Volumes together, at least 1.
-        n_styles: style images that are given for the run; 0 where Volumes bring their own.
-        memory_gib: what a task needs, GiB; asked of the machine that takes it.
+        n_styles: style images that are given for the run; 0 if Volumes name their own.
+        memory_gib: memory that a task requires of its machine, GiB.
         command: one program, by name or path, without arguments.
-        assembly: what else ``usdsmoke assemble`` is told.
+        assembly: further arguments of ``usdsmoke assemble``.
 
     Raises:
         ConfigError: the command is empty or holds control characters or ``{{``.
@@ -56,7 +56,7 @@ def job_template(
     if len(parameters) > _MOST_PARAMETERS:
         raise PlanError(
             f"{n_styles} style images make {len(parameters)} job parameters; an Open Job "
-            f"Description takes {_MOST_PARAMETERS}; give fewer images"
+            f"Description takes at most {_MOST_PARAMETERS}. Give fewer images."
         )
     styles = [part for n in range(n_styles) for part in ("--style", f"{{{{Param.Style{n + 1}}}}}")]
     stylize = ["stylize", "{{Param.Stage}}", *styles, "-o", "{{Param.Output}}"]
@@ -93,7 +93,7 @@ def job_parameters(
         styles: the style images.
         output: the result's folder.
         settings: the YAML file of settings.
-        overrides: the YAML file of those that are stronger than what a Volume asks for itself.
+        overrides: the YAML file of the settings that override a Volume's own request.
 
     Raises:
         PlanError: a path is longer than a parameter's value may be.
@@ -103,8 +103,8 @@ def job_parameters(
     for value in values.values():
         if len(value) > _LONGEST_VALUE:
             raise PlanError(
-                f"the path {value[:60]}... has {len(value)} letters; an Open Job Description takes "
-                f"{_LONGEST_VALUE}; move the file or use a link"
+                f"the path {value[:60]}... has {len(value)} characters; an Open Job Description "
+                f"takes at most {_LONGEST_VALUE}. Move the file or use a link."
             )
     return values
 
@@ -147,7 +147,7 @@ def bundle_text(content: Mapping[str, Any]) -> str:
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors: a value that stands twice is written twice."""
+    """YAML without anchors: a value that occurs twice is written twice."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -156,8 +156,8 @@ class _PlainDumper(yaml.SafeDumper):
 def _parameter_definitions(n_styles: int, command: str) -> list[dict[str, Any]]:
     if not command.strip() or "{{" in command or not command.isprintable():
         raise ConfigError(
-            f"the command {command!r} cannot be run by a queue; wanted one program, by its name or "
-            "path, such as usdsmoke"
+            f"the command {command!r} cannot be run by a queue. Give one program, by its name or "
+            "path, such as usdsmoke."
         )
     styles = [
         _path(f"Style{n + 1}", "FILE", "IN", "An image to take the style from.")
@@ -169,7 +169,7 @@ def _parameter_definitions(n_styles: int, command: str) -> list[dict[str, Any]]:
         # INOUT: a job that is sent again finds what the first one finished.
         _path("Output", "DIRECTORY", "INOUT", "The result's folder, the same for every task."),
         _path("Settings", "FILE", "IN", "Settings, as written by 'usdsmoke submit'."),
-        _path("Overrides", "FILE", "IN", "Those that are stronger than a Volume's own request."),
+        _path("Overrides", "FILE", "IN", "Settings that override a Volume's own request."),
         {
             "name": "Command",
             "type": "STRING",

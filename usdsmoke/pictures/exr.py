@@ -39,7 +39,7 @@ def write_exr(
     where = os.fspath(file_path)
     pixels = {name: _checked(where, name, *part) for name, part in parts.items()}
     if len({array.shape[:2] for array in pixels.values()}) != 1:
-        raise ImageError(f"cannot write {where}: its parts differ in size, or there are none")
+        raise ImageError(f"cannot write {where}: its parts differ in size, or there are none.")
 
     def write(temporary: Path) -> None:
         made = [_part(name, parts[name][0], array, attributes) for name, array in pixels.items()]
@@ -47,14 +47,14 @@ def write_exr(
             OpenEXR.File(made).write(os.fspath(temporary))
         except _ERRORS as error:
             raise WriteFailed(
-                f"cannot write {where}: {error}; check the folder and the disk's space"
+                f"cannot write {where}: {error}. Check the folder and the disk's space."
             ) from None
 
     def check(temporary: Path) -> None:
         if not _holds(temporary, {name: (part[0], pixels[name]) for name, part in parts.items()}):
             raise WriteFailed(
-                f"{where} did not come back from disk as it was written; look whether the disk is "
-                "full, and write it again"
+                f"{where} read back differently from what was written. Check whether the disk is "
+                "full, and write it again."
             )
 
     publish_file(Path(file_path), write, check)

@@ -1,6 +1,6 @@
 """The attributes of UsdSmokeStyleAPI, and composed values of properties as plain ones.
 
-Which attribute stands for which setting is declared with the setting, in ``base.sections``.
+The setting of each attribute is declared with the setting, in ``base.sections``.
 """
 
 import os
@@ -76,13 +76,13 @@ def image_paths(value: Any) -> list[tuple[str, str]] | None:
 
 
 def image_problem(authored: str, resolved: str) -> str:
-    """Why an image cannot be read, and what to do; "" when nothing keeps it from being read."""
+    """Why an image cannot be read, and what to do; "" if it can be read."""
     if not authored:
-        return "wanted the path of an image"
+        return "it is empty. Author the path of an image."
     if Ar.IsPackageRelativePath(resolved):
-        return "that is inside a package, and images are read from plain files only; unpack it"
+        return "that is inside a package, and images are read from plain files only. Unpack it."
     if not os.path.isfile(resolved):
-        return "no file is found there; check the path, and that the image came along"
+        return "no file is found there. Check the path, and whether the image was copied too."
     return ""
 
 

@@ -58,12 +58,12 @@ def register_schema() -> bool:
 
 
 def late_note() -> str:
-    """What to do when USD does not know the schemas because they came too late; "" when it does."""
+    """A note if USD does not know the schemas because they were registered too late; else ""."""
     if register_schema():
         return ""
     return (
         f"USD does not know {STYLE_API} and {LOOK_API} in this process, because a stage was opened "
-        "before usdsmoke was imported: their attributes are read all the same, but cannot be "
-        "applied here; import usdsmoke first, or set PXR_PLUGINPATH_NAME to "
-        f"{PLUGIN_FOLDER}"
+        "before usdsmoke was imported. Their attributes are read, but the schemas cannot be "
+        "applied. To apply them, import usdsmoke first, or set PXR_PLUGINPATH_NAME to "
+        f"{PLUGIN_FOLDER}."
     )

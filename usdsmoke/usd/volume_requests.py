@@ -1,7 +1,7 @@
-"""What a Volume prim asks for itself: the composed values of UsdSmokeStyleAPI, checked.
+"""The settings that a Volume prim requests: the composed values of UsdSmokeStyleAPI, checked.
 
-An attribute counts where it has an authored value, on a prim with the API applied. The API is
-looked up by its name, so that it does not matter whether this process knows the schema.
+An attribute is used if it has an authored value, on a prim with the API applied. The API is looked
+up by its name, so this process need not know the schema.
 """
 
 import dataclasses
@@ -48,27 +48,27 @@ _NAMES = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))
 
 
 def has_request(volume: Usd.Prim) -> bool:
-    """Whether UsdSmokeStyleAPI is applied to a prim."""
+    """True if UsdSmokeStyleAPI is applied to a prim."""
     return STYLE_API in volume.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
 def ignored_attributes(volume: Usd.Prim) -> tuple[str, ...]:
-    """Requests that do not count because the API is not applied."""
+    """Requests that are ignored because the API is not applied."""
     return () if has_request(volume) else tuple(_authored(volume))
 
 
 def read_request(
     volume: Usd.Prim, time_codes: Sequence[float], with_styles: bool = True
 ) -> tuple[StyleRequest, tuple[FrameControls, ...]]:
-    """What a Volume asks for, and what of it has a value of its own at each timeCode.
+    """A Volume's request, and its animated settings at each timeCode.
 
-    Time samples are interpolated as USD does it. Where an attribute changes over time the request
-    holds its first value, of the strength the largest; one that may not change and does is refused.
+    Time samples are interpolated as in USD. If an attribute changes over time, the request has its
+    first value, or the largest for the strength; a change of any other attribute is an error.
 
     Args:
         volume: a composed Volume prim.
         time_codes: those that will be stylized, at least one.
-        with_styles: whether to look for its images; not where others stand in for them.
+        with_styles: True to look for its images; False if others replace them.
 
     Raises:
         ConfigError: an attribute is unknown, of a wrong type, out of range, or changes over time
@@ -110,10 +110,10 @@ def _changed(control: FrameControls, name: str, value: Any) -> FrameControls:
 
 
 def requested_mask(volume: Usd.Prim) -> str:
-    """The relationship that a Volume's request names the mask by; "" when it names none.
+    """The name of the relationship to the requested mask; "" if no mask is requested.
 
-    It is the Volume's own ``field:NAME``, as ``NAME``, where that leads to the same field prim, or
-    else the request's relationship itself.
+    It is the ``NAME`` of the Volume's own ``field:NAME`` that leads to the same field prim, or else
+    the request's relationship itself.
 
     Raises:
         StageError: the request has several targets.
@@ -148,9 +148,9 @@ def request_origins(volume: Usd.Prim) -> dict[str, dict[str, str]]:
 
 
 def request_problems(volume: Usd.Prim) -> dict[str, str]:
-    """What is wrong with a Volume's request, by the property's path; where it leads to, too.
+    """What is wrong with a Volume's request and its targets, by the property's path.
 
-    Time samples are looked at where they stand, all others at the default time.
+    Animated attributes are checked at their time samples, all others at the default time.
     """
     path, found = volume.GetPath(), {}
     if not has_request(volume):
@@ -178,7 +178,7 @@ def _samples(volume: Usd.Prim, name: str) -> Sequence[float]:
 
 
 def _authored(volume: Usd.Prim) -> list[str]:
-    """Names of all properties in the request's namespace that say something."""
+    """Names of all authored properties in the request's namespace."""
     properties = volume.GetAuthoredPropertiesInNamespace(REQUEST_PREFIX.rstrip(":"))
     return [
         item.GetName()
@@ -211,8 +211,10 @@ def _check_known(volume: Usd.Prim, name: str) -> None:
         )
     is_relationship = bool(forwarded_targets(volume.GetRelationship(name)))
     if is_relationship != (name in (CAMERA, MASK)):
-        wanted = "an attribute" if is_relationship else "a relationship"
-        raise ConfigError(f"<{volume.GetPath()}.{name}> is of the wrong kind; wanted {wanted}")
+        found, kind = "a relationship", "an attribute"
+        if not is_relationship:
+            found, kind = kind, found
+        raise ConfigError(f"<{volume.GetPath()}.{name}> is {found}. Author {kind} instead.")
 
 
 def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[float]) -> list[Any]:
@@ -232,8 +234,8 @@ def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[f
 def _may_not_change(place: str) -> str:
     varying = [row.name for row in REQUEST_ATTRIBUTES if row.control]
     return (
-        f"{place} has another value than before; only {', '.join(varying)} may change over time: "
-        "author one value without time samples, or select other frames"
+        f"{place} has another value than before; only {', '.join(varying)} may change over time. "
+        "Author one value without time samples, or select other frames."
     )
 
 
@@ -245,7 +247,7 @@ def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ..
     where = f"<{volume.GetPath()}.{STYLE_IMAGES}>"
     value = value_at(attribute, time_codes[0])
     if value is not None and not isinstance(value, (Sdf.AssetPath, Sdf.AssetPathArray)):
-        raise ConfigError(f"{where} is {value!r}; wanted images as asset[], as in [@./fire.png@]")
+        raise ConfigError(f"{where} is {value!r}. Author images as asset[], as in [@./fire.png@].")
     found = values_at(attribute, time_codes, image_paths)
     for code, images in zip(time_codes, found, strict=True):
         if images != found[0]:
@@ -264,17 +266,17 @@ def _target(volume: Usd.Prim, name: str) -> Sdf.Path | None:
     if len(targets) > 1:
         raise StageError(
             f"<{volume.GetPath()}.{name}> has {len(targets)} targets "
-            f"({', '.join(f'<{target}>' for target in targets)}); wanted one"
+            f"({', '.join(f'<{target}>' for target in targets)}). Keep one."
         )
     return targets[0] if targets else None
 
 
 def _check_target(volume: Usd.Prim, name: str, kind: type) -> None:
-    """Refuse a relationship that leads to no prim of a kind; one without targets says nothing."""
+    """Refuse a relationship that does not lead to a prim of a kind; no target is no error."""
     target = _target(volume, name)
     found = field_prim(volume.GetStage(), [target], kind) if target else None
     if isinstance(found, str):
         raise StageError(
-            f"<{volume.GetPath()}.{name}> {found}; wanted a prim of type {kind.__name__}: correct "
-            "its target"
+            f"<{volume.GetPath()}.{name}> {found}. Correct its target: a prim of type "
+            f"{kind.__name__}."
         )

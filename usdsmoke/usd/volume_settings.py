@@ -1,7 +1,8 @@
-"""Which settings and style images each Volume is stylized with.
+"""The settings and style images of each Volume.
 
-A setting is the strongest of: its default, the configuration, what the Volume's prim asks for
-itself, and what was given explicitly for this run (the command line's options, ``settings=``).
+In order of precedence, a setting is the one given explicitly for this run (the command line's
+options, ``settings=``), the one that the Volume's prim requests, that of the configuration, or the
+default.
 """
 
 import dataclasses
@@ -21,17 +22,17 @@ __all__ = ["ResolvedVolumes", "VolumeSettings", "resolve_volumes"]
 
 @dataclass(frozen=True)
 class VolumeSettings:
-    """What one Volume is stylized with."""
+    """The settings and style images of one Volume."""
 
     config: Config
-    styles: tuple[int, ...]  # places of its images among the run's
+    styles: tuple[int, ...]  # indices of its images among the run's
 
 
 @dataclass(frozen=True)
 class ResolvedVolumes:
     """All Volumes with their settings, and every style image that any of them takes, each once."""
 
-    source: StageSource  # its requests and controls are those that count
+    source: StageSource  # with the requests and controls that are in effect
     volumes: tuple[VolumeSettings, ...]  # in the order of the source's
     style_files: tuple[Path, ...]  # absolute
 
@@ -42,10 +43,10 @@ def resolve_volumes(
     styles: Sequence[Path] = (),
     bare: bool = False,
 ) -> ResolvedVolumes:
-    """The settings of every Volume; its own request counts where nothing stronger was said.
+    """The settings of every Volume; explicit settings override its own request.
 
-    Images belong together with their weights: a Volume that takes the run's images leaves its own
-    weights aside, and one that brings its images does not take the configuration's weights.
+    Images belong to their weights: a Volume that uses the run's images ignores its own weights, and
+    one with its own images ignores the configuration's weights.
 
     Args:
         source: the selected Volumes with their requests.
@@ -77,13 +78,13 @@ def _refuse_without_images(source: StageSource, styles: Sequence[Path]) -> None:
     bare = [f"<{volume.prim_path}>" for volume in source.volumes if not volume.request.styles]
     if bare and not styles:
         raise ImageError(
-            f"no style image was given for {', '.join(bare)}; wanted one at least: give --style, "
-            f"or author {STYLE_IMAGES} on the prim"
+            f"no style image was given for {', '.join(bare)}. Give --style, or author "
+            f"{STYLE_IMAGES} on the prim."
         )
 
 
 def _effective(volume: VolumeSource, given: Collection[str], has_styles: bool) -> VolumeSource:
-    """The Volume with as much of its request and controls as nothing stronger stands against."""
+    """The Volume with those of its requests and controls that are not overridden."""
     settings = {
         section: kept
         for section, values in volume.request.settings.items()

@@ -107,7 +107,7 @@ def make_report(
             results, omitted = run_sweeps(sweeps, case, budget, _clock_of(case), tell)
         except KeyboardInterrupt:
             raise Interrupted(
-                f"stopped; no measurement is kept, and {target} is as it was"
+                f"stopped. No measurement is kept, and {target} is unchanged."
             ) from None
         # The page.
         tell("page", "writing", 1.0)

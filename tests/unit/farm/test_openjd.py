@@ -111,7 +111,7 @@ def test_whatever_the_stage_is_called_the_job_gets_a_name_that_the_model_takes(n
 
 @pytest.mark.parametrize("command", ["", "  ", "{{Param.Stage}}", "usd\nsmoke"])
 def test_a_command_that_no_queue_can_run_is_refused(command: str) -> None:
-    with pytest.raises(ConfigError, match="wanted one program"):
+    with pytest.raises(ConfigError, match="cannot be run by a queue"):
         job_template("shot", 1, 1, 1.0, command)
 
 
@@ -134,7 +134,7 @@ def test_more_styles_than_a_template_can_name_are_refused() -> None:
 
 
 def test_a_path_too_long_for_a_parameter_is_refused() -> None:
-    with pytest.raises(PlanError, match="has 1025 letters"):
+    with pytest.raises(PlanError, match="has 1025 "):
         job_parameters("/" + "s" * 1024, [], "/out", "/settings.yaml", "/overrides.yaml")
 
 

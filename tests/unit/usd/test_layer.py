@@ -141,10 +141,10 @@ def test_emission_and_density_say_what_they_are(tmp_path):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"frames": []}, "has files for no timeCode at all; wanted some of .* 1-4"),
+        ({"frames": []}, "has files for no timeCode at all.* 1-4"),
         (
             {"grids": {"emission": "emission"}},
-            'no grid for its density "density"; it has: emission',
+            'no grid for its density "density".*: emission',
         ),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_result_that_does_not_fit_its_source_is_refused(tmp_path, change, reas
     with pytest.raises(LayerError, match=reason):
         author(stage, source, [dataclasses.replace(volume, **change)], tmp_path)
     strange = dataclasses.replace(volume, frames=[dataclasses.replace(frame, time_code=9.0)])
-    with pytest.raises(LayerError, match=r"has files for 9; wanted some of the source's .* 1-4"):
+    with pytest.raises(LayerError, match=r"has files for 9.* 1-4"):
         author(stage, source, [strange], tmp_path)
     with pytest.raises(LayerError, match="no stylized Volume to author"):
         author(stage, source, [], tmp_path)
@@ -180,7 +180,7 @@ def test_a_stage_that_was_never_saved_is_refused(tmp_path):
     volume = StylizedVolume(source.volumes[0], [frame], 1.0)
     memory = Usd.Stage.CreateInMemory()
     memory.GetRootLayer().TransferContent(stage.GetRootLayer())
-    with pytest.raises(LayerError, match="has no file that a layer could refer to; save it first"):
+    with pytest.raises(LayerError, match="has no file that a layer could refer to"):
         author(memory, source, [volume], tmp_path)
 
 

@@ -39,7 +39,7 @@ def test_values_that_no_longer_fit_the_stored_hash_are_found_with_and_without_th
     (found,) = ours(files.root_stage)
     assert found.rule == "ResultChanged"
     assert found.severity == Severity.ERROR
-    assert "was changed after it was written: its grids hash to" in found.message
+    assert "was changed after it was written" in found.message
     flat = tmp_path / "out/flat.usda"
     assert Usd.Stage.Open(str(files.root_stage)).Flatten().Export(str(flat))
     bare = flat.read_text().replace("usdsmoke = {", "other = {")

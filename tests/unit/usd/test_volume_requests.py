@@ -146,7 +146,7 @@ def test_time_samples_are_interpolated_into_a_control_for_each_frame(tmp_path: P
         ('string @@seed = "one"', "is 'one' .*seed>"),
         ("int[] @@shapeIterations = []", r"is \[\] .*shapeIterations>.* at least one"),
         ("double @@stength = 1", "'usdSmoke:request:strength'"),
-        ("double @@camera = 1", "camera> is of the wrong kind; wanted a relationship"),
+        ("double @@camera = 1", "camera> is an attribute.* a relationship"),
         ("int64 @@seed.timeSamples = { 1: 1, 2: 2 }", "seed> at timeCode 2 has another value"),
         (
             "double @@strength.timeSamples = { 1: 1, 2: 2 }",
@@ -169,7 +169,7 @@ def test_time_samples_that_do_not_change_are_no_change(tmp_path: Path) -> None:
 
 
 def test_a_relationship_with_two_targets_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StageError, match=r"request:mask> has 2 targets \(</a>, </b>\); wanted one"):
+    with pytest.raises(StageError, match=r"request:mask> has 2 targets \(</a>, </b>\)"):
         request(tmp_path, "rel @@mask = [</a>, </b>]")
 
 

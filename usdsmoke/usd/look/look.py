@@ -81,7 +81,7 @@ def _author_look_layer(
     names = ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
     layer.documentation = (
         f"Stylized smoke of {names}. Mute this layer to see the source; "
-        "customLayerData.usdsmoke records how it was made."
+        "customLayerData.usdsmoke tells how it was made."
     )
     put_record(layer, record)
     uses = count_field_uses(stage)
@@ -106,36 +106,36 @@ def _author_look_layer(
 
 def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:
     if not volumes:
-        raise LayerError("there is no stylized Volume to author; wanted one at least")
+        raise LayerError("there is no stylized Volume to author. Pass at least one.")
     for volume in volumes:
         known = set(volume.source.time_codes)
         strange = sorted({frame.time_code for frame in volume.frames} - known)
         if strange or not volume.frames:
             found = format_time_codes(strange) or "no timeCode at all"
             raise LayerError(
-                f"the result of <{volume.source.prim_path}> has files for {found}; wanted some of "
-                f"the source's timeCodes {format_time_codes(known)}"
+                f"the result of <{volume.source.prim_path}> has files for {found}. Pass frames at "
+                f"some of the source's timeCodes {format_time_codes(known)}."
             )
         if volume.source.density not in volume.grids:
             raise LayerError(
                 f"the result of <{volume.source.prim_path}> has no grid for its density "
-                f'"{volume.source.density}"; it has: {", ".join(volume.grids) or "none"}'
+                f'"{volume.source.density}" (found: {", ".join(volume.grids) or "none"}). Add it.'
             )
 
 
 def _check_targets(stage: Usd.Stage, files: LookFiles) -> None:
-    """Refuse to write over what the source is made of."""
+    """Refuse to overwrite a layer of the source."""
     root = stage.GetRootLayer()
     if root.anonymous or not root.realPath:
         raise LayerError(
-            f"the source stage {root.identifier} has no file that a layer could refer to; "
-            "save it first"
+            f"the source stage {root.identifier} has no file that a layer could refer to. "
+            "Save it first."
         )
     used = {Path(layer.realPath).resolve() for layer in stage.GetUsedLayers() if layer.realPath}
     for target in files.written:
         if target.resolve() in used:
             raise LayerError(
-                f"{target} is a layer of the source stage itself; choose another output folder"
+                f"{target} is a layer of the source stage itself. Choose another output folder."
             )
 
 
@@ -167,7 +167,7 @@ def _publish(layer: Sdf.Layer, target: Path) -> None:
 
 
 def _failure(target: Path, reason: str) -> str:
-    return f"cannot write {target}: {reason}; check the disk's space and choose another folder"
+    return f"cannot write {target}: {reason}. Check the disk's space, or choose another folder."
 
 
 def _refresh(target: Path) -> None:

@@ -161,7 +161,7 @@ def check_gaps(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
         ]
         troubles: dict[float | None, str] = {
             before: f"no file between the timeCodes {format_time_code(before)} and "
-            f"{format_time_code(after)}. The first one is held there; add files, or block a sample."
+            f"{format_time_code(after)}. The first one is held there. Add files, or block a sample."
             for before, after in _holes(codes)
         }
         problems += grouped(Severity.WARN, field.prim_path, troubles)

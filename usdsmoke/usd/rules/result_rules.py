@@ -1,4 +1,4 @@
-"""Rules on files that usdsmoke wrote: they still hold what they held when they were written."""
+"""Rules on files that usdsmoke wrote: they are unchanged since they were written."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +21,7 @@ _DIGITS = 12  # digits of a hash that people compare
 
 
 def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
-    """Absolute path and content hash of every file that a look layer says it came with.
+    """Absolute path and content hash of every file that a look layer records.
 
     Raises:
         LayerError: the layer's record cannot be read.
@@ -77,14 +77,14 @@ def _promised(file_path: str) -> str:
 
 
 def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
-    """What is wrong with a file of ours; an empty text when nothing is."""
+    """What is wrong with a file of ours; empty if it is unchanged."""
     if not os.path.isfile(file_path):
-        return Severity.ERROR, "is missing; it belongs to the result: run usdsmoke again"
+        return Severity.ERROR, "is missing, but it belongs to the result. Run usdsmoke again."
     promised = _promised(file_path)
     if promised != recorded:
         return Severity.ERROR, (
             f"is not the file of this result: its metadata says {promised[:_DIGITS] or 'nothing'}, "
-            f"the layer {recorded[:_DIGITS]}; run usdsmoke again"
+            f"the layer {recorded[:_DIGITS]}. Run usdsmoke again."
         )
     try:
         state = os.stat(file_path)
@@ -96,8 +96,8 @@ def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
     if found == recorded:
         return Severity.INFO, ""
     return Severity.ERROR, (
-        f"was changed after it was written: its grids hash to {found[:_DIGITS]}, wanted "
-        f"{recorded[:_DIGITS]}; run usdsmoke again"
+        f"was changed after it was written: its grids hash to {found[:_DIGITS]}, not to "
+        f"{recorded[:_DIGITS]}. Run usdsmoke again."
     )
 
 

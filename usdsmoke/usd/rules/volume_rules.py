@@ -105,8 +105,8 @@ def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                 first = (field.relationship, place)
             elif np.abs(place - first[1]).max() > _CLOSE * np.abs(first[1]).max():
                 troubles[code] = (
-                    f"the voxels of {field.relationship} do not lie on those of {first[0]}; "
-                    "several programs take one transform for all grids of a Volume"
+                    f"the voxels of {field.relationship} and of {first[0]} are in different "
+                    "places. Several programs use one transform for all grids of a Volume."
                 )
     return grouped(Severity.WARN, str(volume.GetPath()), troubles)
 

@@ -1,4 +1,4 @@
-"""The stage without the looks that it has: the source of a result.
+"""The stage without its existing looks: the source of a result.
 
 Layers are muted and variants are selected in memory only; no file changes.
 """
@@ -23,13 +23,13 @@ __all__ = ["check_originals", "is_look_layer", "open_original", "open_source"]
 
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 
-_INSTEAD = "stage.restylize (--restylize) takes the stylized smoke instead"
+_INSTEAD = "To start from the stylized smoke, set stage.restylize (--restylize)."
 
 
 def open_source(
     file_path: str | os.PathLike[str], restylize: bool = False
 ) -> tuple[Usd.Stage, EarlierLooks]:
-    """A stage without the looks that usdsmoke has given it, and what was left out.
+    """A stage without the looks that usdsmoke added, and what was left out.
 
     Where the file itself was made by usdsmoke, a root stage or an asset, the stage that it stands
     on is opened in its place. Other stages are opened as they are: of assets in them the variant
@@ -46,8 +46,8 @@ def open_source(
     stage, notes = open_stage(file_path), []
     if is_look_layer(stage.GetRootLayer()) and not _field_names(stage):
         raise StageError(
-            f"{os.fspath(file_path)} is a look layer alone, without the smoke that it belongs to; "
-            "give the stage that it was made for, or one that has both"
+            f"{os.fspath(file_path)} is a look layer alone, without the smoke that it belongs to. "
+            "Give the stage that it was made for, or one that has both."
         )
     if restylize:
         return stage, EarlierLooks()
@@ -55,10 +55,10 @@ def open_source(
     while base := _stands_on(stage.GetRootLayer()):
         before, stage = _real_path(stage), open_stage(base)
         notes.append(
-            f"{before.name} is a result already: this one starts from {Path(base).name}; {_INSTEAD}"
+            f"{before.name} is a result already: this one starts from {Path(base).name}. {_INSTEAD}"
         )
         if _real_path(stage) in seen:
-            raise StageError(f"{before} was made from itself; give the stage before it")
+            raise StageError(f"{before} was made from itself. Give the stage before it.")
         seen.add(_real_path(stage))
     found = _leave_looks_out(stage)
     return stage, replace(found, notes=(*notes, *found.notes))
@@ -123,8 +123,8 @@ def _leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
     taken = [f"<{path}>" for path in variants]
     taken += [Path(name).name for name in looks]
     note = (
-        f"the stage has a look already ({', '.join(taken)}): this one starts from the original and "
-        f"lies over it, so take the earlier one away; {_INSTEAD}"
+        f"the stage has a look already ({', '.join(taken)}). The new look starts from the original "
+        f"and is put over it, so remove the earlier one. {_INSTEAD}"
     )
     gone = {
         path: tuple(sorted(names - after.get(path, set())))
@@ -156,8 +156,8 @@ def check_originals(stage: Usd.Stage, source: StageSource) -> None:
                 raise StageError(
                     f"the density of <{volume.prim_path}> is stylized already: {file_path} was "
                     "written by usdsmoke, and the stage has no look layer that could be left out, "
-                    "as after flattening; give the stage it was made from, or stylize the result "
-                    "once more with stage.restylize (--restylize)"
+                    "as after flattening. Give the stage it was made from, or stylize the result "
+                    "once more with stage.restylize (--restylize)."
                 )
 
 
