@@ -201,7 +201,7 @@ def test_a_plan_that_this_machine_could_not_run_is_written_all_the_same(shot: Sh
 def test_a_file_of_somebody_else_is_not_replaced(shot: Shot) -> None:
     own = shot.folder / "settings.yaml"
     own.write_text("optimize: {seed: 3}\n", encoding="utf-8")
-    with pytest.raises(OutputExists, match=r"settings\.yaml stands where .*--template"):
+    with pytest.raises(OutputExists, match=r"settings\.yaml .*--template"):
         submit(Request(shot.stage, shot.style, shot.output, own), template=shot.folder / "job.yaml")
     assert own.read_text(encoding="utf-8") == "optimize: {seed: 3}\n"
     assert not (shot.folder / "job.yaml").exists()
