@@ -12,8 +12,7 @@ __all__ = ["run_provenance", "run_rerun", "run_verify"]
 
 def run_provenance(arguments: argparse.Namespace) -> int:
     """``usdsmoke provenance``; the exit code."""
-    from usdsmoke.audit.prov import prov_document
-    from usdsmoke.audit.record import provenance
+    from usdsmoke.audit import prov_document, provenance
 
     found = provenance(arguments.file)
     if arguments.prov:
@@ -27,7 +26,7 @@ def run_provenance(arguments: argparse.Namespace) -> int:
 
 def run_verify(arguments: argparse.Namespace) -> int:
     """``usdsmoke verify``; the exit code, 1 where something has changed."""
-    from usdsmoke.audit.verification import verify
+    from usdsmoke.audit import verify
 
     changes = verify(arguments.file)
     is_same = all(change.severity == "note" for change in changes)
@@ -42,7 +41,7 @@ def run_rerun(arguments: argparse.Namespace) -> int:
     """``usdsmoke rerun``; the exit code, 1 where the result differs from the recorded one."""
     from rich.console import Console
 
-    from usdsmoke.audit.repetition import rerun
+    from usdsmoke.audit import rerun
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:

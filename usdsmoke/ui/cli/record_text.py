@@ -8,9 +8,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
-    from usdsmoke.audit.record import FoundRecord
-    from usdsmoke.audit.repetition import Rerun
-    from usdsmoke.audit.verification import Change
+    from usdsmoke.audit import Change, FoundRecord, Rerun
 
 __all__ = ["provenance_text", "rerun_text", "verification_text"]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from pxr import Usd
 
-from usdsmoke.audit.record import FoundRecord
+from usdsmoke.audit import FoundRecord
 from usdsmoke.base.errors import LayerError
 from usdsmoke.ui.cli.record_text import provenance_text
 from usdsmoke.ui.usdview.looks import Look, looks_of, shown_run
