@@ -12,17 +12,7 @@ from pxr import Tf, Usd
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd import short_reason
 
-__all__ = [
-    "UsdviewApi",
-    "Window",
-    "copy_all_frames",
-    "copy_this_frame",
-    "inspect",
-    "run_action",
-    "show_provenance",
-    "toggle",
-    "validate",
-]
+__all__ = ["UsdviewApi", "Window", "run_action"]
 
 
 class UsdviewApi(Protocol):
@@ -88,28 +78,20 @@ def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
         window.warn(label, f"unexpected {kind}: {error}. Please report this")
 
 
-def inspect(api: UsdviewApi, window: Window) -> None:
-    """Show the fields, files, grids and sizes of the selected Volumes, at all timeCodes.
-
-    Raises:
-        UsdSmokeError: there is no Volume, or it cannot be followed to its files.
-    """
+def _inspect(api: UsdviewApi, window: Window) -> None:
+    """Show the fields, files, grids and sizes of the selected Volumes, at all timeCodes."""
     from usdsmoke.ui.cli.text import inspection_text
     from usdsmoke.ui.usdview.volumes import selected_volumes, selects_everything
-    from usdsmoke.usd.inspect import inspect as describe
+    from usdsmoke.usd.inspect import inspect
 
     volumes = selected_volumes(api.stage, api.selectedPrims)
     everything = selects_everything(api.selectedPrims)
     paths = None if everything else [str(volume.GetPath()) for volume in volumes]
-    window.show_text("volumes", inspection_text(describe(api.stage, paths)))
+    window.show_text("volumes", inspection_text(inspect(api.stage, paths)))
 
 
-def show_provenance(api: UsdviewApi, window: Window) -> None:
-    """Show what the looks of the selected Volumes were made with and from, muted ones too.
-
-    Raises:
-        VolumeNotFound: there is no Volume.
-    """
+def _show_provenance(api: UsdviewApi, window: Window) -> None:
+    """Show the records of the selected Volumes' looks, muted ones too."""
     from usdsmoke.ui.usdview.look_text import look_text
     from usdsmoke.ui.usdview.looks import find_looks
     from usdsmoke.ui.usdview.volumes import selected_volumes
@@ -118,54 +100,37 @@ def show_provenance(api: UsdviewApi, window: Window) -> None:
     window.show_text("provenance", look_text(volumes, find_looks(api.stage)))
 
 
-def toggle(api: UsdviewApi, window: Window) -> None:
-    """Show the next look of the selected Volumes, after the last their source; see ``looks``.
-
-    Raises:
-        UsdSmokeError: there is no Volume, or no look that can be switched.
-    """
+def _toggle(api: UsdviewApi, window: Window) -> None:
+    """Show the next look of the selected Volumes; the source comes after the last look."""
     from usdsmoke.ui.usdview.looks import show_next
     from usdsmoke.ui.usdview.volumes import selected_volumes
 
     window.say(show_next(api.stage, selected_volumes(api.stage, api.selectedPrims)))
 
 
-def validate(api: UsdviewApi, window: Window) -> None:
-    """Show what all validators, usdsmoke's and USD's, say about the open stage.
-
-    Files that usdsmoke wrote are read whole, so that this takes a while on long sequences.
-    """
+def _validate(api: UsdviewApi, window: Window) -> None:
+    """Show what all validators find. Files that usdsmoke wrote are read whole, which takes time."""
     from usdsmoke.ui.cli.text import validation_text
-    from usdsmoke.usd.rules import validate as find_problems
+    from usdsmoke.usd.rules import validate
 
     window.say("validating ...")
     name = api.stage.GetRootLayer().GetDisplayName()
-    text = validation_text(name, find_problems(api.stage))
+    text = validation_text(name, validate(api.stage))
     window.say(text.splitlines()[-1])
     window.show_text("validation", text)
 
 
-def copy_this_frame(api: UsdviewApi, window: Window) -> None:
-    """Copy the command that stylizes the selected Volumes at the timeCode that is shown.
-
-    Raises:
-        StageError: the stage has no file, or a Volume's files cannot be found.
-    """
+def _copy_frame(api: UsdviewApi, window: Window) -> None:
     code = api.frame
-    earliest = float("-inf")
-    _copy(api, window, earliest if code.IsDefault() else code.GetValue())
+    _copy(api, window, float("-inf") if code.IsDefault() else code.GetValue())
 
 
-def copy_all_frames(api: UsdviewApi, window: Window) -> None:
-    """Copy the command that stylizes the selected Volumes at all their timeCodes.
-
-    Raises:
-        StageError: the stage has no file, or a Volume's files cannot be found.
-    """
+def _copy_all(api: UsdviewApi, window: Window) -> None:
     _copy(api, window, None)
 
 
 def _copy(api: UsdviewApi, window: Window, time_code: float | None) -> None:
+    """Copy the command that stylizes the selected Volumes: one frame, or all frames for None."""
     from usdsmoke.ui.usdview.command_line import stylize_command
     from usdsmoke.ui.usdview.volumes import selected_volumes
 
@@ -179,10 +144,10 @@ def _copy(api: UsdviewApi, window: Window, time_code: float | None) -> None:
 
 
 _ACTIONS: dict[str, Callable[[UsdviewApi, Window], None]] = {
-    "inspect": inspect,
-    "provenance": show_provenance,
-    "validate": validate,
-    "toggle": toggle,
-    "copy_frame": copy_this_frame,
-    "copy_all": copy_all_frames,
+    "inspect": _inspect,
+    "provenance": _show_provenance,
+    "validate": _validate,
+    "toggle": _toggle,
+    "copy_frame": _copy_frame,
+    "copy_all": _copy_all,
 }

@@ -17,7 +17,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VolumeSource
 from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
-from usdsmoke.usd import read_record
+from usdsmoke.usd import held_time_code, read_record
 from usdsmoke.usd.stage import find_volumes
 
 __all__ = ["NO_STYLE", "CommandText", "stylize_command"]
@@ -53,7 +53,7 @@ def stylize_command(
     """
     root = stage.GetRootLayer()
     if root.anonymous or not root.realPath:
-        raise StageError(f"the stage {root.identifier} has no file; save it first")
+        raise StageError(f"the stage {root.identifier} has no file. Save it first.")
     paths = [str(volume.GetPath()) for volume in volumes]
     found = find_volumes(stage, StageConfig(prims=paths))
     look, stage_file = _shown_look(stage, volumes), Path(root.realPath)
@@ -67,9 +67,9 @@ def stylize_command(
         if source.is_file():
             stage_file = source
         else:
-            notes.append(f"{stage_file.name} has a look already; name its source where you can")
+            notes.append(f"{stage_file.name} has a look already. Name its source if you can.")
         if not all(map(os.path.isfile, styles)):
-            notes.append("a style image is not where it was; correct its path")
+            notes.append("a style image is not where it was. Correct its path.")
     elif not all(volume.request.styles for volume in found.volumes):
         styles, notes = [NO_STYLE], [f"{NO_STYLE} stands for your style image"]
     if unsaved := _unsaved(stage):
@@ -81,7 +81,7 @@ def stylize_command(
     words += [word for style in styles for word in ("--style", style)]
     own = _own_settings(found.volumes) - explicit
     for name, value in settings.items():
-        if name not in own:  # an option is stronger than what a Volume asks for
+        if name not in own:  # an option is stronger than a Volume's own request
             words += ["--set", f"{name}={json.dumps(value, ensure_ascii=False)}"]
     words += ["-o", str(_new_folder(stage_file))]
     return CommandText(shlex.join(words), tuple(notes))
@@ -122,7 +122,7 @@ def _place(folder: Path, name: str) -> str:
 
 
 def _own_settings(volumes: Sequence[VolumeSource]) -> set[str]:
-    """Settings that a Volume's prim asks for, as section.key."""
+    """Settings that the Volumes' prims request, as section.key."""
     requests = [volume.request.settings for volume in volumes]
     return {f"{section}.{key}" for one in requests for section in one for key in one[section]}
 
@@ -133,7 +133,7 @@ def _frames(volumes: Sequence[VolumeSource], time_code: float | None) -> str:
     codes = [[frame.time_code for frame in volume.frames] for volume in animated]
     if time_code is None:
         return format_time_codes({code for each in codes for code in each})
-    held = {max((code for code in each if code <= time_code), default=each[0]) for each in codes}
+    held = {held_time_code(each, time_code) for each in codes}
     return ",".join(format_time_code(code) for code in sorted(held))
 
 

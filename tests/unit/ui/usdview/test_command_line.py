@@ -129,7 +129,7 @@ def test_a_stage_without_a_file_cannot_be_named_in_a_command(two_plumes: Path) -
     stage = Usd.Stage.CreateInMemory()
     stage.GetRootLayer().subLayerPaths = [str(two_plumes)]
     api = FakeApi(stage, [], Usd.TimeCode(1))
-    assert "has no file; save it first" in refusal("copy_all", api)
+    assert "has no file" in refusal("copy_all", api)
 
 
 def test_volumes_that_name_their_images_themselves_get_no_others(tmp_path: Path) -> None:
