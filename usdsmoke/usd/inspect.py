@@ -11,7 +11,7 @@ from pxr import Usd
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
-from usdsmoke.usd.inspection_requests import GivenSettings, describe_requests
+from usdsmoke.usd.inspection_requests import RunArguments, describe_requests
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
@@ -44,7 +44,7 @@ def inspect(
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
     """
     stage = open_stage(stage)
-    given = GivenSettings.of(style, settings)
+    given = RunArguments.of(style, settings)
     own = given.config.stage
     own = own.replace(prims=prims or own.prims, frames=frames or own.frames)
     source = find_volumes(stage, own, with_styles=not given.styles)

@@ -1,4 +1,4 @@
-"""What each Volume would be stylized with, and whose word that is."""
+"""What each Volume would be stylized with, and where each setting comes from."""
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
@@ -21,13 +21,13 @@ from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 from usdsmoke.usd.volume_requests import has_request, request_origins
 from usdsmoke.usd.volume_settings import ResolvedVolumes, VolumeSettings, resolve_volumes
 
-__all__ = ["GivenSettings", "describe_requests"]
+__all__ = ["RunArguments", "describe_requests"]
 
 _SETTINGS = ("stage.mask", "views.camera", *(row.setting for row in REQUEST_ATTRIBUTES))
 
 
 @dataclass(frozen=True)
-class GivenSettings:
+class RunArguments:
     """What a run would be called with."""
 
     config: Config  # of the run, explicit settings among them
@@ -35,21 +35,21 @@ class GivenSettings:
     named: frozenset[str] = frozenset()  # dotted names of all settings that are given
 
     @classmethod
-    def of(cls, style: Styles, settings: Settings) -> "GivenSettings":
+    def of(cls, style: Styles, settings: Settings) -> "RunArguments":
         """From the arguments of ``stylize``."""
         styles = [Path(image).absolute() for image in style_paths(style)]
         return cls(resolve_settings(settings), styles, frozenset(read_settings(settings)))
 
 
 def describe_requests(
-    stage: Usd.Stage, source: StageSource, given: GivenSettings
+    stage: Usd.Stage, source: StageSource, given: RunArguments
 ) -> list[dict[str, Any]]:
-    """For each Volume, as plain values, every setting that a prim may ask for.
+    """For each Volume, as plain values, every setting that a prim may request.
 
     Args:
         stage: gives the layers of opinions.
         source: from ``find_volumes``.
-        given: the other words.
+        given: what the run would be called with.
 
     Returns:
         ``applied`` (whether UsdSmokeStyleAPI is), ``styles`` and ``settings`` by dotted name. Each
@@ -71,7 +71,7 @@ def _describe(
     volume: VolumeSource,
     own: VolumeSettings,
     resolved: ResolvedVolumes,
-    given: GivenSettings,
+    given: RunArguments,
 ) -> dict[str, Any]:
     origins = request_origins(prim)
     values = own.config.model_dump()
@@ -98,7 +98,7 @@ def _origin(
     name: str,
     asked: bool,
     origins: Mapping[str, Mapping[str, str]],
-    given: GivenSettings,
+    given: RunArguments,
     own_images: bool,
 ) -> dict[str, str]:
     if asked:
