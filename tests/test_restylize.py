@@ -161,7 +161,7 @@ def test_a_look_in_one_asset_of_a_shot_is_left_out_there(tmp_path: Path) -> None
 
 def test_a_look_of_the_given_stage_is_not_written_over(shot: Shot) -> None:
     users = over(shot, run(shot).look_layer, shot.stage)
-    with pytest.raises(LayerError, match="stands where the result goes"):
+    with pytest.raises(LayerError, match="input of this run"):
         stylize(users, shot.style, shot.output, force=True)
     side = stylize(users, shot.style, shot.output, settings=["layer.look=ember"])
     np.testing.assert_allclose(values_of(side.frames[0]), 0.625 / 2)

@@ -103,7 +103,7 @@ def test_an_instanced_volume_is_left_out_and_refused_with_advice_when_it_is_name
     result = run(big)
     (left_out,) = [item for item in result.plan.omitted if "steam" in item.what]
     assert "inside the instance </World/set/steam>" in left_out.reason
-    advice = r"stylize its source, </Steam/smoke> in .*steam\.usda, or set instanceable = false"
+    advice = r"tylize its source, </Steam/smoke> in .*steam\.usda, or set instanceable = false"
     with pytest.raises(StageError, match=advice):
         run(big, "stage.prims=[/World/set/steam/smoke]", "layer.look=steam")
 
