@@ -27,7 +27,7 @@ def write_exr(
     """Write 32-bit float parts as one OpenEXR file, in one step.
 
     Args:
-        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        file_path: path of the file; its folder must exist. An old file is replaced.
         parts: by name; channel letters such as "RGBA" or "Y", and [H W] or [H W C] of all the same
             height and width. Readers that know one part only take the first.
         attributes: texts that go into every part's header.

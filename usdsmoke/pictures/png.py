@@ -89,7 +89,7 @@ def write_png(file_path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     """Write display-encoded pixels as an 8-bit PNG, in one step.
 
     Args:
-        file_path: where the file shall stand; its folder must exist. An old file is replaced.
+        file_path: path of the file; its folder must exist. An old file is replaced.
         pixels: [H W 3] or [H W 4] (straight alpha) in [0, 1]; values outside are clipped.
 
     Raises:
@@ -113,7 +113,7 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
     formats = [name for name in _FORMATS if name in Image.OPEN]
     try:
         with warnings.catch_warnings():
-            # Pillow warns of what it thinks too large; our own limit is checked below.
+            # Pillow warns about large images; our own limit is checked below.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(where, formats=formats) as image:
                 _check_size(where, image.width, image.height)

@@ -17,7 +17,7 @@ __all__ = ["BACKGROUNDS", "MOST_PIXELS", "PreviewOptions", "PreviewRequest", "ch
 BACKGROUNDS = ("grey", "black", "none")
 MOST_PIXELS = 16_000_000  # of a picture: a minute or two of drawing
 _MOST_SHEET_PIXELS = 64_000_000  # of all pictures of a contact sheet
-_LONGEST_SIDE = 512  # where no size is asked for
+_LONGEST_SIDE = 512  # if no size is given
 _SUFFIXES = (".png", ".exr")
 
 

@@ -43,8 +43,8 @@ class Smoke:
     """The Volumes of a stage, ready to be drawn; keeps what it has measured, and notes."""
 
     stage: Usd.Stage
-    selected: StageSource  # the frames that were asked for
-    whole: StageSource  # all frames, so that nothing depends on which were asked for
+    selected: StageSource  # the requested frames
+    whole: StageSource  # all frames, so that no result depends on which are requested
     config: Config = field(default_factory=Config)
     extinctions: dict[str, float] = field(default_factory=dict)  # used last, by Volume
     notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
@@ -103,7 +103,7 @@ class Smoke:
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
     def media(self, shown: Iterable[ComposedVolume]) -> list["Medium"]:
-        """The smoke of some Volumes as rays take it.
+        """The smoke of some Volumes as media for ray marching.
 
         Raises:
             GridError, NonFiniteError: a grid cannot be used.
@@ -176,7 +176,7 @@ class Smoke:
         return None
 
     def _extinction(self, volume: ComposedVolume, lit: bool) -> float:
-        """As the look says, else as a run would choose it for the shot."""
+        """From the look, or else as a run would choose it for the shot."""
         gamma_w = volume.extinction
         if gamma_w is None:
             scene = self._scene(volume.prim_path)
@@ -228,7 +228,7 @@ class Smoke:
 
 
 def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
-    """The Volumes of a stage at the timeCodes asked for.
+    """The Volumes of a stage at the requested timeCodes.
 
     Args:
         stage: from ``open_stage``.
@@ -244,7 +244,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
     try:
         whole = _find(stage, everything) if frames else selected
     except AssetNotResolved:
-        whole = selected  # files of frames that nobody asked for may be missing
+        whole = selected  # files of frames that are not requested may be missing
     smoke = Smoke(stage, selected, whole)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
@@ -252,7 +252,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
 
 
 def _find(stage: Usd.Stage, config: StageConfig) -> StageSource:
-    """Whatever Volumes ask for: a request that cannot be fulfilled hides no smoke."""
+    """Ignores the Volumes' requests: an invalid request hides no smoke."""
     return find_volumes(stage, config, with_requests=False)
 
 
@@ -279,7 +279,7 @@ def _is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
     try:
         return _grid(frame.fields[volume.density], 1).active_voxels != 0
     except UsdSmokeError:
-        return False  # a frame that is drawn says so itself
+        return False  # reported when the frame is drawn
 
 
 def _read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> VolumeFrame:

@@ -68,8 +68,8 @@ class Identity:
 
     def beside(self, run: Run) -> dict[str, Any]:
         """The description as it compares with a run's."""
-        known, wanted = run.description.get("files", {}), self._reads(run)
-        described = describe_run(self._job, self._features, known, wanted)
+        known, requested = run.description.get("files", {}), self._reads(run)
+        described = describe_run(self._job, self._features, known, requested)
         return _as_stored(_settled(described, run.description))
 
     def is_of(self, run: Run) -> bool:
@@ -85,7 +85,7 @@ def describe_run(
     job: Job,
     features_hash: str,
     known: Mapping[str, str] | None = None,
-    wanted: Collection[str] | None = None,
+    requested: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Everything that decides a result, as JSON values: equal descriptions give equal results.
 
@@ -96,7 +96,7 @@ def describe_run(
         job: gives stage, files, settings and styles.
         features_hash: of what pictures are compared by.
         known: digests of an earlier description's ``files``, for those that are not read.
-        wanted: the files that are read and compared, as the plan names them; None: all.
+        requested: the files that are read and compared, named as in the plan; None: all.
     """
     source = job.plan.source
     folder = Path(source.file_path).parent
@@ -104,7 +104,7 @@ def describe_run(
     files = {}
     for file_path in source.grid_files:
         name = os.path.relpath(file_path, folder)
-        if wanted is None or known is None or file_path in wanted or name not in known:
+        if requested is None or known is None or file_path in requested or name not in known:
             files[name] = _file_digest(job, file_path)
         else:
             files[name] = known[name]

@@ -63,10 +63,12 @@ def with_settled(job: Job, run: Run) -> Job:
     settled = _optimize(run)
 
     def settle(config: Config) -> Config:
-        device, wanted = config.optimize.device, settled.get("device", config.optimize.device)
+        device = config.optimize.device
+        settled_device = settled.get("device", device)
         optimize = config.optimize.replace(
             threads=settled.get("threads", config.optimize.threads),
-            device=device if device.partition(":")[0] == wanted else wanted,  # one of several GPUs
+            # a device of the same kind may be another one of several GPUs
+            device=device if device.partition(":")[0] == settled_device else settled_device,
         )
         return config.replace(optimize=optimize)
 

@@ -106,16 +106,18 @@ class OpenRun:
 
 
 def missing_starts(
-    run: Run, plan: Plan, wanted: Collection[FramePlan] | None = None
+    run: Run, plan: Plan, requested: Collection[FramePlan] | None = None
 ) -> list[tuple[int, VolumePlan, tuple[FramePlan, ...]]]:
     """Volume number, Volume and frames of every sequence in which a coarse start is missing.
 
     Args:
         run: with its folder.
         plan: of the run.
-        wanted: those whose starts are asked for, no other is looked at; None: all.
+        requested: the frames whose starts are checked; None: all.
     """
-    names = None if wanted is None else {coarse_file_name(frame.file_name) for frame in wanted}
+    names = (
+        None if requested is None else {coarse_file_name(frame.file_name) for frame in requested}
+    )
     record = run.coarse(names)
     to_do = []
     for number, volume in enumerate(plan.volumes):

@@ -83,14 +83,14 @@ def _windows_of(whole: Plan, part: Plan) -> frozenset[int]:
         for task in whole.tasks
         for code in task.window.time_codes
     }
-    wanted = [
+    requested = [
         (volume.source.prim_path, frame.source.time_code)
         for volume in part.volumes
         for frame in volume.frames
     ]
-    if not all(place in homes for place in wanted):
+    if not all(place in homes for place in requested):
         return frozenset()
-    return frozenset(homes[place] for place in wanted)
+    return frozenset(homes[place] for place in requested)
 
 
 # A piece of a run, by one of several processes

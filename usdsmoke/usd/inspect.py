@@ -40,8 +40,8 @@ def inspect(
         style, settings: as in ``stylize``; they decide the settings of each Volume.
 
     Raises:
-        StageError: the stage cannot be opened, or its Volumes not be followed to their files.
-        ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
+        StageError: the stage cannot be opened, or the files of its Volumes cannot be found.
+        ConfigError: ``frames`` cannot be read, or a Volume's request is invalid.
     """
     stage = open_stage(stage)
     given = RunArguments.of(style, settings)
@@ -163,7 +163,7 @@ def _describe_grid(grid: GridHeader) -> dict[str, Any]:
 
 
 def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list[str]:
-    """Every problem once, in the order in which it is met."""
+    """Every problem once, in the order in which it is found."""
     found: dict[str, None] = {}
     for volume in source.volumes:
         for frame in volume.frames:

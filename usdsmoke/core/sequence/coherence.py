@@ -219,9 +219,9 @@ def colour_error(
     return _relative(colours[there], carried[there], smoke.density[there])
 
 
-def _relative(found: Tensor, wanted: Tensor, weight: Tensor) -> float:
-    """|found - wanted| / |found|, weighted."""
+def _relative(found: Tensor, expected: Tensor, weight: Tensor) -> float:
+    """|found - expected| / |found|, weighted."""
     weight = weight.double()[:, None]
     energy = float((found.double().square() * weight).sum())
-    missed = float(((found - wanted).double().square() * weight).sum())
+    missed = float(((found - expected).double().square() * weight).sum())
     return (missed / energy) ** 0.5 if energy > 0 else 0.0

@@ -221,10 +221,10 @@ def _single(values: Tensor) -> Tensor:
     return values.float() if values.dtype in HALVES else values
 
 
-def _check_same(what: str, found: Tensor, wanted: Tensor) -> None:
-    if found.shape != wanted.shape:
+def _check_same(what: str, found: Tensor, expected: Tensor) -> None:
+    if found.shape != expected.shape:
         raise ShapeError(
-            f"{what}: {list(found.shape)} does not fit the content's {list(wanted.shape)}. "
+            f"{what}: {list(found.shape)} does not fit the content's {list(expected.shape)}. "
             "Give both the same size."
         )
 

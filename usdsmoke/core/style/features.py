@@ -70,7 +70,7 @@ _BINOMIAL = torch.tensor(BINOMIAL) / sum(BINOMIAL)
 class Network(Protocol):
     """Feature maps [1 C h w] of a picture [H W 3], display-encoded, by layer name."""
 
-    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]: ...
+    def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]: ...
 
 
 def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tuple[Tensor, Tensor]:
@@ -141,20 +141,20 @@ class OrientedFeatures:
         even, odd = _gabor_bank(torch.Generator().manual_seed(seed))
         self._bank = torch.cat([even, odd]).to(style)
 
-    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+    def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]:
         """[1 C H/2^l W/2^l] maps of a picture [H W 3].
 
-        Levels below the deepest wanted are not evaluated.
+        Levels below the deepest requested one are not evaluated.
 
         Gradients: through ``picture``.
         """
-        deepest = max((int(name[-1]) for name in wanted), default=0)
+        deepest = max((int(name[-1]) for name in requested), default=0)
         image = ((picture - self._mean) @ self._matrix).permute(2, 0, 1)[None]
         maps = {}
         for level in range(1, deepest + 1):
             if level > 1:
                 image = _blur(image, stride=2)
-            if f"oriented{level}" in wanted:
+            if f"oriented{level}" in requested:
                 maps[f"oriented{level}"] = self._level(image)
         return maps
 
@@ -271,24 +271,24 @@ class LearnedFeatures:
     def _colour(self, picture: Tensor) -> Tensor:
         return ((picture - self._mean) @ self._matrix).permute(2, 0, 1)[None]
 
-    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+    def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]:
         """[1 C H W] maps of a picture [H W 3], halved after each layer.
 
-        Layers deeper than the deepest wanted are neither learned nor evaluated.
+        Layers deeper than the deepest requested one are neither learned nor evaluated.
 
         Gradients: through ``picture``.
         """
-        deepest = max((int(name[-1]) for name in wanted), default=-1)
+        deepest = max((int(name[-1]) for name in requested), default=-1)
         if deepest < 0:
             return {}
         self._learn_to(deepest)
         maps = self._colour(picture)
-        found = {"learned0": maps} if "learned0" in wanted else {}
+        found = {"learned0": maps} if "learned0" in requested else {}
         for number in range(1, deepest + 1):
             if number > 1:
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
             maps = torch.relu(self._respond(maps, *self._layers[number - 1]))
-            if f"learned{number}" in wanted:
+            if f"learned{number}" in requested:
                 found[f"learned{number}"] = maps
         return found
 
@@ -306,10 +306,10 @@ class EmbeddedFeatures:
         self._style, self._seed = style, seed
         self._parts: dict[type, Network] = {}
 
-    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
+    def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]:
         maps: dict[str, Tensor] = {}
         for part in (OrientedFeatures, LearnedFeatures):
-            names = wanted & frozenset(part.names)
+            names = requested & frozenset(part.names)
             if names and part not in self._parts:
                 self._parts[part] = part(self._style, self._seed)
             if names:

@@ -67,13 +67,13 @@ def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, T
     parameters = {}
     for name, index, n_in, n_out in _convolutions():
         pair = []
-        for kind, wanted in (("weight", (n_out, n_in, 3, 3)), ("bias", (n_out,))):
+        for kind, expected in (("weight", (n_out, n_in, 3, 3)), ("bias", (n_out,))):
             key = f"features.{index}.{kind}"
             tensor = tensors.get(key) if isinstance(tensors, dict) else None
-            if not isinstance(tensor, Tensor) or tuple(tensor.shape) != wanted:
+            if not isinstance(tensor, Tensor) or tuple(tensor.shape) != expected:
                 found = list(tensor.shape) if isinstance(tensor, Tensor) else "missing"
                 raise FeatureError(
-                    f"{key} in {file_path} is {found}, not {list(wanted)}. Give the file of "
+                    f"{key} in {file_path} is {found}, not {list(expected)}. Give the file of "
                     "torchvision's VGG-19 without batch normalisation."
                 )
             if not torch.isfinite(tensor).all():
@@ -131,8 +131,8 @@ class Vgg19Features:
         moved = {name: (w.to(like), b.to(like)) for name, (w, b) in self._parameters.items()}
         return Vgg19Features(moved)
 
-    def __call__(self, picture: Tensor, wanted: frozenset[str]) -> dict[str, Tensor]:
-        """[1 C h w] maps of a picture [H W 3]; stops after the deepest layer wanted.
+    def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]:
+        """[1 C h w] maps of a picture [H W 3]; stops after the deepest requested layer.
 
         Gradients: through ``picture``.
         """
@@ -140,13 +140,13 @@ class Vgg19Features:
         maps = ((picture - mean) / deviation).permute(2, 0, 1)[None]
         found: dict[str, Tensor] = {}
         for name in self.names:
-            if len(found) == len(wanted):
+            if len(found) == len(requested):
                 break
             if name.endswith("_1") and name != "relu1_1":
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
             maps = torch.relu(
                 F.conv2d(F.pad(maps, (1, 1, 1, 1), mode="replicate"), *self._parameters[name])
             )
-            if name in wanted:
+            if name in requested:
                 found[name] = maps
         return found

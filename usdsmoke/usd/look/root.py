@@ -75,7 +75,7 @@ def copied_layer_data(source: Sdf.Layer, folder: Path) -> dict[str, Any]:
     """``customLayerData`` of a source's root layer, for a layer in ``folder``."""
     copied: dict[str, Any] = _reanchored(source.customLayerData, source, folder)
     for key in (ASSET_SOURCE, RECORD_KEY):
-        copied.pop(key, None)  # they tell of that layer alone
+        copied.pop(key, None)  # they describe that layer only
     return copied
 
 
