@@ -20,6 +20,7 @@ import torch
 from benchmarks.control_scenes import paint_styles
 from benchmarks.shape_cost import make_plume
 from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
@@ -96,7 +97,7 @@ def picture_loss(
 
 
 def perspective_views(
-    smoke: ActiveSmoke, config: Config, scene: Scene, seed: int, factor: int = 1
+    smoke: ActiveSmoke, config: ViewsConfig, scene: Scene, seed: int, factor: int = 1
 ) -> list[View]:
     """What ``scene.frame_views`` would be with perspective pictures, of the scene's pixel size at
     the smoke's middle.
@@ -107,7 +108,7 @@ def perspective_views(
     distance = float(np.linalg.norm(target - scene.camera.camera_to_stage[3, :3]))
     focal = distance / (scene.pixel_size * factor)
     views = []
-    for azimuth, elevation in sample_angles(config.views, config.views.pool, seed):
+    for azimuth, elevation in sample_angles(config, config.pool, seed):
         view = camera_orbit(scene.camera, float(azimuth), float(elevation), target, 1.0)
         eye = target - distance * view.forward
         away = positions - eye

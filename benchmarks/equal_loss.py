@@ -83,7 +83,7 @@ def _run_baseline(
     """CPU seconds so far and, when called, density and emission; after every iteration."""
     config = _settings(step, frame)
     spent, begin = 0.0, time.process_time()
-    scene, box = measure_scene([frame], config, "Y"), dense_box(frame.density)
+    scene, box = measure_scene([frame], config.views, config.optics, "Y"), dense_box(frame.density)
     targets = make_targets([style], scene, config, torch.device("cpu"))
 
     def shaped(moved: Callable[[], torch.Tensor]) -> tuple[DenseField, None]:

@@ -1,6 +1,7 @@
 """Fixtures of the tests that run usdsmoke from end to end."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -13,6 +14,13 @@ from tests.farm_fixtures import farm, whole
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here
 
 __all__ = ["core", "farm", "plume", "quick_grids", "shot", "whole"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> None:
+    """The processes of pytest-xdist ignore Ctrl-C, and their children inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -10,12 +10,10 @@ from benchmarks.held_out import (
     Result,
     cover_box,
     fit_view,
-    held_out_angles,
     read_result,
-    read_style,
     score_result,
 )
-from benchmarks.stages import author_plume_stage, main
+from benchmarks.stages import author_plume_stage
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.write import write_frame
 
@@ -40,15 +38,6 @@ def make_result(colour: tuple[float, float, float] = (0.5, 0.2, 0.1)) -> Result:
     )
 
 
-def test_angles_stay_in_range_fill_it_and_repeat():
-    angles = held_out_angles(12, 12.0, 6.0)
-    assert angles.shape == (12, 2)
-    assert (np.abs(angles) <= [12.0, 6.0]).all()
-    assert (np.ptp(angles, axis=0) > [16.0, 7.0]).all()
-    assert np.array_equal(angles, held_out_angles(12, 12.0, 6.0))
-    assert not np.array_equal(angles, held_out_angles(12, 12.0, 6.0, seed=1))
-
-
 def test_a_smaller_and_shifted_grid_lands_on_its_own_voxels():
     box = make_field("density", np.zeros((4, 5, 6)), (10, 20, 30))
     values = np.arange(2 * 2 * 3 * 3).reshape(2, 2, 3, 3)
@@ -68,11 +57,6 @@ def test_smoke_of_one_colour_is_drawn_in_that_colour_in_the_middle(renderer: str
     assert alpha[centre] == pytest.approx(wanted, rel=1e-3)
     assert picture[centre] / alpha[centre] == pytest.approx([0.5, 0.2, 0.1], rel=1e-3)
     assert alpha[0].max() < 0.02 and alpha[:, -1].max() < 0.02  # all of the smoke is in the picture
-
-
-def test_pixels_are_never_smaller_than_voxels():
-    assert fit_view(make_result(), 0.0, 0.0, 1000).pixel_size == pytest.approx(VOXEL)
-    assert fit_view(make_result(), 0.0, 0.0, 12).pixel_size == pytest.approx(2 * VOXEL)
 
 
 def test_smoke_painted_straight_through_scores_near_one_from_the_front():
@@ -115,16 +99,6 @@ def test_a_result_is_read_through_its_stage_with_the_extinction_that_it_names(tm
     assert np.array_equal(result.emission.values, made.emission.values)
 
 
-def test_the_style_is_scaled_by_its_longer_side_and_tiled(tmp_path):
-    from PIL import Image
-
-    Image.new("RGB", (80, 40), (255, 0, 51)).save(tmp_path / "style.png")
-    assert read_style(tmp_path / "style.png", 64).shape == (32, 64, 3)
-    tiled = read_style(tmp_path / "style.png", 64, tiling=2)
-    assert tiled.shape == (32, 64, 3)
-    assert tiled[5, 5] == pytest.approx([1.0, 0.0, 0.2])
-
-
 def test_the_plume_stage_finds_its_file_by_a_relative_path_and_frames_the_smoke(tmp_path):
     vdb_file = tmp_path / "data" / "smoke.vdb"
     vdb_file.parent.mkdir()
@@ -143,8 +117,3 @@ def test_the_plume_stage_finds_its_file_by_a_relative_path_and_frames_the_smoke(
     )
     on_screen = seen[:, :2] / -seen[:, 2:] * camera.focalLength / (0.5 * camera.horizontalAperture)
     assert 0.8 < np.abs(on_screen).max() < 1.0
-
-
-def test_missing_data_ends_in_one_line_and_exit_code_one(tmp_path, capsys):
-    assert main(["--data", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
-    assert "name it with --data" in capsys.readouterr().err

@@ -34,7 +34,7 @@ def test_the_plan_tells_of_the_mask_and_does_not_leave_its_field_alone(masked_sh
     assert [frame["mask"] for frame in plan.to_dict()["frames"]] == ["weight"] * 3
     unasked = plan_of(masked_shot.stage, "stage.mask=")
     assert not any("mask" in sentence for sentence in unasked.needed)
-    assert reason_for(unasked, "mask field") == "none is named (stage.mask)"
+    assert "stage.mask" in reason_for(unasked, "mask field")
     assert reason_for(unasked, "fields fade") != ""
 
 
@@ -42,7 +42,7 @@ def test_the_plan_tells_of_the_mask_and_does_not_leave_its_field_alone(masked_sh
 @pytest.mark.usefixtures("quick_grids")
 def test_without_an_effect_there_is_nothing_to_mask(masked_shot: Shot, setting: str) -> None:
     plan = plan_of(masked_shot.stage, setting)
-    assert reason_for(plan, "mask field") == "there is no effect to be scaled"
+    assert "no effect" in reason_for(plan, "mask field")
     for frame in frames_of(masked_shot.stage, setting):
         assert frame.mask is None and frame.mask_to_stage is None
 

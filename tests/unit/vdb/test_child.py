@@ -65,7 +65,7 @@ def test_forty_bytes_of_ones_in_the_tree_end_in_a_named_error_soon(
             assert part in str(error)
     else:  # in a voxel's own bytes there is nothing to find out
         assert field.values.shape == (20, 20, 20)
-    assert time.monotonic() - start < 10.0
+    assert time.monotonic() - start < 60.0  # the limit is 8 CPU seconds; the machine may be busy
 
 
 @pytest.mark.parametrize(

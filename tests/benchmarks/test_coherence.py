@@ -6,8 +6,7 @@ import torch
 from PIL import Image
 
 from benchmarks.coherence import main
-from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
-from benchmarks.coherence_pictures import _round_values
+from benchmarks.coherence_measures import border_ratio, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, _joined
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
@@ -39,12 +38,6 @@ def make_outcome(time_code: float, colour: float, moved: float, density: float =
     return Outcome(frame, still, Displacement(displacement, lattice), smoke, emission)
 
 
-def test_colours_come_back_from_the_fields() -> None:
-    smoke, colours = painted_colours(make_outcome(1, 0.6, 0, density=3.0), GAMMA_W)
-    assert len(smoke.ijk) == 64
-    np.testing.assert_allclose(colours.numpy(), 0.6, rtol=1e-5)
-
-
 def test_temporal_errors_of_resting_smoke_are_the_relative_changes() -> None:
     run = Run([make_outcome(1, 0.4, 1.0), make_outcome(2, 0.5, 0.8), make_outcome(3, 0.5, 0.8)], 0)
     errors = temporal_errors(run, GAMMA_W)
@@ -72,12 +65,6 @@ def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
     masses = [float(item.density.values.mean()) for item in run.outcomes]
     np.testing.assert_allclose(masses, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
     np.testing.assert_allclose(run.differences, [(2 / 3, run.differences[0][1])] * 2, rtol=1e-6)
-
-
-@pytest.mark.parametrize("highest", [0.07, 0.31, 1.2, 6.0])
-def test_axes_have_a_few_round_values(highest: float) -> None:
-    values = _round_values(highest)
-    assert 3 <= len(values) <= 6 and values[0] == 0 and values[-1] <= highest
 
 
 def test_the_command_writes_its_table_and_pictures(tmp_path, capsys) -> None:

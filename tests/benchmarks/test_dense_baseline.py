@@ -12,7 +12,6 @@ from benchmarks.baselines import (
     dense_box,
     inclusive_weights,
     rotate_box,
-    with_values,
 )
 from tests.smoke_fixtures import puff, random_style
 from tests.stylize_fixtures import quick_config
@@ -67,22 +66,6 @@ def test_the_inclusive_sum_is_of_first_order() -> None:
         errors.append(abs(float(weights.sum()) - float(1 - torch.exp(torch.tensor(-4.0)))))
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
     assert errors[1] / errors[2] == pytest.approx(2, rel=0.1)
-
-
-def test_values_go_back_to_where_they_came_from() -> None:
-    field = field_of(puff(10))
-    box = dense_box(field)
-    again = with_values(field, box, box.density)
-    low = np.array(field.ijk_min) - again.ijk_min
-    for ijk in np.argwhere(field.values > 0):
-        assert again.values[tuple(ijk + low)] == field.values[tuple(ijk)]
-    assert again.values.sum() == pytest.approx(field.values.sum())
-
-
-def test_turned_voxels_are_refused() -> None:
-    field = DenseField("density", puff(6), (0, 0, 0), np.diag([1.0, 2.0, 1.0, 1.0]))
-    with pytest.raises(ValueError, match="cubic voxels along the axes"):
-        dense_box(field)
 
 
 @pytest.mark.parametrize("step", ["shape", "colour"])
