@@ -29,7 +29,7 @@ _OPTIONS = {  # that stand for a setting
     "--alias-cd": "layer.scatter_colour",
     "--split-rgb": "layer.split_rgb",
 }
-_EXIT_CODES = "exit codes: 0 ok, 1 a named error, 2 wrong usage, 130 stopped by Ctrl-C"
+_EXIT_CODES = "exit codes: 0 ok, 1 error, 2 wrong usage, 130 stopped by Ctrl-C"
 
 
 def build_parser() -> argparse.ArgumentParser:
