@@ -19,16 +19,6 @@ MOST_FILES, MOST_ROOMS, MOST_NAMES = 15, 14, 12  # in a folder, at the top, in a
 # Exceptions, each with its reason. Never more than three.
 EXCEPTIONS: dict[str, str] = {}
 
-# Debts of the move into rooms, to be paid before the next release.
-DEBT = {
-    "faces": {"farm", "pictures",
-              "runs", "ui.usdview"},
-    "folders": set(),
-    "files in cycles": set(),
-    "packages": set(),
-    "parameters": set(),
-}  # fmt: skip
-
 
 def table(first: str) -> dict[str, list[str]]:
     """The rows of the document's table by first cell, without backquotes; ``first`` heads it."""
@@ -95,8 +85,6 @@ def test_imports_go_down(name: str) -> None:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_packages_are_loaded_in_their_rooms_only(name: str) -> None:
-    if name in DEBT["packages"]:
-        return
     for package in MODULES[name].foreign:
         homes = HOMES.get(package, set())
         inside = any(name == home or name.startswith(f"{home}.") for home in homes)
@@ -138,9 +126,7 @@ def test_packages_of_extras_are_loaded_inside_functions() -> None:
 
 
 def test_files_import_in_no_circle() -> None:
-    indebted = DEBT["files in cycles"]
-    imports = {n: m.ours - {""} - indebted for n, m in MODULES.items() if n not in indebted}
-    assert find_cycle(imports) == []
+    assert find_cycle({name: module.ours - {""} for name, module in MODULES.items()}) == []
 
 
 def test_a_circle_of_imports_is_found() -> None:
@@ -161,7 +147,7 @@ def test_folders_are_not_crowded() -> None:
         for f in folders_of(PACKAGE)
     }
     crowded = {folder: n for folder, n in counts.items() if n > MOST_FILES}
-    assert not {k: n for k, n in crowded.items() if k not in DEBT["folders"]}
+    assert not crowded
     top = [p for p in PACKAGE.iterdir() if p.name not in ("__init__.py", "__main__.py")]
     rooms = [p for p in top if p.suffix == ".py" or (p.is_dir() and p.name != "__pycache__")]
     assert len(rooms) <= MOST_ROOMS, sorted(p.name for p in rooms)
@@ -178,8 +164,7 @@ def test_every_room_has_a_face(folder: Path) -> None:
     text = ast.get_docstring(face.tree) or ""
     files = [p.stem for p in folder.glob("*.py") if p.stem != "__init__"]
     unnamed = [stem for stem in files if f"`{stem}`" not in text]
-    if name not in DEBT["faces"]:
-        assert text and not unnamed, f"{folder}/__init__.py does not say what {unnamed} hold"
+    assert text and not unnamed, f"{folder}/__init__.py does not say what {unnamed} hold"
     assert len(public_names(face.tree) or []) <= MOST_NAMES
 
 
@@ -208,7 +193,7 @@ def test_functions_take_few_parameters() -> None:
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
                 n = len([a for a in arguments if a.arg not in ("self", "cls")])
-                if n > MOST_PARAMETERS and node.name not in DEBT["parameters"]:
+                if n > MOST_PARAMETERS:
                     crowded.append(f"{name}.{node.name}: {n}")
     assert not crowded
 

@@ -2,19 +2,19 @@
 
 The files are imported by name, because most of them load OpenUSD.
 
-run           the run on disk: folder, record, manifests, claims of processes on its pieces
-manifests     what a finished window or the coarse step has left
-identity      what decides a result, and what differs between two runs
-opening       which run a call belongs to: begun, continued, joined, repeated or refused
-opened        a run that this process works on: what is left to do, disk, how far
-machine       threads, device and processor that a run is bound to
-coarse        the measured scenes, and the coarse step that all windows start from
-window        frames are checked, stylized and written, window by window
-outputs       one frame's grids and the record of its file
-assemble      frames of two windows are blended, the look layer is written
-frame_records what is written down in the layer and in each frame's file
-sheet         contact sheets
-progress      how far a run is, as a record
-tolerance     settings that follow from ``optimize.target_error``
-budget        the error budget (a folder)
+- ``run``: the run on disk: folder, record, manifests, claims of processes on its pieces
+- ``manifests``: what a finished window or the coarse step has left
+- ``identity``: what decides a result, and what differs between two runs
+- ``opening``: which run a call belongs to: begun, continued, joined, repeated or refused
+- ``opened``: a run that this process works on: what is left to do, disk, how far
+- ``machine``: threads, device and processor that a run is bound to
+- ``coarse``: the measured scenes, and the coarse step that all windows start from
+- ``window``: frames are checked, stylized and written, window by window
+- ``outputs``: one frame's grids and the record of its file
+- ``assemble``: frames of two windows are blended, the look layer is written
+- ``frame_records``: what is written down in the layer and in each frame's file
+- ``sheet``: contact sheets
+- ``progress``: how far a run is, as a record
+- ``tolerance``: settings that follow from ``optimize.target_error``
+- ``budget``: the error budget (a folder)
 """
