@@ -31,7 +31,7 @@ class FieldSamples:
     """
 
     def __init__(self, prim: Usd.Prim) -> None:
-        """Args: prim: an OpenVDBAsset."""
+        """Args: prim: a FieldAsset, such as an OpenVDBAsset."""
         self._file = prim.GetAttribute("filePath")
         self._grid = (prim.GetAttribute("fieldName"), prim.GetAttribute("fieldIndex"))
 

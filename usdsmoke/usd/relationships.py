@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from pxr import Sdf, Usd
 
-__all__ = ["FIELD_PREFIX", "field_prim", "field_targets"]
+__all__ = ["FIELD_PREFIX", "field_targets", "target_prim"]
 
 FIELD_PREFIX = "field:"
 
@@ -22,24 +22,16 @@ def field_targets(volume: Usd.Prim) -> dict[str, list[Sdf.Path]]:
     }
 
 
-def field_prim(stage: Usd.Stage, targets: Sequence[Sdf.Path], kind: type) -> Usd.Prim | str:
-    """The field prim at the one target of a relationship, or what is wrong with it.
+def target_prim(stage: Usd.Stage, targets: Sequence[Sdf.Path]) -> Usd.Prim | None:
+    """The prim at the one target of a relationship, of any type.
 
     Args:
         stage: where the targets lead to.
         targets: of ``field_targets``.
-        kind: the schema class that the prim must be of.
 
     Returns:
-        The prim, or words that follow "the relationship".
+        None if there is no target or several, or if the target is no prim of the stage.
     """
-    if not targets:
-        return "has no target"
-    if len(targets) > 1:
-        return f"has {len(targets)} targets ({', '.join(f'<{path}>' for path in targets)})"
-    prim = stage.GetPrimAtPath(targets[0].GetPrimPath())
-    if not prim or not targets[0].IsPrimPath():
-        return f"leads to <{targets[0]}>, where there is no prim"
-    if not prim.IsA(kind):
-        return f"leads to <{targets[0]}>, which is of type {prim.GetTypeName() or 'none'}"
-    return prim
+    if len(targets) != 1 or not targets[0].IsPrimPath():
+        return None
+    return stage.GetPrimAtPath(targets[0]) or None

@@ -17,7 +17,7 @@ from usdsmoke.base.setting_model import nearest
 from usdsmoke.base.settings import check_setting
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StyleRequest
-from usdsmoke.usd.relationships import field_prim, field_targets
+from usdsmoke.usd.relationships import field_targets, target_prim
 from usdsmoke.usd.request_values import (
     CAMERA,
     MASK,
@@ -274,9 +274,16 @@ def _target(volume: Usd.Prim, name: str) -> Sdf.Path | None:
 def _check_target(volume: Usd.Prim, name: str, kind: type) -> None:
     """Refuse a relationship that does not lead to a prim of a kind; no target is no error."""
     target = _target(volume, name)
-    found = field_prim(volume.GetStage(), [target], kind) if target else None
-    if isinstance(found, str):
+    if target is None:
+        return
+    where = f"<{volume.GetPath()}.{name}> leads to <{target}>"
+    prim = target_prim(volume.GetStage(), [target])
+    if prim is None:
         raise StageError(
-            f"<{volume.GetPath()}.{name}> {found}. Correct its target: a prim of type "
-            f"{kind.__name__}."
+            f"{where}, where there is no prim. Correct its target: a prim of type {kind.__name__}."
+        )
+    if not prim.IsA(kind):
+        raise StageError(
+            f"{where}, which is of type {prim.GetTypeName() or 'none'}. Correct its target: a prim "
+            f"of type {kind.__name__}."
         )

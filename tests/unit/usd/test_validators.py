@@ -60,7 +60,7 @@ def test_the_rules_stand_in_usds_own_registry():
     assert register_validators() == names
     registry = UsdValidation.ValidationRegistry()
     assert all(registry.HasValidator(name) for name in names)
-    assert len(names) == 17
+    assert len(names) == 19
     metadata = registry.GetValidatorMetadata(PREFIX + "GridMissing")
     assert "usdsmoke" in metadata.GetKeywords()
     assert metadata.GetSchemaTypes() == ["UsdVolVolume"]
@@ -95,10 +95,11 @@ def test_a_missing_extent_is_found(tmp_path):
 @pytest.mark.parametrize(
     ("relation", "words"),
     [
-        ("rel field:temp", "has no target"),
-        ("rel field:temp = </World/none>", "leads to </World/none>, where there is no prim"),
-        ("rel field:temp = </World>", "of type Xform"),
-        ("rel field:temp = </World/smoke.extent>", "where there is no prim"),
+        ("rel field:temp", "no target"),
+        ("rel field:temp = [</World/a>, </World/b>]", "</World/a>, </World/b>"),
+        ("rel field:temp = </World/none>", "</World/none>"),
+        ("rel field:temp = </World>", "Xform"),
+        ("rel field:temp = </World/smoke.extent>", "</World/smoke.extent>"),
     ],
 )
 def test_a_relationship_that_leads_nowhere_is_found(tmp_path, relation, words):
@@ -107,6 +108,27 @@ def test_a_relationship_that_leads_nowhere_is_found(tmp_path, relation, words):
     assert found.severity == Severity.ERROR
     assert found.prim_path == "/World/smoke.field:temp"
     assert words in found.message
+
+
+@pytest.mark.parametrize(
+    ("name", "severity"),
+    [("density", Severity.ERROR), ("vel", Severity.WARN), ("velocity_x", Severity.WARN)],
+)
+def test_a_density_or_velocity_of_another_kind_is_found(tmp_path, name, severity):
+    field = density_prim("asset filePath = @./old.f3d@", name).replace("OpenVDB", "Field3D")
+    field = field.replace('token fieldClass = "fogVolume"', "")
+    body = field if name == "density" else density_prim(FILE) + field
+    relations = None if name == "density" else TWO.replace("temp", name)
+    found = only(findings(tmp_path, body, relations), "FieldKindUnsupported")
+    assert (found.severity, found.prim_path) == (severity, f"/World/smoke.field:{name}")
+    for fact in (f"</World/smoke/{name}>", "Field3DAsset", "old.f3d", '"density"', "OpenVDBAsset"):
+        assert fact in found.message
+
+
+def test_other_fields_of_another_kind_are_allowed(tmp_path):
+    temp = density_prim("asset filePath = @./old.f3d@", "temp").replace("OpenVDB", "Field3D")
+    temp = temp.replace('token fieldClass = "fogVolume"', "")
+    assert findings(tmp_path, density_prim(FILE) + temp, TWO) == []
 
 
 def test_missing_files_are_found_once_a_path_with_their_time_codes(tmp_path):
@@ -174,9 +196,38 @@ def test_a_data_type_that_does_not_fit_is_found_and_a_missing_one_noted(tmp_path
     ],
 )
 def test_a_class_that_contradicts_the_grids_is_found(tmp_path, token, grid_class, wrong):
-    write_vdb(tmp_path / "cache/smoke.0001.vdb", grid_class=grid_class)
-    found = findings(tmp_path, density_prim(FILE).replace("fogVolume", token))
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["temp"], grid_class=grid_class)
+    temp = density_prim(FILE, "temp", grid='token fieldName = "temp"').replace("fogVolume", token)
+    found = findings(tmp_path, temp, "rel field:temp = </World/smoke/temp>")
     assert [item.rule for item in found] == (["FieldClassMismatch"] if wrong else [])
+
+
+@pytest.mark.parametrize("token", ["levelSet", "unknown"])
+def test_a_density_that_is_a_level_set_is_found_whatever_its_field_says(tmp_path, token):
+    files = sampled("asset filePath", {n: f"@./cache/smoke.{n:04d}.vdb@" for n in (1, 2, 3)})
+    for n in (1, 3):
+        write_vdb(tmp_path / f"cache/smoke.{n:04d}.vdb")
+    write_vdb(tmp_path / "cache/smoke.0002.vdb", grid_class="level set")
+    body = density_prim(files).replace("fogVolume", token)
+    found = [item for item in findings(tmp_path, body) if item.rule != "FieldClassMismatch"]
+    error = only(found, "GridUnsupported")
+    assert (error.severity, error.prim_path, error.time_code) == (Severity.ERROR, DENSITY, 2.0)
+    for fact in ("smoke.0002.vdb", '"density"', "level set", "Convert"):
+        assert fact in error.message
+
+
+def test_a_density_of_vectors_is_found(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["vel"])
+    body = density_prim(FILE, grid='token fieldName = "vel"').replace('"float"', '"float3"')
+    found = [item for item in findings(tmp_path, body) if item.severity == Severity.ERROR]
+    assert '"vel"' in only(found, "GridUnsupported").message
+
+
+def test_what_the_density_may_not_be_other_fields_may_be(tmp_path):
+    write_vdb(tmp_path / "cache/smoke.0001.vdb", ["temp"], grid_class="level set")
+    temp = density_prim(FILE, "temp", grid='token fieldName = "temp"')
+    temp = temp.replace("fogVolume", "levelSet")
+    assert findings(tmp_path, temp, "rel field:temp = </World/smoke/temp>") == []
 
 
 def test_a_token_that_the_schema_does_not_know_is_found(tmp_path):

@@ -3,9 +3,18 @@
 - `validation`: registers the rules with UsdValidation; runs all validators over a stage
 - `findings`: what a rule or a validator finds
 - `facts`: a Volume's fields over time, and the headers of their files
-- `field_rules`: rules on one field
-- `volume_rules`: rules on a Volume's fields together, and on its style request
-- `result_rules`: rules on files that usdsmoke wrote
+- `field_rules`: FieldTargetInvalid, FieldKindUnsupported, FieldFileMissing, GridMissing,
+  GridUnsupported, FieldTypeMismatch, FieldClassMismatch, FieldTokenUnknown, FrameGap, AbsolutePath
+- `volume_rules`: VolumeExtentMissing, MixedFilesPerVolume, FieldNameMismatch,
+  GridTransformMismatch, RequestInvalid, RequestNotApplied, RequestMisplaced
+- `result_rules`: GridHashMismatch, ResultChanged
+
+The words of a rule's message are in the rule's file. Four rules repeat the error of a reader
+instead, so that validating and stylizing give one reason:
+
+- FieldFileMissing: `usd.asset_paths`, `vdb.header`
+- GridMissing, GridUnsupported: `vdb.read`
+- RequestInvalid: `usd.volume_requests`
 """
 
 from usdsmoke.usd.rules.findings import Finding, Severity

@@ -1,6 +1,7 @@
 """A Volume's fields over time, and the headers of their files."""
 
 import os
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
@@ -9,21 +10,27 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError
+from usdsmoke.base.sections import StageConfig
+from usdsmoke.base.volume import VELOCITY_NAMES
 from usdsmoke.usd.asset_paths import vdb_problem
 from usdsmoke.usd.field_samples import FieldSample, FieldSamples, usd_time
-from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd.relationships import field_targets, target_prim
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, find_grid
 
 __all__ = [
+    "DENSITY",
     "FieldFacts",
     "collect_fields",
     "field_to_stage",
     "file_trouble",
     "header_of",
+    "is_velocity",
     "sample_grid",
 ]
 
+DENSITY = StageConfig().density  # a stage is checked without a run's settings
+_VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
 _READING = Lock()  # UsdValidation runs validators at the same time, and all want the same headers
 
 
@@ -49,10 +56,15 @@ def collect_fields(volume: Usd.Prim, interval: Gf.Interval) -> list[FieldFacts]:
     """The usable fields of a Volume with all that they show in an interval of time."""
     fields = []
     for name, targets in field_targets(volume).items():
-        prim = volume.GetStage().GetPrimAtPath(targets[0]) if len(targets) == 1 else None
+        prim = target_prim(volume.GetStage(), targets)
         if prim and prim.IsA(UsdVol.OpenVDBAsset):
             fields.append(FieldFacts(name, prim, FieldSamples(prim).inside(interval)))
     return fields
+
+
+def is_velocity(relationship: str) -> bool:
+    """True for the usual names of a velocity or of one of its components, without ``field:``."""
+    return _VELOCITY.fullmatch(relationship) is not None
 
 
 def header_of(file_path: str) -> FileHeader:

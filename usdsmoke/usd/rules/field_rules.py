@@ -7,28 +7,32 @@ from itertools import pairwise
 
 from pxr import Gf, Usd, UsdVol
 
-from usdsmoke.base.errors import GridError, StageError
+from usdsmoke.base.errors import GridError, StageError, UnsupportedGrid
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.usd.field_samples import usd_time
-from usdsmoke.usd.relationships import field_prim, field_targets
+from usdsmoke.usd.field_samples import FieldSamples, usd_time
+from usdsmoke.usd.relationships import field_targets, target_prim
 from usdsmoke.usd.rules.facts import (
+    DENSITY,
     FieldFacts,
     collect_fields,
     file_trouble,
     header_of,
+    is_velocity,
     sample_grid,
 )
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.header import GridHeader
-from usdsmoke.vdb.read import GridRequest, find_grid
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
 __all__ = [
     "check_absolute_paths",
     "check_classes",
+    "check_density",
     "check_files",
     "check_gaps",
     "check_grids",
+    "check_kinds",
     "check_targets",
     "check_tokens",
     "check_types",
@@ -55,11 +59,54 @@ def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     """Every field relationship leads to one field prim."""
     problems = []
     for name, targets in field_targets(volume).items():
-        found = field_prim(volume.GetStage(), targets, _FIELD_BASE)
-        if isinstance(found, str):
-            where = f"{volume.GetPath()}.field:{name}"
-            message = f"the relationship {found}. Correct its target: one OpenVDBAsset prim."
+        where = f"{volume.GetPath()}.field:{name}"
+        listed = ", ".join(f"<{path}>" for path in targets)
+        prim = target_prim(volume.GetStage(), targets)
+        if not targets:
+            message = "the relationship has no target. Set it to one OpenVDBAsset prim."
+        elif len(targets) > 1:
+            message = f"the relationship has {len(targets)} targets ({listed}). Keep one of them."
+        elif prim is None:
+            message = (
+                f"the relationship leads to {listed}, where there is no prim. Correct its target: "
+                "one OpenVDBAsset prim."
+            )
+        elif not prim.IsA(_FIELD_BASE):
+            message = (
+                f"the relationship leads to {listed}, which is of type "
+                f"{prim.GetTypeName() or 'none'} and holds no field. Correct its target: one "
+                "OpenVDBAsset prim."
+            )
+        else:
+            continue
+        problems.append(Problem(Severity.ERROR, where, message))
+    return problems
+
+
+def check_kinds(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
+    """Density and velocity are OpenVDBAssets; other fields may be of any type.
+
+    A density of another type cannot be stylized. A velocity of another type is ignored.
+    """
+    problems = []
+    for name, targets in field_targets(volume).items():
+        prim = target_prim(volume.GetStage(), targets)
+        if prim is None or not prim.IsA(_FIELD_BASE) or prim.IsA(UsdVol.OpenVDBAsset):
+            continue
+        found = f"<{prim.GetPath()}> ({_shown(prim, interval)}) is of type {prim.GetTypeName()}"
+        where = f"{volume.GetPath()}.field:{name}"
+        if name == DENSITY:
+            message = (
+                f"the density {found}, which cannot be stylized. Convert the file to OpenVDB and "
+                "show it with an OpenVDBAsset prim."
+            )
             problems.append(Problem(Severity.ERROR, where, message))
+        elif is_velocity(name):
+            message = (
+                f"the velocity {found}, so stylizing ignores it. Convert the file to OpenVDB and "
+                "show it with an OpenVDBAsset prim."
+            )
+            problems.append(Problem(Severity.WARN, where, message))
     return problems
 
 
@@ -90,6 +137,26 @@ def check_grids(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                 request = GridRequest(sample.grid_name, sample.grid_index)
                 find_grid(header_of(sample.file_path), request)
             except GridError as error:
+                troubles[sample.time_code] = str(error)
+        problems += grouped(Severity.ERROR, field.prim_path, troubles)
+    return problems
+
+
+def check_density(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
+    """The density's grids are fog volumes of numbers in linear space, which stylizing can read."""
+    problems = []
+    for field in collect_fields(volume, interval):
+        if field.relationship != DENSITY:
+            continue
+        troubles = {}
+        for sample in field.samples:
+            grid = sample_grid(sample)
+            if grid is None:
+                continue  # ``check_files`` or ``check_grids`` reports it
+            request = GridRequest(sample.grid_name, sample.grid_index, components=1)
+            try:
+                check_readable(header_of(sample.file_path), grid, request)
+            except UnsupportedGrid as error:
                 troubles[sample.time_code] = str(error)
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
     return problems
@@ -187,6 +254,7 @@ def check_absolute_paths(volume: Usd.Prim, interval: Gf.Interval) -> list[Proble
 
 
 _FIELD_BASE = getattr(UsdVol, "VolumeFieldBase", UsdVol.FieldBase)  # renamed after 24.08
+_FIELD_ASSET = getattr(UsdVol, "VolumeFieldAsset", UsdVol.FieldAsset)  # renamed with it
 
 
 def _header_trouble(file_path: str) -> str:
@@ -195,6 +263,15 @@ def _header_trouble(file_path: str) -> str:
     except (GridError, StageError) as error:
         return str(error)
     return ""
+
+
+def _shown(prim: Usd.Prim, interval: Gf.Interval) -> str:
+    """The first file and grid of a field of any type, in words."""
+    samples = FieldSamples(prim).inside(interval) if prim.IsA(_FIELD_ASSET) else ()
+    first = next((item for item in samples if item.authored_path), None)
+    if first is None:
+        return "no file"
+    return f'@{first.authored_path}@, grid "{first.grid_name}"'
 
 
 def _grids(field: FieldFacts) -> list[tuple[float | None, GridHeader]]:

@@ -30,8 +30,13 @@ PrimRule = Callable[[Usd.Prim, Gf.Interval], list[Problem]]
 _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "VolumeExtentMissing": (volume_rules.check_extent, "A Volume has an extent."),
     "FieldTargetInvalid": (field_rules.check_targets, "Field relationships lead to field prims."),
+    "FieldKindUnsupported": (
+        field_rules.check_kinds,
+        "The density, and the velocity if there is one, are OpenVDBAssets.",
+    ),
     "FieldFileMissing": (field_rules.check_files, "Field files exist and are VDB files."),
     "GridMissing": (field_rules.check_grids, "Files have the grids that their fields name."),
+    "GridUnsupported": (field_rules.check_density, "The density's grids are fog volumes."),
     "FieldTypeMismatch": (field_rules.check_types, "fieldDataType describes the grid."),
     "FieldClassMismatch": (field_rules.check_classes, "fieldClass describes the grid."),
     "FieldTokenUnknown": (field_rules.check_tokens, "Field tokens are those the schema allows."),

@@ -1,18 +1,17 @@
 """Rules on a Volume: its bounds, its fields together, and what it requests."""
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from pxr import Gf, Usd, UsdVol
 
-from usdsmoke.base.volume import VELOCITY_NAMES
 from usdsmoke.usd.field_samples import FieldSample
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     collect_fields,
     field_to_stage,
+    is_velocity,
     sample_grid,
 )
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
@@ -29,7 +28,6 @@ __all__ = [
     "check_request_placed",
 ]
 
-_VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
@@ -98,7 +96,7 @@ def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             grid = sample_grid(sample)
             if grid is None or grid.index_to_world is None or _is_empty(sample):
                 continue
-            if _VELOCITY.fullmatch(field.relationship):
+            if is_velocity(field.relationship):
                 continue  # often coarser than what it moves, and read on its own
             place = grid.index_to_world @ field_to_stage(field.prim, code)
             if first is None:

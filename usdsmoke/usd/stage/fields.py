@@ -13,7 +13,7 @@ from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VELOCITY_NAMES, FieldSource
 from usdsmoke.usd.asset_paths import vdb_problem
 from usdsmoke.usd.field_samples import FieldSamples
-from usdsmoke.usd.relationships import FIELD_PREFIX, field_prim, field_targets
+from usdsmoke.usd.relationships import FIELD_PREFIX, field_targets, target_prim
 from usdsmoke.usd.request_values import MASK
 from usdsmoke.usd.values import value_at
 
@@ -151,7 +151,17 @@ def _where(volume: Usd.Prim, name: str) -> str:
 
 
 def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
-    return field_prim(volume.GetStage(), targets, UsdVol.OpenVDBAsset)
+    """The OpenVDBAsset at the one target, or what is wrong with it, in words for an error."""
+    prim = target_prim(volume.GetStage(), targets)
+    if prim and prim.IsA(UsdVol.OpenVDBAsset):
+        return prim
+    if not targets:
+        return "has no target"
+    if len(targets) > 1:
+        return f"has {len(targets)} targets ({', '.join(f'<{path}>' for path in targets)})"
+    if not prim:
+        return f"leads to <{targets[0]}>, where there is no prim"
+    return f"leads to <{targets[0]}>, which is of type {prim.GetTypeName() or 'none'}"
 
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:
