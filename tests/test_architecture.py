@@ -14,7 +14,7 @@ MODULES = read_modules()
 DOCUMENT = PROJECT / "docs" / "architecture.md"
 SOURCE_FOLDERS = ("usdsmoke", "tests", "examples", "tools", "benchmarks")
 LONGEST_FILE, LONGEST_FUNCTION, MOST_PARAMETERS = 400, 60, 7
-MOST_FILES, MOST_ROOMS, MOST_NAMES = 15, 14, 12  # in a folder, at the top, in a face
+MOST_FILES, MOST_AT_TOP, MOST_NAMES = 15, 14, 12  # in a folder, in usdsmoke/, in an __init__
 
 # Exceptions, each with its reason. Never more than three.
 EXCEPTIONS: dict[str, str] = {}
@@ -28,34 +28,34 @@ def table(first: str) -> dict[str, list[str]]:
     return {row[0].strip(" `"): [cell.strip() for cell in row[1:]] for row in rows[2:]}
 
 
-# room: floor (3, 2): second room of the third floor; a room may be one file.
-FLOORS = {
-    room: tuple(int(number) for number in cells[0].split("."))
-    for room, cells in table("subpackage").items()
+# subpackage: level; (3, 2) is the second part of level 3. A subpackage may be one file.
+LEVELS = {
+    subpackage: tuple(int(number) for number in cells[0].split("."))
+    for subpackage, cells in table("subpackage").items()
 }
-# package: rooms that may load it
-HOMES = {
+# third-party package: where it may be loaded
+LOADED_IN = {
     package: set(re.findall(r"`([a-z_.]+)`", cells[0]))
     for names, cells in table("package").items()
     for package in names.replace("`", "").replace(",", " ").split()
 }
 
 
-def room_of(name: str) -> str:
+def subpackage_of(name: str) -> str:
     """The row that a module belongs to: the longest name that it begins with."""
     parts = name.split(".")
     for n in range(len(parts), 0, -1):
-        if ".".join(parts[:n]) in FLOORS:
+        if ".".join(parts[:n]) in LEVELS:
             return ".".join(parts[:n])
     return ""
 
 
-def may_import(room: str, other: str) -> bool:
-    """Lower floors; on its own floor only what is before it in the same folder."""
-    here, there = FLOORS[room], FLOORS[other]
+def may_import(name: str, other: str) -> bool:
+    """Lower levels; on its own level only what is before it in the same folder."""
+    here, there = LEVELS[name], LEVELS[other]
     if here[0] != there[0]:
         return there < here
-    return room == other or (room.split(".")[0] == other.split(".")[0] and there < here)
+    return name == other or (name.split(".")[0] == other.split(".")[0] and there < here)
 
 
 def source_files(*folders: str) -> Iterator[Path]:
@@ -67,34 +67,37 @@ def folders_of(root: Path) -> list[Path]:
     return [p for p in sorted(root.rglob("*")) if p.is_dir() and any(p.glob("*.py"))]
 
 
-def test_every_module_has_a_room() -> None:
-    assert not [n for n in MODULES if n not in ("", "__main__", "core") and not room_of(n)]
+def test_every_module_is_in_a_subpackage() -> None:
+    assert not [n for n in MODULES if n not in ("", "__main__", "core") and not subpackage_of(n)]
 
 
-@pytest.mark.parametrize("name", [n for n in MODULES if room_of(n)])
+@pytest.mark.parametrize("name", [n for n in MODULES if subpackage_of(n)])
 def test_imports_go_down(name: str) -> None:
-    """Lazy imports and those for type checkers count; the light package itself is everybody's."""
+    """Lazy imports and those for type checkers count; all may import the package itself."""
     bad = {
         other
         for other in MODULES[name].ours
-        if other and (other == "__main__" or not may_import(room_of(name), room_of(other)))
+        if other
+        and (other == "__main__" or not may_import(subpackage_of(name), subpackage_of(other)))
     }
     bad = {other for other in bad if f"{name} -> {other}" not in EXCEPTIONS}
-    assert not bad, f"usdsmoke.{name} imports {sorted(bad)}, which are not below {room_of(name)}"
+    assert not bad, (
+        f"usdsmoke.{name} imports {sorted(bad)}, which are not below {subpackage_of(name)}"
+    )
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_packages_are_loaded_in_their_rooms_only(name: str) -> None:
+def test_packages_are_loaded_only_where_the_document_says(name: str) -> None:
     for package in MODULES[name].foreign:
-        homes = HOMES.get(package, set())
-        inside = any(name == home or name.startswith(f"{home}.") for home in homes)
+        allowed = LOADED_IN.get(package, set())
+        inside = any(name == place or name.startswith(f"{place}.") for place in allowed)
         assert inside or (name == "" and package == "pxr"), (
-            f"usdsmoke.{name} loads {package}; only {sorted(homes)} may"
+            f"usdsmoke.{name} loads {package}; only {sorted(allowed)} may"
         )
 
 
 @pytest.mark.parametrize(
-    ("rooms", "never"),
+    ("subpackages", "never"),
     [
         (("base",), {"torch", "pxr", "openvdb", "pyopenvdb"}),
         (("vdb",), {"torch", "pxr"}),
@@ -103,9 +106,11 @@ def test_packages_are_loaded_in_their_rooms_only(name: str) -> None:
         (("planning",), {"torch"}),
     ],
 )
-def test_nothing_heavy_is_reached_through_others(rooms: tuple[str, ...], never: set[str]) -> None:
+def test_nothing_heavy_is_reached_through_others(
+    subpackages: tuple[str, ...], never: set[str]
+) -> None:
     for name in MODULES:
-        if name.split(".")[0] in rooms:
+        if name.split(".")[0] in subpackages:
             for other in closure(MODULES, name):
                 found = MODULES[other].foreign & never
                 assert not found, f"usdsmoke.{name} reaches {found} through usdsmoke.{other}"
@@ -149,23 +154,23 @@ def test_folders_are_not_crowded() -> None:
     crowded = {folder: n for folder, n in counts.items() if n > MOST_FILES}
     assert not crowded
     top = [p for p in PACKAGE.iterdir() if p.name not in ("__init__.py", "__main__.py")]
-    rooms = [p for p in top if p.suffix == ".py" or (p.is_dir() and p.name != "__pycache__")]
-    assert len(rooms) <= MOST_ROOMS, sorted(p.name for p in rooms)
+    entries = [p for p in top if p.suffix == ".py" or (p.is_dir() and p.name != "__pycache__")]
+    assert len(entries) <= MOST_AT_TOP, sorted(p.name for p in entries)
 
 
 @pytest.mark.parametrize("folder", folders_of(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_every_room_has_a_face(folder: Path) -> None:
+def test_every_folder_has_an_init_that_describes_it(folder: Path) -> None:
     """Its ``__init__`` says what each file holds and has a dozen names at most."""
     if folder == PACKAGE:
         return
     name = ".".join(folder.relative_to(PACKAGE).parts)
-    face = MODULES.get(name)
-    assert face is not None, f"{folder} has no __init__.py"
-    text = ast.get_docstring(face.tree) or ""
+    init = MODULES.get(name)
+    assert init is not None, f"{folder} has no __init__.py"
+    text = ast.get_docstring(init.tree) or ""
     files = [p.stem for p in folder.glob("*.py") if p.stem != "__init__"]
     unnamed = [stem for stem in files if f"`{stem}`" not in text]
     assert text and not unnamed, f"{folder}/__init__.py does not say what {unnamed} hold"
-    assert len(public_names(face.tree) or []) <= MOST_NAMES
+    assert len(public_names(init.tree) or []) <= MOST_NAMES
 
 
 @pytest.mark.parametrize("folder", ["usdsmoke", "tests"])

@@ -1,4 +1,4 @@
-"""The plan of a run, made before voxels are read and without torch.
+"""The plan of a run, made from headers and without torch, and the reading of its frames.
 
 - ``job``: a request, and the prepared run with its early checks
 - ``make_plan``, ``plan``: making the plan, and its records
