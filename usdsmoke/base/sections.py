@@ -262,10 +262,10 @@ class LayerConfig(Section):
     look: str = setting(
         "stylized", "name of the look and of its variant; a folder can hold several looks",
         pattern="(?!original$)[A-Za-z_][A-Za-z0-9_]*",
-        wanted="letters, digits and _, not starting with a digit, not 'original'")
+        form="letters, digits and _, not starting with a digit, not 'original'")
     name: str = setting(
         "", "stem of the VDB files; empty: the Volume prim's name",
-        pattern=r"(?!\.)[\w.-]*", wanted="letters, digits, _ - . only, not starting with a dot")
+        pattern=r"(?!\.)[\w.-]*", form="letters, digits, _ - . only, not starting with a dot")
     format: Literal["usda", "usdc"] = setting("usda", "file format of the look layer")
     copy_velocity: bool | None = setting(
         None, "write the velocity into the result's files; unset: if the Volume has a field for it")

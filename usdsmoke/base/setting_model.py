@@ -46,12 +46,12 @@ def setting(default: Any, description: str, **declared: Any) -> Any:
         default: the value of a setting that nobody gives.
         description: what it means, without a full stop.
         declared: limits as in ``pydantic.Field`` (``ge``, ``gt``, ``le``, ``min_length``), and
-            ``unit``; ``distinct`` (a list names nothing twice); ``pattern`` with ``wanted`` (what a
+            ``unit``; ``distinct`` (a list names nothing twice); ``pattern`` with ``form`` (what a
             whole text must match, and the same in words); ``request`` (the attribute of
             UsdSmokeStyleAPI that stands for the setting) and ``control`` (the field of
             ``FrameControls``, if the attribute may be animated).
     """
-    own = ("unit", "distinct", "pattern", "wanted", "request", "control")
+    own = ("unit", "distinct", "pattern", "form", "request", "control")
     extra = {name: declared.pop(name) for name in own if name in declared}
     return Field(default, description=description, json_schema_extra=extra, **declared)
 
@@ -142,8 +142,8 @@ class Section(BaseModel):
             close = nearest(key, list(cls.model_fields))
             return f"unknown setting {dotted}{source}. {close}"
         place = dotted + "".join(f"[{n}]" for n in index)
-        wanted = _wanted_text(cls.model_fields[str(key)])
-        return f"{place} is {error['input']!r:.99}{source}. Set it to {wanted}."
+        allowed = _allowed_text(cls.model_fields[str(key)])
+        return f"{place} is {error['input']!r:.99}{source}. Set it to {allowed}."
 
 
 def nearest(word: object, known: Sequence[str]) -> str:
@@ -186,7 +186,7 @@ def type_text(field: FieldInfo) -> str:
 def range_text(field: FieldInfo) -> str:
     """A setting's choices and limits, such as "1 to 64" or "> 0, <= 8"; "" without any."""
     is_list, limits, extra = ValueType.of(field).is_list, limits_of(field), extra_of(field)
-    parts = [", ".join(allowed_values(field)), extra.get("wanted", "")]
+    parts = [", ".join(allowed_values(field)), extra.get("form", "")]
     if "ge" in limits and "le" in limits:
         parts.append(f"{_number(limits['ge'])} to {_number(limits['le'])}")
     else:
@@ -199,7 +199,7 @@ def range_text(field: FieldInfo) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _wanted_text(field: FieldInfo) -> str:
+def _allowed_text(field: FieldInfo) -> str:
     is_list, limits, limits_text = ValueType.of(field).is_list, limits_of(field), range_text(field)
     if not limits_text:
         return type_text(field)
