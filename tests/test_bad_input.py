@@ -163,7 +163,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "no image": (no_image, "ImageError", "style.png: No such file"),
     "no config": (with_arguments("--config", "no.yaml"), "ConfigError", "no.yaml"),
     "unknown setting": (with_arguments("--set", "windows.sise=3"), "ConfigError",
-        "unknown setting windows.sise; did you mean 'size'?"),
+        "unknown setting windows.sise"),
     "too little memory": (with_arguments("--set", "optimize.memory_limit_gib=0.01"), "PlanError",
         "0.0 GiB (optimize.memory_limit_gib)"),
     "too little for a grid": (with_arguments("--set", "grids.memory_limit_gib=0.1"),

@@ -112,11 +112,10 @@ def test_every_row_that_is_not_kept_is_named_everywhere(
     for item in broken:
         assert any(f"is not kept: {item.name} is" in text for text in result.warnings)
     notes = choice_notes(result.plan)
-    assert any("cannot be kept: resolution estimated at" in note for note in notes)
-    assert any("cannot be kept: transport estimated at" in note for note in notes)
+    for name in ("resolution", "transport"):
+        assert any("cannot be kept" in note and name in note for note in notes)
     (run,) = find_runs(result.look_layer.parent)
     assert run.error_budget["tolerance"] == result.error_budget.to_json()["tolerance"]
-    assert "tolerance=1e-09: NOT kept by" in result.look_layer.read_text()
 
 
 def test_a_run_without_a_tolerance_is_not_judged(

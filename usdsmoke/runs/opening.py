@@ -68,6 +68,8 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
             continue
         if selected and frames != selected:
             stage = job.config.stage.replace(frames=frames)
+            if "stage.frames" not in run.request.get("explicit", ()):
+                stage = stage.without_explicit("frames")  # the record stays what it was
             whole = job.with_config(job.config.replace(stage=stage))
             if numbers := _windows_of(whole.plan, job.plan):
                 if changes := Identity(whole).changes(run):
