@@ -81,7 +81,7 @@ def test_a_note_is_made_of_fractional_timecodes(
 ) -> None:
     shot.stage.write_text(shot.stage.read_text().replace("{ 1: @", "{ 0.5: @"))
     assert main(shot.arguments()) == 0
-    assert "note: some timeCodes are no whole numbers" in capsys.readouterr().err
+    assert "note: some timeCodes are not whole numbers" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ def test_the_result_says_what_was_left_out(tmp_path: Path) -> None:
         ("other views", "views.azimuth"),
     ):
         assert setting in said[what]
-    for part in ("% of the boxes of", "everything three-dimensional of"):
+    for part in ("% of the bounding boxes of", "everything three-dimensional of"):
         assert [what for what in said if part in what], part
 
 

@@ -59,7 +59,7 @@ def test_replacing_a_look_leaves_the_others_alone(shot: Shot) -> None:
     ember = run(shot, "layer.look=ember")
     run(shot)
     before = file_hashes(ember.frames[0].parent), ember.look_layer.read_bytes()
-    with pytest.raises(OutputExists, match="there is a result"):
+    with pytest.raises(OutputExists, match="already holds"):
         run(shot, "optimize.seed=1")
     run(shot, "optimize.seed=1", force=True)
     assert (file_hashes(ember.frames[0].parent), ember.look_layer.read_bytes()) == before

@@ -38,10 +38,10 @@ def test_a_result_is_not_overwritten_without_force(shot: Shot) -> None:
     run(shot)
     before = file_hashes(shot.output)
     for settings, message in (
-        ((), r"there is a result in .*out already.*--force"),
+        ((), r"out already holds .*--force"),
         (
             ("optimize.seed=1",),
-            r"other settings .*: settings\.optimize\.seed was 0, now 1.*--force",
+            r"different settings .*: settings\.optimize\.seed was 0, now 1.*--force",
         ),
     ):
         with pytest.raises(OutputExists, match=message):

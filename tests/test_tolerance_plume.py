@@ -134,7 +134,7 @@ def test_a_pilot_that_cannot_move_is_no_pilot_without_error(folder: Path) -> Non
     planned = {"shape": [16, 16, 16], "colour": [16, 16, 16]}
     choice = choose_settings(found, 0.1, planned, {})
     assert choice.settings["shape"] == {"interpolation": "cubic"}
-    assert any(note.startswith("shape.iterations stay") for note in choice.notes)
+    assert any(note.startswith("shape.iterations are unchanged") for note in choice.notes)
     assert any("hardly moved the smoke" in note for note in choice.notes)
 
 
@@ -142,5 +142,5 @@ def test_a_step_that_is_not_done_has_its_sentences(folder: Path) -> None:
     found = calibrated(job_of(folder, "optimize.steps=[colour]"))
     assert found["transport"] is None and set(found["steps"]) == {"colour"}
     choice = choose_settings(found, 0.1, {"shape": [16], "colour": [16]}, {})
-    assert "shape.iterations stay: there is no shape step" in choice.notes
-    assert "shape.interpolation stays: there is no shape step" in choice.notes
+    assert "shape.iterations are unchanged: there is no shape step" in choice.notes
+    assert "shape.interpolation is unchanged: there is no shape step" in choice.notes

@@ -164,7 +164,7 @@ def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change
 
 
 def _rewritten(change: Change) -> Change:
-    same = "other bytes, and the same in all grids that were read"
+    same = "a different file, but with identical grids where they were read"
     return Change.note("input-rewritten", change.file, change.expected, same)
 
 
@@ -204,4 +204,4 @@ def _check_contents(
 
 
 def _unread(change: Change, reason: str) -> Change:
-    return Change.note("unchecked", change.file, change.expected, f"other bytes; {reason}")
+    return Change.note("unchecked", change.file, change.expected, f"a different file; {reason}")

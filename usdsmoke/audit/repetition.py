@@ -105,7 +105,7 @@ def _refuse_changes(item: FoundRecord) -> None:
         more = f"; and {len(changes) - _MOST_NAMED} more" if len(changes) > _MOST_NAMED else ""
         raise LayerError(
             f"the inputs of {item.file} have changed: {named}{more}. Restore them, or use --force "
-            "to make another result of the changed inputs."
+            "to rerun with the changed inputs."
         )
 
 

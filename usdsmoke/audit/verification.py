@@ -102,7 +102,11 @@ def _check_result(result: _Result) -> Change | None:
     try:
         promised = str(read_header(result.file).metadata.get(CONTENT_KEY, ""))
         if promised != result.digest:
-            what = f"a file of grids {shown(promised)}" if promised else "a file of another program"
+            what = (
+                f"a file of grids {shown(promised)}"
+                if promised
+                else "a file written by another program"
+            )
             return Change("result-replaced", file, expected, what)
         digest = hash_vdb_file(result.file, GridsConfig())
     except BindingMissing as error:

@@ -136,8 +136,8 @@ def frame_file_names(
         names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}{suffix}")
     if len(set(names)) < len(names):
         raise LayerError(
-            f"timeCodes of {stem} are closer than 1e-{_DECIMALS}, so that their files would have "
-            "the same name. Select other frames."
+            f"two timeCodes of {stem} differ by less than 1e-{_DECIMALS}, so their files would "
+            "share a name. Select other frames."
         )
     return tuple(names)
 

@@ -170,11 +170,11 @@ class RunRecord:
         except (ValueError, TypeError, KeyError) as error:
             reason = " ".join(str(error).split())[:120]
             raise LayerError(
-                f"the record of usdsmoke in {where} cannot be read ({type(error).__name__}: "
+                f"cannot read the usdsmoke record in {where} ({type(error).__name__}: "
                 f"{reason}). Restore the file as usdsmoke wrote it."
             ) from None
         raise LayerError(
-            f"the record of usdsmoke in {where} has format {found!r}; this version reads format "
+            f"the usdsmoke record in {where} has format {found!r}; this version reads format "
             f"{RECORD_FORMAT}. Use the version of usdsmoke that wrote it: "
             f"{values.get('version', 'unknown')}."
         )

@@ -192,8 +192,8 @@ def _succeeded(future: "Future", name: str) -> bool:
         return False
     if isinstance(failure, KilledWorker):
         raise _lost(
-            f"{name} failed: every worker that took it died. Their logs say why. If they ran out "
-            "of memory, give workers more, or lower views.pool, views.image_size or grids.refine"
+            f"{name} failed: every worker that ran it stopped (see their logs). If memory ran "
+            "out, give the workers more, or lower views.pool, views.image_size or grids.refine"
         )
     if failure is not None:
         raise failure

@@ -122,8 +122,8 @@ def find_frame_mask(
     check_readable(header, grid, request)
     if not abs(np.linalg.det(field.field_to_stage[:3, :3])) > 0:  # nor with NaN
         raise UnsupportedGrid(
-            f"the xform of the {request.where} flattens space, so that the mask cannot be looked "
-            "up. Correct its scale."
+            f"the transform of the {request.where} has a scale of 0 or NaN, so the mask cannot be "
+            "sampled. Correct its scale."
         )
     return MaskSource(field, grid)
 

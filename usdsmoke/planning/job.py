@@ -216,7 +216,7 @@ def _check_names(volume: VolumeSource, config: Config) -> None:
     for name in colour_names(config.layer.scatter_colour, config.layer.split_rgb):
         if name in uses:
             raise ConfigError(
-                f"the result's colour field {name} has the name of the {uses[name]} of "
+                f"the colour field {name} would have the same name as the {uses[name]} of "
                 f"<{volume.prim_path}>. Rename the field on the stage, or change optimize.steps, "
                 "layer.scatter_colour or layer.split_rgb."
             )

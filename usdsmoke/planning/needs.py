@@ -38,7 +38,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         needed.append(f"velocity of {_count(n_velocity, 'frame')}")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
         needed.append(
-            f"velocity copied into {_count(n_copied, 'file')}, so that a frame is one file"
+            f"velocity copied into {_count(n_copied, 'file')}, so that each frame is one file"
         )
     # Computed.
     groups = _by_config(volumes)
@@ -368,8 +368,9 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         reason = "UsdSmokeStyleAPI is not applied to the prim; apply it to use them"
         found.append((", ".join(request.ignored), reason))
     if volume.source.other_fields:
-        reason = "only density, velocity and mask are used; the others stay as they are"
-        found.append((f"fields {', '.join(volume.source.other_fields)}", reason))
+        fields = "field" if len(volume.source.other_fields) == 1 else "fields"
+        what = f"{fields} {', '.join(volume.source.other_fields)}"
+        found.append((what, "not used; kept unchanged"))
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))
     empty = [frame for frame in volume.frames if frame.is_empty]
@@ -383,7 +384,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
     n_active = sum(frame.size.active_voxels for frame in filled)
     if n_box > n_active:
         reason = "these voxels are empty; only active ones are projected and optimised"
-        found.append((f"{1 - n_active / n_box:.0%} of the boxes", reason))
+        found.append((f"{1 - n_active / n_box:.0%} of the bounding boxes", reason))
     where = f"of <{volume.source.prim_path}>"
     return [Omission(f"{what} {where}", reason) for what, reason in found]
 

@@ -51,7 +51,10 @@ def find_cuts(
     """
     steps = [later - earlier for earlier, later in pairwise(time_codes)]
     if any(not step > 0 for step in steps):
-        raise ShapeError(f"timeCodes {list(time_codes)} do not ascend. Sort them, each once.")
+        raise ShapeError(
+            f"timeCodes {list(time_codes)} are not in ascending order. Sort them and remove "
+            "repeats."
+        )
     if not steps:
         return ()
     longest = _GAP * max(statistics.median(steps), frame_length)

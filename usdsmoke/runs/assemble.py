@@ -293,7 +293,5 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     found += processor_warnings(run)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):
-        found.append(
-            "some timeCodes are no whole numbers: Blender's importer cannot follow such sequences"
-        )
+        found.append("some timeCodes are not whole numbers, so Blender cannot import the sequence")
     return (*found, *filter(None, [late_note()]))

@@ -135,7 +135,7 @@ def coarse_starts(
         if known is None or not run.is_unchanged(name, known["sha256"]):
             raise FileUnreadable(
                 f"the coarse start {run.folder / name} is missing or was changed. Run the same "
-                "command again, which makes it anew."
+                "command again to rebuild it."
             )
         return load_start(run.folder / name)
 

@@ -204,7 +204,7 @@ def open_run_to_assemble(
         changes = Identity(job).changes(run)
         if changes:
             raise OutputExists(
-                f"the inputs of the run in {run.folder} are no longer the same: {changes}. "
+                f"the inputs of the run in {run.folder} have changed: {changes}. "
                 "Restore them, or stylize again with --force."
             )
         try:
@@ -234,8 +234,8 @@ def _run_to_assemble(output: Path, look: str | None) -> Run:
     run = (unfinished or runs)[0]
     if not run.request:
         raise LayerError(
-            f"the run in {run.folder} does not say what it was begun with. Run 'usdsmoke stylize' "
-            "as it was begun."
+            f"the run in {run.folder} does not record how it was started. Repeat the 'usdsmoke "
+            "stylize' command that started it."
         )
     return run
 
@@ -275,9 +275,9 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
         raise OutputExists(
-            f"{output} holds an unfinished run of other settings or inputs: "
+            f"{output} holds an unfinished run with different settings or inputs: "
             f"{identity.changes(others[0])}. Finish it with its own settings, choose another "
-            "output folder, or give it up with --force."
+            "output folder, or discard it with --force."
         )
     for run in given_up:
         run.remove()
@@ -290,9 +290,9 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
 
 def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> str:
     """Why a result stays as it is, and what can be done instead."""
-    advice = "Choose another output folder or look, or replace it with --force."
+    advice = "choose another output folder or look, or replace it with --force."
     if not known:
-        return f"there is a result in {output} already. {advice}"
+        return f"{output} already holds a result. {advice[0].upper()}{advice[1:]}"
     run = known[0]
     if changes := identity.changes(run):
         return _other_result(output, changes)
@@ -301,18 +301,19 @@ def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -
         named = ", ".join(lost[:_MOST_NAMED])
         more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
         codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
+        are = "is" if len(lost) == 1 else "are"
         return (
-            f"the result in {output} is damaged: {named}{more} in {run.folder} missing or changed. "
-            f"Repair it by the same command with --frames={codes}"
+            f"{named}{more} {are} missing or changed in {run.folder}. Run the same command with "
+            f"--frames={codes} to repair the result."
         )
     return (
-        f"there is a result in {output} already. Change its mode with 'usdsmoke assemble', redo "
-        f"single frames with --frames, or: {advice[0].lower()}{advice[1:]}"
+        f"{output} already holds this result. Change its mode with 'usdsmoke assemble', redo "
+        f"frames with --frames, {advice}"
     )
 
 
 def _other_result(output: Path, changes: str) -> str:
     return (
-        f"there is a result of other settings or inputs in {output}: {changes}. Restore them, "
-        "choose another output folder or look, or replace the result with --force."
+        f"{output} already holds a result with different settings or inputs: {changes}. Restore "
+        "them, choose another output folder or look, or replace the result with --force."
     )

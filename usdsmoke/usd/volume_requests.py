@@ -226,15 +226,16 @@ def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[f
         changes = value != values[0]
         place = f"{where} at timeCode {format_time_code(code)}" if changes else where
         if changes and not row.control:
-            raise ConfigError(_may_not_change(place))
+            raise ConfigError(_may_not_change(where, code))
         checked.append(None if value is None else check_setting(row.setting, value, place))
     return checked
 
 
-def _may_not_change(place: str) -> str:
+def _may_not_change(where: str, time_code: float) -> str:
     varying = [row.name for row in REQUEST_ATTRIBUTES if row.control]
     return (
-        f"{place} has another value than before; only {', '.join(varying)} may change over time. "
+        f"{where} changes over time (at timeCode {format_time_code(time_code)}), but only "
+        f"{', '.join(varying)} may. "
         "Author one value without time samples, or select other frames."
     )
 
@@ -251,7 +252,7 @@ def _read_styles(volume: Usd.Prim, time_codes: Sequence[float]) -> tuple[str, ..
     found = values_at(attribute, time_codes, image_paths)
     for code, images in zip(time_codes, found, strict=True):
         if images != found[0]:
-            raise ConfigError(_may_not_change(f"{where} at timeCode {format_time_code(code)}"))
+            raise ConfigError(_may_not_change(where, code))
     for resolved, authored in found[0] or ():
         if problem := image_problem(authored, resolved):
             layer = authoring_layer(attribute)

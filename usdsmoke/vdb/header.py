@@ -145,7 +145,7 @@ def _read_file_header(reader: ByteReader) -> FileHeader:
     n_grids = reader.count(36, "grids")
     if n_grids and not has_offsets:
         raise UnsupportedGrid(
-            f"{reader.where} was written as a stream, without a table of its grids. "
+            f"{reader.where} has no table of grids, because it was written as a stream. "
             "Load it and save it again with an OpenVDB tool."
         )
     return FileHeader(

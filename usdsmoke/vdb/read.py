@@ -143,8 +143,9 @@ def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -
         )
     if request.components not in (None, components):
         raise UnsupportedGrid(
-            f"{found} has {components} component{'s'[: components - 1]} per voxel. Name a grid "
-            f"with {request.components}."
+            f"{found} has {components} component{'s'[: components - 1]} per voxel, not "
+            f"{request.components}. Name a grid with {request.components} "
+            f"component{'s'[: request.components - 1]}."
         )
     if grid.grid_class == "level set":
         raise UnsupportedGrid(

@@ -220,7 +220,7 @@ def _check_written(
         found = f"an unreadable file ({error})"
     _try_disk(temporary)
     raise WriteFailed(
-        f"{target.name} differs from what was written when it is read back (found {found}). Check "
+        f"{target.name} does not read back as it was written (found {found}). Check "
         f"whether the disk of {target.parent} is full, and run again."
     )
 

@@ -58,7 +58,7 @@ class Reference:
             "views, without the stopping rule and with their own seeds. The loss is "
             f"{self.start:.4g} before the step and {self.losses[0]:.4g} and {self.losses[1]:.4g} "
             f"after it. The lower one is error 0; the other has error {self.apart:.2g}, which is "
-            "how much runs differ by their seeds alone. Smaller errors mean nothing."
+            "how much runs differ by their seeds alone. Errors below this are not significant."
         )
 
 

@@ -156,9 +156,9 @@ def _octaves(case: Case) -> Plan:
     label = f"pictures of {2 * size} pixels, grids.refine=2"
     choices.append(("finest resolution", label, Setting(base, config, refine=2), _FINER))
     about = (
-        "Half and twice the pictures stand for half and twice views.image_size. All results are "
-        f"measured in pictures of {size} pixels, where finer detail is blurred. The references "
-        "have the configured octaves."
+        "Pictures of half and double the size represent half and double views.image_size. All "
+        f"results are measured in pictures of {size} pixels, where finer detail is blurred. The "
+        "references have the configured octaves."
     )
     return _against_reference(case, step, choices, about)
 

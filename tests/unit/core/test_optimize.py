@@ -144,7 +144,7 @@ def test_the_moments_are_rolled_back_in_the_state_that_was_carried_in():
 
 def test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings():
     x = start()
-    with pytest.raises(NonFiniteError, match=r"after 12 halvings of the learning rate from 0\.1"):
+    with pytest.raises(NonFiniteError, match=r"12 times.* 0\.1\b"):
         list(minimize(lambda t: bowl(x) * (math.nan if t else 1.0), [x], 0.1, 100))
 
 

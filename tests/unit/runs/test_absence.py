@@ -64,7 +64,7 @@ def test_one_frame_has_no_frame_before_it(tmp_path: Path) -> None:
 def test_frames_that_were_left_out_are_the_reason_for_everything(tmp_path: Path) -> None:
     found = budget_of(tmp_path, [EMPTY] * 4).left_out
     for name in ("quadrature", "transport", "optimiser, colour", "temporal, colour"):
-        assert found[name] == "no frame takes effect (empty frame)"
+        assert found[name] == "no frame is stylized (empty frame)"
 
 
 def test_the_border_between_windows_is_named_as_not_measured(tmp_path: Path) -> None:
@@ -83,4 +83,4 @@ def test_a_frame_without_effect_is_no_border(tmp_path: Path) -> None:
 def test_windows_that_overlap_have_every_pair(tmp_path: Path) -> None:
     settings = ["windows.size=2", "windows.overlap=1"]
     note = budget_of(tmp_path, [ALONE, PAIR, PAIR, PAIR], *settings).notes["temporal, colour"]
-    assert note.startswith("3 of 3 pairs") and "each window's version by itself" in note
+    assert note.startswith("3 of 3 pairs") and "each window's version separately" in note

@@ -91,7 +91,7 @@ def test_a_tail_that_looks_finished_is_not_taken_at_its_word() -> None:
 def test_what_the_user_has_set_stays_and_is_named() -> None:
     choice = chosen(0.3, views__image_size=512, grids__half=False)
     assert "image_size" not in choice.settings["views"] and "half" not in choice.settings["grids"]
-    assert any(note.startswith("views.image_size=512 as set") for note in choice.notes)
+    assert any(note.startswith("views.image_size=512 as ") for note in choice.notes)
     assert "pool" in choice.settings["views"]
 
 
@@ -107,14 +107,14 @@ def test_a_pilot_whose_loss_did_not_fall_leaves_the_iterations_alone(found: Any)
     choice = choose_settings({**MEASURED, "steps": {"shape": found}}, 0.1, PLANNED, {})
     assert "iterations" not in choice.settings["shape"]
     (note,) = [note for note in choice.notes if note.startswith("shape.iterations")]
-    assert note.startswith("shape.iterations stay")
+    assert "unchanged" in note
 
 
 def test_a_pilot_that_did_not_move_its_smoke_is_told() -> None:
     still = {**MEASURED["transport"], "moved": 0.0}
     notes = choose_settings({**MEASURED, "transport": still}, 0.1, PLANNED, {}).notes
     (note,) = [note for note in notes if note.startswith("shape.interpolation")]
-    assert "transport 0.001" in note and "shift by half a voxel" in note
+    assert "transport 0.001" in note and "half a voxel" in note
 
 
 @pytest.mark.parametrize("target", [1e-9, 0.01, 0.3, 1.0])

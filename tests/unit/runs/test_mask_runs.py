@@ -30,12 +30,12 @@ def masked_shot(tmp_path: Path) -> Shot:
 def test_the_plan_tells_of_the_mask_and_does_not_leave_its_field_alone(masked_shot: Shot) -> None:
     plan = plan_of(masked_shot.stage)
     assert "mask fade of 3 frames, which scales the effect" in plan.needed
-    assert reason_for(plan, "mask field") == "" == reason_for(plan, "fields ")
+    assert reason_for(plan, "mask field") == "" == reason_for(plan, "field ")
     assert [frame["mask"] for frame in plan.to_dict()["frames"]] == ["weight"] * 3
     unasked = plan_of(masked_shot.stage, "stage.mask=")
     assert not any("mask" in sentence for sentence in unasked.needed)
     assert "stage.mask" in reason_for(unasked, "mask field")
-    assert reason_for(unasked, "fields fade") != ""
+    assert reason_for(unasked, "field fade") != ""
 
 
 @pytest.mark.parametrize("setting", ["optimize.strength=0", "losses.style=0"])

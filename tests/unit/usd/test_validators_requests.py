@@ -43,7 +43,7 @@ def test_a_sound_request_finds_nothing(tmp_path: Path) -> None:
         ("rel @@mask = </World>", "mask", "is of type Xform"),
         ('string @@styleImages = "fire.png"', "styleImages", "is 'fire.png'"),
         ("rel @@seed = </World>", "seed", "is a relationship. Author an attribute"),
-        ("int64 @@seed.timeSamples = { 1: 1, 2: 3 }", "seed", "at timeCode 2 has another value"),
+        ("int64 @@seed.timeSamples = { 1: 1, 2: 3 }", "seed", "changes over time (at timeCode 2)"),
     ],
 )
 def test_a_wrong_request_is_an_error_at_its_property(

@@ -114,7 +114,7 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    assert "smoke.0001.vdb differs from what was written" in done.stdout
+    assert "smoke.0001.vdb does not read back" in done.stdout
     assert "full" in done.stdout
     assert target.read_bytes() == before
     assert os.listdir(tmp_path) == ["smoke.0001.vdb"]
@@ -180,7 +180,7 @@ def test_file_that_came_back_different_is_found_out(
             return run(request, [change["values"]] if arrays else [], config)
 
         monkeypatch.setattr(child, "run_child", write_others)
-    with pytest.raises(WriteFailed, match=r"a\.vdb differs from what was written"):
+    with pytest.raises(WriteFailed, match=r"a\.vdb does not read back"):
         write_frame(tmp_path / "a.vdb", [make_field()], {}, half=False)
     assert os.listdir(tmp_path) == []
 

@@ -184,13 +184,13 @@ def _prune_levels(density: np.ndarray) -> list[list[float]]:
 
 
 def _step(report: StepReport) -> dict[str, Any]:
-    """What the losses of a step's last octave tell, or why they tell nothing."""
+    """What the losses of a step's last octave show, or why they show nothing."""
     fallen, left = report.fallen_in_last_octave, report.remaining
     if fallen is None or left is None:
-        return {"why": "the pilot had no iterations to tell from"}
+        return {"why": "the pilot ran too few iterations to judge"}
     loss, spread = report.loss[-1], report.view_spread or 0.0
     if fallen <= 3 * spread * loss or fallen <= 0:
-        return {"why": "the pilot's loss did not fall by more than views differ"}
+        return {"why": "the pilot's loss fell by less than the spread between views"}
     share = max(left / (fallen + left), LEAST_SHARE)
     return {
         "iterations": float(report.iterations[-1]),

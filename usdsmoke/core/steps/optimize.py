@@ -235,9 +235,9 @@ class _State:
         self.rate /= 2
         if self.rollbacks > MOST_ROLLBACKS:
             raise NonFiniteError(
-                f"the optimisation diverges at iteration {iteration}: loss {value:.3g}, best "
-                f"{self._best:.3g}, after {MOST_ROLLBACKS} halvings of the learning rate from "
-                f"{self._first_rate:g}. Lower it, or check the inputs for extreme values."
+                f"the optimisation diverged at iteration {iteration} (loss {value:.3g}, best "
+                f"{self._best:.3g}), although the learning rate was halved {MOST_ROLLBACKS} times. "
+                f"Lower it from {self._first_rate:g}, or check the inputs for extreme values."
             )
         self._put(self._good[0])
         self.adam.restore(self._good[1])

@@ -38,7 +38,7 @@ class PlannedVolume:
     def idle(self) -> str:
         """Why no frame is stylized."""
         why = dict.fromkeys("" if report is None else report.left_out for report in self.reports)
-        return "" if not why or "" in why else f"no frame takes effect ({', '.join(why)})"
+        return "" if not why or "" in why else f"no frame is stylized ({', '.join(why)})"
 
     @property
     def no_estimates(self) -> str:
@@ -70,7 +70,7 @@ class PlannedVolume:
             return "there is a cut between any two frames"
         if all(len(window.time_codes) + len(window.beyond) == 1 for window in windows):
             return "no two frames share a window"
-        return "no two neighbouring frames take effect"
+        return "no two neighbouring frames are stylized"
 
     @property
     def no_overlap(self) -> str:
@@ -129,7 +129,7 @@ def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
     )
     texts = [] if moving else ["compared in place, as there is no velocity"]
     if any(volume.twice_frames for volume in volumes):
-        texts.append("each window's version by itself where windows overlap")
+        texts.append("each window's version separately, where windows overlap")
     return texts
 
 

@@ -50,7 +50,9 @@ class _Choices:
     def take(self, name: str, value: Any, why: str) -> None:
         """Take a value, unless the user has set another one."""
         if name in self.user:
-            self.notes.append(f"{name}={self.user[name]} as set; the tolerance asks for {value}")
+            self.notes.append(
+                f"{name}={self.user[name]} as you set it; the tolerance needs {value}"
+            )
             return
         section, _, key = name.partition(".")
         self.settings.setdefault(section, {})[key] = value
@@ -73,7 +75,7 @@ def choose_settings(
     """
     choices = _Choices(set_by_user)
     if not measured:
-        why = "the calibrated frame has nothing to stylize: all settings stay"
+        why = "the calibrated frame has nothing to stylize: all settings are unchanged"
         return Choice({}, (why,))
     _choose_picture(choices, measured, target)
     _choose_transport(choices, measured["transport"], TRANSPORT.bound(target))
@@ -94,20 +96,23 @@ def _choose_picture(choices: _Choices, measured: Mapping[str, Any], target: floa
         choices.take("views.image_size", int(size), why)
     else:
         choices.notes.append(
-            "views.image_size stays: no whole number of voxels a pixel gives 16 to 2048 pixels"
+            "views.image_size is unchanged: no whole number of voxels per pixel gives 16 to 2048 "
+            "pixels"
         )
     quadrature = _judged(QUADRATURE.name, measured["quadrature"], QUADRATURE.bound(target))
-    choices.notes.append(f"{quadrature}; its step is the voxel, which is no choice")
+    choices.notes.append(f"{quadrature}; its step is one voxel and cannot be chosen")
 
 
 def _choose_transport(choices: _Choices, errors: Mapping[str, float] | None, part: float) -> None:
     if errors is None:
-        choices.notes.append("shape.interpolation stays: there is no shape step")
+        choices.notes.append("shape.interpolation is unchanged: there is no shape step")
         return
     scheme = "linear" if SAFETY * errors["linear"] <= part else "cubic"
     why = _judged(TRANSPORT.name, errors[scheme], part)
     if errors["moved"] < LEAST_MOVE:
-        why += "; the pilot hardly moved the smoke, so this is of a shift by half a voxel"
+        why += (
+            "; the pilot hardly moved the smoke, so this was measured for a shift of half a voxel"
+        )
     choices.take("shape.interpolation", scheme, why)
 
 
@@ -137,7 +142,7 @@ def _choose_iterations(
     """
     name = f"{step}.iterations"
     if found is None:
-        choices.notes.append(f"{name} stay: there is no {step} step")
+        choices.notes.append(f"{name} are unchanged: there is no {step} step")
         return
     if "optimize.iterations" in choices.user:
         choices.notes.append(f"{name} follow from optimize.iterations, which is set")
@@ -145,7 +150,9 @@ def _choose_iterations(
     share = found.get("remaining", 1.0)
     if "why" in found or share > HARDLY_FALLEN:
         why = found.get("why", "the pilot's loss hardly fell")
-        choices.notes.append(f"{name} stay, and the error that they leave is unknown: {why}")
+        choices.notes.append(
+            f"{name} are unchanged, and the error that they leave is unknown: {why}"
+        )
         return
     half, fall = _tail(found)
     finest = next((n for n in reversed(planned) if n), 0)

@@ -59,7 +59,7 @@ def _remaining(step: StepReport | None) -> Estimate | None:
 
 
 _PICTURE, _DENSITY, _LOSS = "the picture", "the density", "the loss"
-_NO_FRAME, _NO_SHAPE, _NO_COLOUR = "no frame takes effect", "no shape step", "no colour step"
+_NO_FRAME, _NO_SHAPE, _NO_COLOUR = "no frame is stylized", "no shape step", "no colour step"
 _TOO_FEW = "too few iterations in the last octave to fit a tail to"
 _BEFORE_BLENDING = "measured before they are blended"
 _AGAINST_BEFORE = "measured against the frame before"
@@ -152,7 +152,7 @@ UNSEEN_VIEWS = ErrorRow(
     how="views beside the pool against its own",
     of_frame=lambda report: report.errors.unseen_views,
     why_absent=lambda volume: volume.no_estimates or volume.one_view,
-    without="one view, or no frame takes effect",
+    without="one view, or no frame is stylized",
     share=1.0,
     advice="set a larger views.pool",
 )

@@ -67,11 +67,13 @@ def stylize_command(
         if source.is_file():
             stage_file = source
         else:
-            notes.append(f"{stage_file.name} has a look already. Name its source if you can.")
+            notes.append(
+                f"{stage_file.name} already has a look. Give its source stage, if you have it."
+            )
         if not all(map(os.path.isfile, styles)):
-            notes.append("a style image is not where it was. Correct its path.")
+            notes.append("a style image has been moved or deleted. Correct its path.")
     elif not all(volume.request.styles for volume in found.volumes):
-        styles, notes = [NO_STYLE], [f"{NO_STYLE} stands for your style image"]
+        styles, notes = [NO_STYLE], [f"replace {NO_STYLE} with your style image"]
     if unsaved := _unsaved(stage):
         notes.append(f"unsaved edits are not in the command's stage: {', '.join(unsaved)}")
     words = ["usdsmoke", "stylize", str(stage_file)]

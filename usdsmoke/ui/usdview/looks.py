@@ -100,8 +100,8 @@ def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
 def _switch_layers(stage: Usd.Stage, volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
     if any(look.layer == stage.GetRootLayer() for look in looks):
         raise StageError(
-            f"the look {stage.GetRootLayer().identifier} is the root of this stage and cannot be "
-            "muted; open a stage that has it over its source"
+            f"the look {stage.GetRootLayer().identifier} is the root layer, which cannot be "
+            "muted. Open the root stage that was written beside it, NAME_look.usda."
         )
     runs = {shown_run(volume) for volume in volumes}
     shown = next((n for n, look in enumerate(looks) if not look.muted and look.run in runs), None)
@@ -121,8 +121,8 @@ def _switch_variants(stage: Usd.Stage, owners: Sequence[Sdf.Path]) -> str:
     session = stage.GetSessionLayer()
     if session is None:
         raise StageError(
-            "this stage has no session layer, in which a look could be chosen without a change of "
-            "files; open it with one"
+            "this stage has no session layer, so a look cannot be chosen without editing files. "
+            "Open it in usdview."
         )
     switched: dict[Sdf.Path, str] = {}
     for path in owners:

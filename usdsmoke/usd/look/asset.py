@@ -62,8 +62,8 @@ def _checked_targets(stage: Usd.Stage) -> _ExternalTargets:
     for prim in external.roots:
         if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
             raise LayerError(
-                f"<{prim.GetPath()}> has a variant set {VARIANT_SET!r} of its own, which "
-                "an asset's looks would mix with. Set layer.mode to sublayer (--mode sublayer)."
+                f"<{prim.GetPath()}> already has a variant set {VARIANT_SET!r}, which would clash "
+                "with the looks of an asset. Set layer.mode to sublayer (--mode sublayer)."
             )
     return external
 
@@ -86,8 +86,8 @@ def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) ->
     copy_stage_metadata(stage, layer, folder)
     path_to_source = relative_asset_path(source.realPath, folder)
     layer.documentation = (
-        f"{Path(source.realPath).name} with its stylized looks as variants; made by usdsmoke, "
-        "which writes it anew when a look is added."
+        f"{Path(source.realPath).name} with its stylized looks as variants; written by "
+        "usdsmoke and rewritten when a look is added."
     )
     layer.customLayerData = {**copied_layer_data(source, folder), ASSET_SOURCE: path_to_source}
     for prim in external.roots:
@@ -216,9 +216,9 @@ def _find_external_targets(stage: Usd.Stage) -> _ExternalTargets:
             found.roots.append(prim)
         elif prim.IsDefined() and not prim.IsAbstract():
             raise LayerError(
-                f"an asset cannot hold <{prim.GetPath()}>, which is not a class and which "
-                f"<{bases[prim.GetPath()]}> inherits from: referenced, it would be stronger than "
-                f"that prim. {_ADVICE} make it a class."
+                f"cannot make an asset: <{bases[prim.GetPath()]}> inherits from "
+                f"<{prim.GetPath()}>, which is not a class. {_ADVICE} make <{prim.GetPath()}> a "
+                "class."
             )
     return found
 
@@ -250,8 +250,8 @@ def _look_at(item: Usd.Property, found: _ExternalTargets) -> None:
         return
     if item.GetPrim().IsInstanceProxy():
         raise LayerError(
-            f"an asset cannot hold <{item.GetPath()}>, which leads from inside an instance to "
-            f"{', '.join(f'<{path}>' for path in targets)} in another root prim. {_ADVICE} put "
+            f"cannot make an asset: <{item.GetPath()}> lies in an instance and points to "
+            f"{', '.join(f'<{path}>' for path in targets)}, outside its root prim. {_ADVICE} put "
             "both below one root prim."
         )
     noted[item.GetPath()] = list(targets)

@@ -111,10 +111,10 @@ def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:
         known = set(volume.source.time_codes)
         strange = sorted({frame.time_code for frame in volume.frames} - known)
         if strange or not volume.frames:
-            found = format_time_codes(strange) or "no timeCode at all"
+            found = f"frames at timeCodes {format_time_codes(strange)}" if strange else "no frames"
             raise LayerError(
-                f"the result of <{volume.source.prim_path}> has files for {found}. Pass frames at "
-                f"some of the source's timeCodes {format_time_codes(known)}."
+                f"the result of <{volume.source.prim_path}> has {found}. Pass frames at some of "
+                f"the source's timeCodes {format_time_codes(known)}."
             )
         if volume.source.density not in volume.grids:
             raise LayerError(

@@ -58,7 +58,7 @@ def open_source(
             f"{before.name} is a result already: this one starts from {Path(base).name}. {_INSTEAD}"
         )
         if _real_path(stage) in seen:
-            raise StageError(f"{before} was made from itself. Give the stage before it.")
+            raise StageError(f"{before} records itself as its own source. Give the original stage.")
         seen.add(_real_path(stage))
     found = _leave_looks_out(stage)
     return stage, replace(found, notes=(*notes, *found.notes))
@@ -123,8 +123,8 @@ def _leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
     taken = [f"<{path}>" for path in variants]
     taken += [Path(name).name for name in looks]
     note = (
-        f"the stage has a look already ({', '.join(taken)}). The new look starts from the original "
-        f"and is put over it, so remove the earlier one. {_INSTEAD}"
+        f"the stage already has a look ({', '.join(taken)}). Remove that look, because the new one "
+        f"starts from the original. {_INSTEAD}"
     )
     gone = {
         path: tuple(sorted(names - after.get(path, set())))

@@ -86,15 +86,15 @@ def find_volumes(
         if selected:
             volumes.append(_read_volume(outline, selected, with_requests, with_styles))
             continue
-        reason = (
-            f"none of its timeCodes {format_time_codes(outline.existing)} is in {config.frames!r}"
-        )
+        codes = format_time_codes(outline.existing)
         if config.prims:
             raise StageError(
-                f"Volume <{outline.prim.GetPath()}> was named, but {reason}. "
-                "Choose other frames, or leave it out."
+                f"Volume <{outline.prim.GetPath()}> (--prim) has timeCodes {codes}, none of them "
+                f"in {config.frames!r}. Choose other frames, or drop it from --prim."
             )
-        omitted[str(outline.prim.GetPath())] = reason
+        omitted[str(outline.prim.GetPath())] = (
+            f"none of its timeCodes {codes} is in {config.frames!r}"
+        )
     return _describe_stage(stage, tuple(volumes), omitted)
 
 

@@ -48,7 +48,7 @@ def test_the_command_is_quoted_and_names_stage_volumes_and_frames(two_plumes: Pa
     assert command["output"] == str(two_plumes.parent / "two plumes_look")
     assert command["style"] == ["STYLE.png"]
     ((_, text),) = window.texts
-    assert "STYLE.png stands for your style image" in text
+    assert "replace STYLE.png" in text
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_what_is_no_longer_where_it_was_is_noted(result: LookFiles) -> None:
     api, _ = open_in_usdview(result.root_stage)
     window = do("copy_all", api)
     assert parsed(window.copied[0])["stage"] == str(result.root_stage)
-    assert "has a look already" in window.texts[0][1]
-    assert "a style image is not where it was" in window.texts[0][1]
+    assert "already has a look" in window.texts[0][1]
+    assert "style image has been moved" in window.texts[0][1]
 
 
 def test_edits_that_the_command_cannot_see_are_noted(two_plumes: Path) -> None:
