@@ -41,7 +41,7 @@ def test_missing_windows_are_listed(farm: Shot, capsys: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize("window", [-1, 3, 99])
 def test_a_window_that_is_not_there_is_refused_with_their_number(farm: Shot, window: int) -> None:
-    message = rf"no window {window}: the plan has 3 windows, counted from 0 to 2"
+    message = rf"no window {window}\..* 0 to 2"
     with pytest.raises(ConfigError, match=message):
         windows_in(farm, [window])
     assert main(farm.arguments(*OPTIONS, "--window", str(window))) == 1

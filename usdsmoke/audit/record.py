@@ -19,7 +19,8 @@ from usdsmoke.base.record_format import (
     RunRecord,
     SourceGrid,
 )
-from usdsmoke.usd import captured_diagnostics, read_record, record_values, short_reason
+from usdsmoke.usd import captured_diagnostics, read_record, record_values
+from usdsmoke.usd.diagnostics import layer_problem
 from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header
 
@@ -98,7 +99,7 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     path = Path(file).absolute()
     what = "Give a look layer, a stage with a look, a VDB file of a result or an output folder."
     if not path.exists():
-        raise FileUnreadable(f"there is no {path}. {what}")
+        raise FileUnreadable(f"there is no file or folder {path}. {what}")
     if path.is_dir():
         found = _in_folder(path)
     elif path.suffix.lower() == ".vdb":
@@ -108,7 +109,7 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     else:
         found = list(_of_layers(path))
     if not found:
-        raise LayerError(f"{path} has no record of usdsmoke. {what}")
+        raise LayerError(f"{path} has no usdsmoke record. {what}")
     return found
 
 
@@ -170,7 +171,7 @@ def _of_layers(path: Path) -> Iterator[FoundRecord]:
     """The layer's own record; without one, those of what it is composed from, nearest first."""
     root = _open(path)
     if root is None:
-        raise StageError(_refusal(path))
+        raise StageError(layer_problem(str(path)))
     waiting, seen = deque([(path, root, 0)]), {str(path)}
     while waiting:
         place, layer, depth = waiting.popleft()
@@ -203,13 +204,3 @@ def _open(path: Path) -> Sdf.Layer | None:
             return Sdf.Layer.OpenAsAnonymous(str(path))
         except Tf.ErrorException:
             return None
-
-
-def _refusal(path: Path) -> str:
-    reason = ""
-    try:
-        with captured_diagnostics():
-            Sdf.Layer.OpenAsAnonymous(str(path))
-    except Tf.ErrorException as error:
-        reason = f" ({short_reason(error)})"
-    return f"cannot read {path}{reason}. Give a layer, a stage or a VDB file."

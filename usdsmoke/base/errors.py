@@ -53,6 +53,7 @@ __all__ = [
     "UsdSmokeError",
     "VolumeNotFound",
     "WriteFailed",
+    "count_text",
 ]
 
 
@@ -150,3 +151,12 @@ class MissingPackage(UsdSmokeError):
 
 class Interrupted(UsdSmokeError):
     """The user stopped the run; nothing half-made was left behind."""
+
+
+def count_text(count: int, noun: str) -> str:
+    """A number with its noun, for messages.
+
+    >>> count_text(1, "style image"), count_text(2, "style image")
+    ('1 style image', '2 style images')
+    """
+    return f"{count} {noun}{'' if count == 1 else 's'}"

@@ -27,10 +27,10 @@ _ADVICE = {
     errno.EACCES: "Choose an output folder that may be written to, or change its permissions",
     errno.EPERM: "Choose an output folder that may be written to, or change its permissions",
     errno.EROFS: "Choose an output folder on a file system that is mounted for writing",
-    errno.ENOENT: "make the folder first",
+    errno.ENOENT: "Create the folder first",
     errno.ENOTDIR: "Choose another folder: a part of this path is a file",
     errno.EISDIR: "Choose another name: a folder has this name",
-    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENAMETOOLONG: "Choose a shorter name",
 }
 
 _STALE_S = 24 * 3600.0  # age of an abandoned temporary: far longer than any writing takes

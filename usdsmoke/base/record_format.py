@@ -213,8 +213,8 @@ def hash_file(file_path: str | Path) -> str:
             return hash_stream(stream)
     except OSError as error:
         raise FileUnreadable(
-            f"cannot read {file_path} to take its hash: {error.strerror or error}; "
-            "check the path and its permissions"
+            f"cannot read {file_path} to take its hash: {error.strerror or error}. "
+            "Check the path and its permissions."
         ) from None
 
 

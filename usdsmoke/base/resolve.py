@@ -86,9 +86,9 @@ def read_settings(given: Settings, source: str = "") -> GivenSettings:
     if isinstance(given, Config):
         return GivenSettings(given.given_values(), source)
     if isinstance(given, Mapping):
-        return GivenSettings(flatten_settings(given), source)
+        return GivenSettings(flatten_settings(given, source), source)
     if isinstance(given, str) and "=" in given:
-        return GivenSettings(dict([_read_text(given)]), source)
+        return GivenSettings(dict([_read_text(given, source)]), source)
     if isinstance(given, (str, PathLike)):
         return GivenSettings(_read_file(Path(given)), source or str(given))
     merged = GivenSettings({})
@@ -183,7 +183,7 @@ def settings() -> dict[str, dict[str, Any]]:
     """Every setting by dotted name: ``type``, ``default``, ``range``, ``unit``, ``description``.
 
     >>> settings()["windows.size"]["range"]
-    '>= 1'
+    'at least 1'
     """
     return {
         name: {
@@ -236,30 +236,40 @@ def _read_file(file_path: Path) -> dict[str, Any]:
         reason = error.strerror or error
         raise ConfigError(f"cannot read the settings in {file_path} ({reason}). {advice}") from None
     except (ValueError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
+        reason = _yaml_problem(error)
         raise ConfigError(f"cannot read the settings in {file_path} ({reason}). {advice}") from None
     if not isinstance(sections, dict | None):
-        kind = type(sections).__name__
-        raise ConfigError(f"the settings in {file_path} are a {kind}, not a mapping. {advice}")
+        raise ConfigError(
+            f"{file_path} holds no settings. Write sections such as 'optimize:' in it."
+        )
     try:
         return flatten_settings(sections or {})
     except ConfigError as error:
         raise ConfigError(f"{file_path}: {error}") from None
 
 
-def _read_text(text: str) -> tuple[str, Any]:
+def _read_text(text: str, source: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     name = name.strip()
     if not equals or "." not in name:
         raise ConfigError(f"cannot read the setting {text!r}. Write it as windows.size=3.")
-    flatten_settings({name: None})
+    flatten_settings({name: None}, source)
     try:
         return name, _read_yaml(value)
-    except (ValueError, yaml.YAMLError) as error:
+    except (ValueError, yaml.YAMLError):
         raise ConfigError(
-            f"cannot read the value of {name} ({' '.join(str(error).split())}). "
+            f"cannot read the value of {name} ({value!r:.99}). "
             'Write it as YAML: 3, true, [1, 2] or "text".'
         ) from None
+
+
+def _yaml_problem(error: Exception) -> str:
+    """The line and the problem, without the parser's context and excerpt."""
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not UTF-8 text"
+    mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+    text = " ".join(str(problem or error).split())
+    return f"line {mark.line + 1}: {text}" if mark is not None else text
 
 
 def _read_yaml(text: str) -> Any:

@@ -36,13 +36,14 @@ class StageConfig(Section):
     """What is read from the stage."""
 
     prims: list[str] = setting([], "Volume prim paths; empty: every Volume", distinct=True)
-    frames: str = setting("", "timeCodes such as 1-24, 1,5,9 or 1-24x2; empty: all")
+    frames: str = setting(
+        "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")
     velocity_unit: Literal["second", "frame"] = setting(
-        "second", "time unit of the velocity: grid-world units per second, or per frame of the "
-        "simulation (one timeCode, whatever framesPerSecond is)")
+        "second", "time unit of the velocity: second, or frame (one timeCode; framesPerSecond is "
+        "ignored)")
     motion: Literal["velocity", "estimate"] = setting(
         "velocity", "what carries results from frame to frame: the velocity field, or a velocity "
         "estimated from the densities of neighbouring frames")
@@ -50,7 +51,7 @@ class StageConfig(Section):
         "", "relationship or grid name of a scalar field in [0, 1] that scales the effect in "
         "space; empty: none")
     restylize: bool = setting(
-        False, "use smoke that usdsmoke has already stylized as the source, not the original")
+        False, "start from smoke that is already stylized, not from the original")
 
 
 class GridsConfig(Section):
@@ -58,14 +59,15 @@ class GridsConfig(Section):
 
     half: bool = setting(False, "write 16-bit floats")
     repair_nan: float | None = setting(
-        None, "value that replaces NaN and infinity; unset: they are refused")
-    refine: int = setting(1, "parts that every voxel is divided into along each axis", ge=1, le=16)
+        None, "value that replaces NaN and infinity; unset: they are an error")
+    refine: int = setting(
+        1, "number of parts into which each voxel is divided, per axis", ge=1, le=16)
     prune: float = setting(0.0, "density at or below which a voxel becomes inactive", ge=0)
     memory_limit_gib: float = setting(
-        8.0, "address space of the process that opens a VDB file", gt=0, unit="GiB")
+        8.0, "memory limit for reading a VDB file", gt=0, unit="GiB")
     time_limit_s: float = setting(
-        120.0, "CPU time after which opening a VDB file is given up; the limit of wall-clock time "
-        "is ten times as long", gt=0, unit="seconds")
+        120.0, "CPU time limit for reading a VDB file; the wall-clock limit is ten times as long",
+        gt=0, unit="seconds")
 
 
 class WindowsConfig(Section):
@@ -75,10 +77,11 @@ class WindowsConfig(Section):
         8, "frames in one window; inside a window each frame starts from its neighbour's result",
         ge=1, unit="frames", request="windowSize")
     overlap: int = setting(
-        4, "frames by which a window continues into the next one; both results are blended there",
+        4, "frames that neighbouring windows share; their two results are blended",
         ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
-        0.4, "share of the iterations for a frame that starts from its neighbour", gt=0, le=1)
+        0.4, "share of the iterations that is run for a frame that starts from its neighbour's "
+        "result", gt=0, le=1)
     shared_octaves: int = setting(
         2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
     pattern_speed: float = setting(
@@ -92,7 +95,7 @@ class ViewsConfig(Section):
     count: int = setting(
         1, "views rendered in every iteration; the paper uses 9", ge=1, le=64, request="viewCount")
     pool: int = setting(
-        16, "number of different views that are drawn from", ge=1, le=512, request="viewPool")
+        16, "number of different views to draw from", ge=1, le=512, request="viewPool")
     sampling: Literal["fixed", "uniform", "poisson"] = setting(
         "poisson", "how the views are spread over the ranges of azimuth and elevation",
         request="viewSampling")
@@ -112,8 +115,8 @@ class ViewsConfig(Section):
         192, "longer side of the images that are optimised",
         ge=16, le=2048, unit="pixels", request="imageSize")
     camera: str = setting(
-        "", "path of the shot's Camera prim: views are around its direction, and only what it sees "
-        "is stylized; empty: views around the up axis")
+        "", "path of the shot's Camera. Views are taken around its direction, and only smoke that "
+        "it sees is stylized; empty: views around the up axis")
     camera_width: int = setting(
         1920, "width of the shot's image; finer detail is not optimised",
         ge=1, le=65536, unit="pixels")
@@ -132,10 +135,11 @@ class OpticsConfig(Section):
         None, "extinction of the shape step's grey images; unset: chosen by depth_shape",
         gt=0, unit=_PER_VOXEL, request="gammaShape")
     depth: float = setting(
-        4.0, "optical depth of the thick columns, from which an unset gamma is chosen", gt=0)
+        4.0, "optical depth that the thick columns should have; used to choose gamma if it is "
+        "unset", gt=0)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
     percentile: float = setting(
-        90.0, "percentile of the columns' depth that is taken as thick", gt=0, le=100)
+        90.0, "percentile of column depth that counts as thick", gt=0, le=100)
 
 
 class StyleConfig(Section):
@@ -146,7 +150,7 @@ class StyleConfig(Section):
     size: float = setting(
         1.0, "size of the style relative to the rendered image", gt=0, le=8, request="styleSize")
     weights: Weights = setting(
-        [], "one weight for each style image, relative to their sum; empty: equal weights",
+        [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")
 
 
@@ -176,14 +180,15 @@ class LossesConfig(Section):
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
     content: float = setting(
-        0.0, "weight that keeps the features of the smoke's own grey image", ge=0)
+        0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(
-        0.0, "weight that keeps the edges of the smoke's own grey image", ge=0)
+        0.0, "weight of the loss that preserves the edges of the smoke's own grey image", ge=0)
     photorealism: float = setting(
-        0.0, "weight that keeps the image locally affine in the smoke's own grey image", ge=0)
+        0.0, "weight of the photorealism loss, which keeps the image a locally linear function of "
+        "the source's grey image", ge=0)
     total_variation: float = setting(0.0, "weight of the rendered image's total variation", ge=0)
     keep: float = setting(
-        20.0, "weight that keeps the shape step's smoke inside its silhouette", ge=0)
+        20.0, "weight of the loss that preserves the silhouette in the shape step", ge=0)
 
 
 class ShapeConfig(Section):
@@ -229,25 +234,25 @@ class OptimizeConfig(Section):
     """The run as a whole."""
 
     steps: list[Literal["shape", "colour"]] = setting(
-        ["shape", "colour"], "steps to run: shape moves density, colour finds its colour",
+        ["shape", "colour"], "steps to run: shape moves the density, colour computes its RGB",
         min_length=1, distinct=True, request="steps")
     iterations: int | None = setting(
-        None, "total iterations of each step; scales its lists per octave; unset: the lists as "
-        "they are", ge=1, unit="iterations", request="iterations")
+        None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
+        "lists as they are", ge=1, unit="iterations", request="iterations")
     tolerance: float = setting(
         2e-3, "an octave stops when its loss falls by less than this share; 0: never", ge=0)
     target_error: float | None = setting(
-        None, "tolerance from which image size, views, iterations, transport and storage are "
-        "chosen, unless they are set; unset: nothing is chosen", gt=0, le=1)
+        None, "largest acceptable error. Image size, views, iterations, transport and storage are "
+        "chosen to meet it, except those that you set; unset: nothing is chosen", gt=0, le=1)
     strength: float = setting(
         1.0, "share of the effect that is kept; 0 returns the source",
         ge=0, le=1, request="strength", control="strength")
     error_budget: bool = setting(
         True, "estimate the remaining errors from a few images of every finished frame")
-    seed: int = setting(0, "seed of every random draw", ge=0, le=2**63 - 1, request="seed")
+    seed: int = setting(0, "seed for all random numbers", ge=0, le=2**63 - 1, request="seed")
     device: str = setting("auto", "auto, cpu or cuda")
     threads: int = setting(
-        0, "CPU threads of the whole run; 0: all that are there when the run starts", ge=0)
+        0, "CPU threads of the whole run; 0: all that are available when the run starts", ge=0)
     memory_limit_gib: float | None = setting(
         None, "memory that a run may need; unset: the machine's memory", gt=0, unit="GiB")
 
@@ -268,14 +273,15 @@ class LayerConfig(Section):
         pattern=r"(?!\.)[\w.-]*", form="letters, digits, _ - . only, not starting with a dot")
     format: Literal["usda", "usdc"] = setting("usda", "file format of the look layer")
     copy_velocity: bool | None = setting(
-        None, "write the velocity into the result's files; unset: if the Volume has a field for it")
+        None, "write the velocity into the result's files; unset: only if the Volume has a "
+        "velocity field")
     emission_mode: Literal["absolute", "perDensity"] = setting(
-        "absolute", "meaning of the emission field: radiance per stage unit, or that divided by "
-        "density, for renderers that multiply emission by density")
+        "absolute", "meaning of the emission field: radiance per stage unit (absolute), or the "
+        "same divided by density (perDensity), for renderers that multiply emission by density")
     scatter_colour: list[Literal["Cd", "color"]] = setting(
         [], "names under which the colour is also written as a scattering colour", distinct=True)
     split_rgb: bool = setting(
-        False, "also write red, green and blue of every colour as grids of floats")
+        False, "also write the red, green and blue of each colour as separate float grids")
     digital_source_type: Literal[
         "algorithmicallyEnhanced",
         "compositeWithTrainedAlgorithmicMedia",

@@ -143,17 +143,29 @@ class Section(BaseModel):
         dotted = f"{name}.{key}"
         source = f" (from {sources[dotted]})" if sources.get(dotted) else ""
         if key not in cls.model_fields:
-            close = nearest(key, list(cls.model_fields))
+            close = nearest(key, list(cls.model_fields), name)
             return f"unknown setting {dotted}{source}. {close}"
-        place = dotted + "".join(f"[{n}]" for n in index)
+        place = "".join(f"[{n}]" for n in index)
         allowed = _allowed_text(cls.model_fields[str(key)])
-        return f"{place} is {error['input']!r:.99}{source}. Set it to {allowed}."
+        option = sources.get(dotted, "")
+        if option.startswith("--") and option != "--set":  # an option cannot be null
+            allowed = allowed.removeprefix("null or ")
+            return f"{option}{place} is {error['input']!r:.99}. Give {allowed}."
+        return f"{dotted}{place} is {error['input']!r:.99}{source}. Set it to {allowed}."
 
 
-def nearest(word: object, known: Sequence[str]) -> str:
-    """What to do about an unknown word: a sentence with the nearest known one, or all of them."""
+def nearest(word: object, known: Sequence[str], section: str = "") -> str:
+    """What to do about an unknown word: a sentence with the nearest known one, or all of them.
+
+    Args:
+        word: as given.
+        known: the words to choose from.
+        section: of the known settings; the nearest one is named with it.
+    """
     close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
-    return f"Did you mean {close[0]!r}?" if close else f"Known names: {', '.join(known)}."
+    if not close:
+        return f"Known names: {', '.join(known)}."
+    return f"Did you mean {f'{section}.{close[0]}' if section else repr(close[0])}?"
 
 
 def extra_of(field: FieldInfo) -> dict[str, Any]:
@@ -188,18 +200,20 @@ def type_text(field: FieldInfo) -> str:
 
 
 def range_text(field: FieldInfo) -> str:
-    """A setting's choices and limits, such as "1 to 64" or "> 0, <= 8"; "" without any."""
+    """A setting's choices and limits, such as "above 0 and at most 8"; "" without any."""
     is_list, limits, extra = ValueType.of(field).is_list, limits_of(field), extra_of(field)
-    parts = [", ".join(allowed_values(field)), extra.get("form", "")]
     if "ge" in limits and "le" in limits:
-        parts.append(f"{_number(limits['ge'])} to {_number(limits['le'])}")
+        numbers = f"{_number(limits['ge'])} to {_number(limits['le'])}"
     else:
-        signs = {"ge": ">=", "gt": ">", "le": "<="}
-        parts.append(", ".join(f"{signs[sign]} {_number(limits[sign])}" for sign in limits))
+        words = {"ge": "at least", "gt": "above", "le": "at most"}
+        numbers = " and ".join(f"{words[sign]} {_number(limits[sign])}" for sign in limits)
+    choices = ", ".join(allowed_values(field))
     if is_list:
-        parts = [f"each {part}" if part and limits else part for part in parts]
-        parts += ["at least one"] if any(hasattr(m, "min_length") for m in field.metadata) else []
-        parts += ["each at most once"] if extra.get("distinct") else []
+        numbers = f"each {numbers}" if numbers else ""
+        if any(hasattr(item, "min_length") for item in field.metadata):
+            choices = f"one or more of {choices}" if choices else "one or more"
+    repeats = "without repeats" if extra.get("distinct") else ""
+    parts = (choices, extra.get("form", ""), numbers, repeats)
     return ", ".join(part for part in parts if part)
 
 
@@ -207,9 +221,9 @@ def _allowed_text(field: FieldInfo) -> str:
     is_list, limits, limits_text = ValueType.of(field).is_list, limits_of(field), range_text(field)
     if not limits_text:
         return type_text(field)
-    between = ", " if is_list else " from " if {"ge", "le"} <= limits.keys() else " "
-    if "pattern" in extra_of(field):
-        between = " of "
+    between = ", " if is_list else " " if "gt" in limits else " of "
+    if {"ge", "le"} <= limits.keys() and not is_list:
+        between = " from "
     return f"{type_text(field)}{' ' if allowed_values(field) else between}{limits_text}"
 
 

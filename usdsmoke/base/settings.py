@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.errors import ConfigError, count_text
 from usdsmoke.base.sections import (
     ColourConfig,
     FeaturesConfig,
@@ -64,7 +64,7 @@ class Config(BaseModel):
             first = error.errors(include_url=False)[0]
             section, *rest = first["loc"]
             if not rest:
-                raise ConfigError(_section_problem(section, first["input"])) from None
+                raise ConfigError(_section_problem(str(section), first["input"], "")) from None
             model = SECTIONS[str(section)]
             text = model.explain(str(section), {**first, "loc": tuple(rest)}, {})
             raise ConfigError(text) from None
@@ -163,7 +163,7 @@ def declared_settings() -> dict[str, FieldInfo]:
     }
 
 
-def flatten_settings(values: Mapping[str, Any]) -> dict[str, Any]:
+def flatten_settings(values: Mapping[str, Any], source: str = "") -> dict[str, Any]:
     """Settings by dotted name.
 
     >>> flatten_settings({"windows": {"size": 3}, "optimize.seed": 7})
@@ -171,6 +171,7 @@ def flatten_settings(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
         values: by section and key, or by dotted name; a section that is None is empty.
+        source: where they come from, for messages.
 
     Raises:
         ConfigError: an unknown section, or one that is not a mapping. Keys are not checked.
@@ -179,7 +180,7 @@ def flatten_settings(values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         section, dot, _ = str(name).partition(".")
         if section not in SECTIONS or not (dot or value is None or isinstance(value, Mapping)):
-            raise ConfigError(_section_problem(section, value))
+            raise ConfigError(_section_problem(section, value, source))
         flat |= {name: value} if dot else {f"{name}.{key}": value[key] for key in value or ()}
     return flat
 
@@ -211,8 +212,8 @@ def style_shares(config: StyleConfig, n_styles: int) -> list[float]:
     weights = config.weights or [1.0] * n_styles
     if len(weights) != n_styles:
         raise ConfigError(
-            f"style.weights has {len(weights)} numbers for {n_styles} style images. Give one for "
-            "each image, or none."
+            f"style.weights has {count_text(len(weights), 'number')} for "
+            f"{count_text(n_styles, 'style image')}. Give one for each image, or none."
         )
     if not max(weights) > 0:
         raise ConfigError("all style.weights are 0. Set at least one above 0.")
@@ -220,7 +221,12 @@ def style_shares(config: StyleConfig, n_styles: int) -> list[float]:
     return [weight / sum(relative) for weight in relative]
 
 
-def _section_problem(section: object, value: object) -> str:
+def _section_problem(section: str, value: object, source: str) -> str:
+    origin = f" (from {source})" if source else ""
     if section not in SECTIONS:
-        return f"unknown section {section!r} of settings. {nearest(section, list(SECTIONS))}"
-    return f"section {section} is {value!r}. Give a mapping of its settings."
+        return f"unknown settings section {section!r}{origin}. {nearest(section, list(SECTIONS))}"
+    example = next(iter(SECTIONS[section].model_fields))
+    return (
+        f"section {section} is {value!r:.99}{origin}, not a list of settings. "
+        f"Write them below it, such as '{example}: VALUE'."
+    )

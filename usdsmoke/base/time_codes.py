@@ -137,22 +137,20 @@ def _end_of_run(codes: Sequence[float], start: int) -> int:
 
 
 def _parse_part(part: str, text: str) -> FrameRange:
+    where = repr(part) if part == text.strip() else f"{part!r} in the frames {text!r}"
     match = _PART.fullmatch(part)
     if match is None:
         raise ConfigError(
-            f"cannot read {part!r} in the frames {text!r}. "
-            "Use timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5."
+            f"cannot read {where}. Use timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5."
         )
     first = float(match[1])
     last = float(match[2]) if match[2] is not None else first
     step = float(match[3]) if match[3] is not None else None
     if last < first:
         raise ConfigError(
-            f"the range {part!r} in the frames {text!r} runs backwards. "
+            f"the range {where} runs backwards. "
             f"Put the smaller timeCode first: {match[2]}-{match[1]}."
         )
     if step is not None and step <= 0.0:
-        raise ConfigError(
-            f"the step of {part!r} in the frames {text!r} is {match[3]}. Use a step above 0."
-        )
+        raise ConfigError(f"the step of {where} is {match[3]}. Use a step above 0.")
     return FrameRange(first, last, step)

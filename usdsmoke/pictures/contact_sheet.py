@@ -137,7 +137,10 @@ def _paste(
 ) -> None:
     """Scale a picture into a box, upper left corner fixed, and put it on the sheet."""
     if picture.ndim != 3 or picture.shape[2] != 3 or 0 in picture.shape:
-        raise ShapeError(f"a picture has shape {list(picture.shape)}, not [H W 3].")
+        raise ShapeError(
+            f"a picture has the shape {list(picture.shape)}, not [H W 3]. "
+            "This is a bug in usdsmoke. Please report it."
+        )
     levels = np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
     scale = min(width / levels.shape[1], height / levels.shape[0])
     size = (max(1, round(levels.shape[1] * scale)), max(1, round(levels.shape[0] * scale)))

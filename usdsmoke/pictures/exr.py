@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from usdsmoke.base.errors import ImageError, WriteFailed
+from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 
 __all__ = ["write_exr"]
@@ -39,7 +39,10 @@ def write_exr(
     where = os.fspath(file_path)
     pixels = {name: _checked(where, name, *part) for name, part in parts.items()}
     if len({array.shape[:2] for array in pixels.values()}) != 1:
-        raise ImageError(f"cannot write {where}: its parts differ in size, or there are none.")
+        raise ImageError(
+            f"cannot write {where}: its parts differ in size, or there are none. "
+            "This is a bug in usdsmoke. Please report it."
+        )
 
     def write(temporary: Path) -> None:
         made = [_part(name, parts[name][0], array, attributes) for name, array in pixels.items()]
@@ -81,12 +84,14 @@ def _checked(where: str, name: str, letters: str, array: np.ndarray) -> np.ndarr
     if found.ndim != 3 or found.shape[2] != len(letters) or 0 in found.shape:
         raise ImageError(
             f"cannot write {where}: the part {name} has the shape {list(np.shape(array))}, not "
-            f"[H W {len(letters)}] for the channels {', '.join(letters)}"
+            f"[H W {len(letters)}] for the channels {', '.join(letters)}. "
+            "This is a bug in usdsmoke. Please report it."
         )
     count = int((~np.isfinite(found)).sum())
     if count:
         raise ImageError(
-            f"cannot write {where}: the part {name} has {count} numbers that are NaN or infinite. "
+            f"cannot write {where}: the part {name} has "
+            f"{count_text(count, 'NaN or infinite number')}. "
             "Check the values of the grids."
         )
     return found

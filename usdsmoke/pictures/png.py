@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from usdsmoke.base.errors import ImageError, WriteFailed
+from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import hash_stream
 
@@ -120,7 +120,7 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
                 return _pillow_pixels(where, ImageOps.exif_transpose(image))
     except UnidentifiedImageError:
         raise ImageError(
-            f"{where} is not a readable image of the formats EXR, {', '.join(formats)}. "
+            f"cannot read the style image {where}: it is not EXR, {', '.join(formats)}. "
             "Save it as PNG."
         ) from None
     except Image.DecompressionBombError as error:
@@ -197,7 +197,7 @@ def _check_finite(what: str, values: np.ndarray) -> None:
     count = int((~np.isfinite(values)).sum())
     if count:
         raise ImageError(
-            f"{what} has {count} numbers that are NaN or infinite. Repair it in a compositor."
+            f"{what} has {count_text(count, 'NaN or infinite number')}. Repair it in a compositor."
         )
 
 
@@ -207,7 +207,8 @@ def _check_pixels(
     if pixels.ndim != 3 or pixels.shape[2] not in components or 0 in pixels.shape:
         raise ImageError(
             f"cannot write {os.fspath(file_path)}: the pixels have the shape "
-            f"{list(pixels.shape)}, not [H W C] with C one of {', '.join(map(str, components))}"
+            f"{list(pixels.shape)}, not [H W C] with C one of {', '.join(map(str, components))}. "
+            "This is a bug in usdsmoke. Please report it."
         )
     _check_finite(f"cannot write {os.fspath(file_path)}: it", pixels)
 

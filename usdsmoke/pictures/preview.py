@@ -108,8 +108,8 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
         check_pixels(view.width, view.height, n_pictures)
         if request.background == "none" and n_pictures > 1:
             raise ConfigError(
-                f"a contact sheet of {n_pictures} pictures has no transparent background. Draw one "
-                "frame (--frames 12) without a comparison, or write an .exr."
+                f"a contact sheet ({n_pictures} pictures) cannot have a transparent background. "
+                "Draw one frame (--frames 12) without a comparison, or write an .exr."
             )
         files = _write_picture(request, codes, drawn, n_pictures)
     look = smokes[_LOOK]

@@ -56,9 +56,9 @@ class PreviewRequest:
         target = Path(self.output).absolute()
         object.__setattr__(self, "output", target)
         if target.suffix.lower() not in _SUFFIXES:
-            found = f"the suffix {target.suffix!r}" if target.suffix else "no suffix"
+            found = f"be a {target.suffix} file" if target.suffix else "have no suffix"
             raise ConfigError(
-                f"the preview {target.name} has {found}. Use .png for a picture, or .exr for "
+                f"a preview cannot {found} ({target.name}). Use .png for a picture, or .exr for "
                 "scene-linear layers."
             )
         if self.background not in BACKGROUNDS:
@@ -66,9 +66,11 @@ class PreviewRequest:
                 f"unknown background {self.background!r}. Use one of {', '.join(BACKGROUNDS)}."
             )
         if self.width is not None and self.size is not None:
-            raise ConfigError("both a width and a size were given. Give one of them.")
+            raise ConfigError("--width and --size exclude each other. Give only one.")
         parse_frames(self.frames)
         if self.width is not None:
+            if self.width < 1:
+                raise ConfigError(f"--width is {self.width}. Give at least 1 pixel.")
             check_pixels(self.width, 1)
         if self.size is not None:
             check_pixels(*self.size)
@@ -76,7 +78,7 @@ class PreviewRequest:
             raise WriteFailed(f"cannot write {target}: it is a folder. Choose another name.")
         if not target.parent.is_dir():
             raise WriteFailed(
-                f"cannot write {target.name}: there is no folder {target.parent}. Make it first."
+                f"cannot write {target.name}: there is no folder {target.parent}. Create it first."
             )
 
     @property
@@ -120,9 +122,7 @@ def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:
         ConfigError: with what is allowed.
     """
     if width < 1 or height < 1:
-        raise ConfigError(
-            f"a preview cannot have {width} x {height} pixels. Use at least one each way."
-        )
+        raise ConfigError(f"--size is {width}x{height}. Give at least 1 pixel in each direction.")
     if width * height > MOST_PIXELS:
         raise ConfigError(
             f"the preview would have {width} x {height} pixels, of at most "

@@ -78,8 +78,8 @@ class Smoke:
         if needed > there:
             raise PlanError(
                 f"drawing timeCode {format_time_code(time_code)} needs about {needed:.1f} GiB of "
-                f"memory for {n_voxels:,} voxels; there are {there:.1f} GiB. Draw fewer Volumes "
-                "(--prim), or use a larger machine."
+                f"memory for {n_voxels:,} voxels; only {there:.1f} GiB is available. Draw "
+                "fewer Volumes (--prim), or use a larger machine."
             )
 
     def points(self, time_codes: Iterable[float]) -> np.ndarray:

@@ -85,7 +85,10 @@ def find_frame_velocity(
     header = headers[density.file_path]
     grids = find_velocity(header, name)
     if name and not grids:
-        find_grid(header, GridRequest(name, None, f"velocity, {_where(density)}"))
+        raise GridNotFound(
+            f'there is no velocity "{name}" on <{volume.prim_path}> or in '
+            f"{Path(header.file_path).name} (found: {_listed(header)}). Correct stage.velocity."
+        )
     return VelocitySource(density, name, grids) if grids else None
 
 
@@ -132,14 +135,16 @@ def _check_has_mask(volume: VolumeSource, header: FileHeader, name: str) -> None
     """Raise an error that names both places where the mask could be."""
     if any(grid.name == name for grid in header.grids):
         return
-    related = sorted({volume.density, *volume.velocity, *volume.other_fields})
+    fields = ", ".join(sorted({volume.density, *volume.velocity, *volume.other_fields}))
     raise GridNotFound(
-        f'no mask "{name}": Volume <{volume.prim_path}> has no relationship field:{name} (it has: '
-        f"{', '.join(f'field:{item}' for item in related)}), and its density's file "
-        f"{Path(header.file_path).name} has no such grid (it has: "
-        f"{', '.join(grid.label for grid in header.grids) or 'no grids at all'}). "
+        f'there is no mask "{name}": it is not a field of <{volume.prim_path}> ({fields}) or a '
+        f"grid in {Path(header.file_path).name} ({_listed(header)}). "
         "Correct stage.mask, or unset it."
     )
+
+
+def _listed(header: FileHeader) -> str:
+    return ", ".join(grid.label for grid in header.grids) or "no grids at all"
 
 
 def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Config) -> bool:

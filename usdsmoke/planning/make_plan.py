@@ -93,9 +93,9 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
         volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
         raise PlanError(
             f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
-            f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; there "
-            f"are {limit:.1f} GiB ({reason}). Lower views.pool, views.image_size or grids.refine, "
-            "or raise the limit."
+            f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; only "
+            f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
+            "grids.refine, or raise the limit."
         )
     if output is None:
         return

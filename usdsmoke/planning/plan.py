@@ -123,11 +123,9 @@ class Plan:
         """
         tasks = self.tasks
         if not 0 <= window < len(tasks):
-            count = f"{len(tasks)} window{'' if len(tasks) == 1 else 's'}"
-            raise ConfigError(
-                f"there is no window {window}: the plan has {count}, counted from 0 to "
-                f"{len(tasks) - 1}. See 'windows' in the plan (--dry-run --json)."
-            )
+            known = f"Give a number from 0 to {len(tasks) - 1}."
+            known = "The only window is 0." if len(tasks) == 1 else known
+            raise ConfigError(f"there is no window {window}. {known}")
         return tasks[window]
 
     def to_dict(self) -> dict[str, Any]:

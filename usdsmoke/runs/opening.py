@@ -219,7 +219,7 @@ def _run_to_assemble(output: Path, look: str | None) -> Run:
     if not runs:
         named = f" of the look {look}" if look else ""
         raise LayerError(
-            f"there is no run{named} in {output}. Give the folder with the windows, or begin a run "
+            f"there is no run{named} in {output}. Give the output folder of a run, or start one "
             "with 'usdsmoke stylize ... --window K'."
         )
     looks = sorted({run.look for run in unfinished or runs})

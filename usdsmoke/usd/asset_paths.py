@@ -37,7 +37,7 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
             "Unpack it (a .usdz is a zip), and use the stage inside."
         )
     if not file_path:
-        return "nothing is found there. Check the path, and whether the files were copied too."
+        return "there is no such file. Check the path, and whether the files were copied too."
     if os.path.isdir(file_path):
         return f"{file_path} is a folder. Author the path of a .vdb file."
     if not os.path.isfile(file_path):

@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from pxr import Tf, Usd, UsdUtils
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from usdsmoke.base.errors import StageError
 
-__all__ = ["captured_diagnostics", "open_quietly", "short_reason"]
+__all__ = ["captured_diagnostics", "layer_problem", "open_quietly", "short_reason"]
+
+_FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
 
 
 @contextmanager
@@ -35,10 +37,10 @@ def open_quietly(file_path: str) -> Usd.Stage:
     with captured_diagnostics():
         try:
             stage = Usd.Stage.Open(file_path)
-        except Tf.ErrorException as error:
-            raise StageError(_refusal(file_path, error)) from None
+        except Tf.ErrorException:
+            raise StageError(layer_problem(file_path)) from None
     if not stage:
-        raise StageError(f"cannot open the stage {file_path}. Check that it is a USD file.")
+        raise StageError(layer_problem(file_path))
     return stage
 
 
@@ -51,11 +53,27 @@ def short_reason(error: Tf.ErrorException) -> str:
     return "no reason given"
 
 
-def _refusal(file_path: str, error: Tf.ErrorException) -> str:
-    reason = short_reason(error)
-    if reason.startswith("Failed to open layer"):
-        reason = "it is missing, may not be read, or is of no format that USD knows"
-    return (
-        f"cannot open the stage {file_path}: {reason}. "
-        "Give a readable .usda, .usdc, .usd or .usdz file."
-    )
+def layer_problem(file_path: str) -> str:
+    """Why USD cannot open a file: it is missing, a folder, not readable, not USD, or not valid.
+
+    Args:
+        file_path: that could not be opened; the asset resolver finds it.
+    """
+    found = str(Ar.GetResolver().Resolve(file_path)) or file_path
+    if Ar.IsPackageRelativePath(found):
+        found = Ar.SplitPackageRelativePathOuter(found)[0]
+    try:
+        with open(found, "rb") as stream:
+            stream.read(1)
+    except (FileNotFoundError, NotADirectoryError):
+        return f"there is no file {file_path}. Check the path."
+    except IsADirectoryError:
+        return f"{file_path} is a folder. {_FORMATS}"
+    except PermissionError as error:
+        return f"{file_path} cannot be read: {error.strerror}. Change its permissions."
+    except OSError as error:
+        return f"{file_path} cannot be read: {error.strerror or error}. Check the disk."
+    if Sdf.FileFormat.FindByExtension(file_path) is None:
+        return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
+    suffix = Sdf.FileFormat.GetFileExtension(file_path)
+    return f"cannot open {file_path}: it is not a valid .{suffix} file. Export it again."

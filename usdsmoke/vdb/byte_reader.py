@@ -1,7 +1,6 @@
 """Reading an untrusted file with every length checked before anything is allocated for it."""
 
 import struct
-from pathlib import Path
 from typing import Any, BinaryIO
 
 from usdsmoke.base.errors import DamagedFile
@@ -31,8 +30,7 @@ class ByteReader:
     def damage(self, found: str) -> DamagedFile:
         """The error to raise when ``found`` shows that the file is damaged."""
         return DamagedFile(
-            f"{Path(self.where).name} is not a usable VDB file: {found} (in {self.where}). "
-            "Write or copy the file again."
+            f"{self.where} is not a valid VDB file: {found}. Export or copy it again."
         )
 
     def seek(self, position: int, what: str) -> None:

@@ -129,8 +129,8 @@ def _read_settled(where: str, identity: tuple[int, ...]) -> FileHeader:
 
 
 def _read_file_header(reader: ByteReader) -> FileHeader:
-    if reader.take(8, "the file's magic number") != _MAGIC:
-        raise reader.damage("it does not begin with the magic number of VDB files")
+    if reader.take(8, "its first 8 bytes") != _MAGIC:
+        raise reader.damage("it starts with the wrong bytes")
     (version,) = reader.unpack("<I", "the format version")
     if not _OLDEST <= version <= _NEWEST:
         raise reader.damage(

@@ -15,6 +15,7 @@ from usdsmoke.base.errors import (
     GridTooLarge,
     NonFiniteError,
     UnsupportedGrid,
+    count_text,
 )
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
@@ -284,7 +285,7 @@ def _check_finite(
     what = "a background that is NaN or infinite"
     if count:
         first = np.argwhere(bad)[0] + np.asarray(ijk_min)
-        what = f"{count} NaN or infinite voxels, the first at index {first.tolist()}"
+        what = f"{count_text(count, 'NaN or infinite voxel')}, the first at index {first.tolist()}"
     raise NonFiniteError(
         f"{found} has {what}. Correct the simulation, or set grids.repair_nan (--repair nan=0) to "
         "replace them with a number."

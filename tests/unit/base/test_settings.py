@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import usdsmoke
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import (
+    GivenSettings,
     read_settings,
     recorded_settings,
     resolve_config,
@@ -96,7 +97,7 @@ def test_every_setting_is_explained_with_type_default_and_range() -> None:
         assert about["default"] == getattr(getattr(Config(), section), key)
         assert len(about["description"]) > 10 and about["description"] in text, name
     assert told["views.count"]["range"] == "1 to 64"
-    assert told["shape.iterations"]["range"] == "each >= 0, at least one"
+    assert told["shape.iterations"]["range"] == "one or more, each at least 0"
     assert told["views.azimuth"]["unit"] == "degrees"
 
 
@@ -192,39 +193,39 @@ def test_texts_are_read_as_yaml(assignment: str, section: str, key: str, value: 
 @pytest.mark.parametrize(
     ("assignment", "facts"),
     [
-        ("windows.sise=3", ["windows.sise", "'size'"]),
+        ("windows.sise=3", ["windows.sise", "windows.size"]),
         ("window.size=3", ["'window'", "'windows'"]),
         ("xyz.size=3", ["'xyz'", "stage, grids, windows"]),
         ("windows.size", ["windows.size"]),
         ("size=3", ["'size=3'"]),
-        ("windows.size=three", ["windows.size is 'three'", "whole number >= 1"]),
+        ("windows.size=three", ["windows.size is 'three'", "whole number of at least 1"]),
         ("windows.size=2.5", ["windows.size is 2.5", "whole number"]),
         ("windows.size=true", ["windows.size is True", "whole number"]),
         ("windows.size=null", ["windows.size is None", "whole number"]),
-        ("windows.size=0", ["windows.size is 0", ">= 1"]),
+        ("windows.size=0", ["windows.size is 0", "at least 1"]),
         ("views.azimuth=181", ["views.azimuth is 181.0", "0 to 180"]),
-        ("optics.depth=0", ["optics.depth is 0.0", "> 0"]),
+        ("optics.depth=0", ["optics.depth is 0.0", "above 0"]),
         ("optics.depth=.nan", ["optics.depth is nan", "a number"]),
         ("optics.depth=.inf", ["optics.depth is inf", "a number"]),
         ("optics.depth=1" + "0" * 400, ["optics.depth is 1000", "a number"]),
         ("optics.depth=[1, 2]", ["optics.depth is [1, 2]", "a number"]),
-        ("optics.gamma=true", ["optics.gamma is True", "null or a number > 0"]),
+        ("optics.gamma=true", ["optics.gamma is True", "null or a number above 0"]),
         ("windows.size={a: 1}", ["windows.size is {'a': 1}"]),
-        ("optimize.steps=[]", ["optimize.steps is []", "at least one"]),
-        ("optimize.steps=[shape, shape]", ["optimize.steps", "at most once"]),
+        ("optimize.steps=[]", ["optimize.steps is []", "one or more"]),
+        ("optimize.steps=[shape, shape]", ["optimize.steps", "without repeats"]),
         ("optimize.steps=[color]", ["optimize.steps[0] is 'color'", "shape, colour"]),
-        ("colour.iterations=[3, -1]", ["colour.iterations[1] is -1", ">= 0"]),
+        ("colour.iterations=[3, -1]", ["colour.iterations[1] is -1", "at least 0"]),
         ("colour.iterations=[true]", ["colour.iterations[0] is True", "whole numbers"]),
         ("layer.name=../elsewhere", ["layer.name is '../elsewhere'", "letters"]),
         ("layer.look=original", ["layer.look is 'original'", "letters"]),
         ("windows.size=[3", ["windows.size", "YAML"]),
         ("windows.size=!!python/name:os.system", ["windows.size", "YAML"]),
         ("losses.statistic=Gram", ["losses.statistic is 'Gram'", "gram, sliced_wasserstein"]),
-        ("losses.histogram=-0.1", ["losses.histogram is -0.1", ">= 0"]),
+        ("losses.histogram=-0.1", ["losses.histogram is -0.1", "at least 0"]),
         ("losses.photorealism=yes", ["losses.photorealism is True"]),
         ("losses.sliced=1", ["losses.sliced"]),
         ("style.weights=[1, half]", ["style.weights[1] is 'half'"]),
-        ("features.content_layers=[a, a]", ["content_layers", "at most once"]),
+        ("features.content_layers=[a, a]", ["content_layers", "without repeats"]),
         ("grids.half=1", ["grids.half is 1", "true or false"]),
         ("features.weights=[1, 2]", ["features.weights has 2", "features.layers has 0"]),
     ],
@@ -243,6 +244,11 @@ def test_a_refusal_names_where_the_setting_comes_from(tmp_path: Path) -> None:
         resolve_settings(file_path)
     with pytest.raises(ConfigError, match=r"windows\.size is 0 \(from --set\)"):
         resolve_settings(read_settings("windows.size=0", "--set"))
+    with pytest.raises(ConfigError, match=r"'window' \(from --set\).*'windows'"):
+        read_settings("window.size=0", "--set")
+    with pytest.raises(ConfigError, match=r"--seed is -1.*at least 0") as refused:
+        resolve_settings(GivenSettings({"optimize.seed": -1}, {"optimize.seed": "--seed"}))
+    assert "optimize.seed" not in str(refused.value)
     with pytest.raises(ConfigError, match=r"windows\.sise \(from .*settings\.yaml\)"):
         resolve_settings(write(tmp_path, "windows: {sise: 0}\n"))
 
@@ -260,12 +266,12 @@ def test_a_model_made_in_python_is_checked_too(sections: dict[str, Any]) -> None
 @pytest.mark.parametrize(
     ("text", "fact"),
     [
-        ("- 1\n- 2\n", "list"),
+        ("- 1\n- 2\n", "no settings"),
         ("optimize: [1]\n", "optimize"),
         ("a: b: c\n", "YAML"),
         ("optimize: {seed: 1}\noptimize: {seed: 2}\n", "'optimize'"),
         ("optimize:\n  seed: 1\n  seed: 2\n", "line 3"),
-        ("1: {seed: 1}\n", "section '1'"),
+        ("1: {seed: 1}\n", "'1'"),
         ("optimize: {seed: " + "1" * 5000 + "}\n", "YAML"),
     ],
 )
@@ -308,7 +314,7 @@ def test_shares_of_styles_are_their_weights_over_the_sum(
 
 @pytest.mark.parametrize(
     ("weights", "fact"),
-    [([1.0], "1 numbers for 2"), ([1.0, 2, 3], "3 numbers for 2"), ([0, 0], "0")],
+    [([1.0], "1 number for 2"), ([1.0, 2, 3], "3 numbers for 2"), ([0, 0], "0")],
 )
 def test_weights_that_do_not_fit_the_styles_are_refused(weights: list[float], fact: str) -> None:
     with pytest.raises(ConfigError, match=rf"style\.weights.*{fact}"):

@@ -38,13 +38,13 @@ def test_what_is_not_said_stays_the_runs():
     [
         (FrameControls(strength=1.5), "optimize.strength is 1.5. Set it to a number from 0 to 1"),
         (FrameControls(strength=float("nan")), "optimize.strength is nan. Set it to a number"),
-        (FrameControls(gamma=0.0), "optics.gamma is 0.0. Set it to null or a number > 0"),
+        (FrameControls(gamma=0.0), "optics.gamma is 0.0. Set it to null or a number above 0"),
         (
             FrameControls(pattern_speed=9.0),
             "windows.pattern_speed is 9.0. Set it to a number from -8 to 8",
         ),
         (FrameControls(style_weights=(1.0, -1.0)), "style.weights[1] is -1.0. Set it"),
-        (FrameControls(style_weights=(1.0,)), "style.weights has 1 numbers for 2 style images"),
+        (FrameControls(style_weights=(1.0,)), "style.weights has 1 number for 2 style images"),
         (FrameControls(style_weights=(0.0, 0.0)), "all style.weights are 0"),
     ],
 )

@@ -250,7 +250,7 @@ def test_a_style_is_measured_once_however_many_blends_it_is_in(monkeypatch):
 
 def test_weights_that_do_not_fit_the_images_are_refused_with_the_time_code():
     frames = controlled(FRAMES[:2], style_weights=[(1.0, 0.0), (1.0,)])
-    with pytest.raises(ConfigError, match=r"at timeCode 2: style.weights has 1 numbers for 2"):
+    with pytest.raises(ConfigError, match=r"at timeCode 2: style.weights has 1 number for 2"):
         run_core(frames, styles=STYLES)
 
 

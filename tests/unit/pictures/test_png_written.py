@@ -36,7 +36,7 @@ def test_pixels_of_another_shape_are_refused(tmp_path: Path, shape: tuple[int, .
 
 def test_numbers_that_are_not_finite_are_not_written(tmp_path: Path) -> None:
     pixels = np.full((2, 2, 3), np.nan)
-    with pytest.raises(ImageError, match="12 numbers that are NaN"):
+    with pytest.raises(ImageError, match="12 NaN"):
         write_png(tmp_path / "a.png", pixels)
     assert os.listdir(tmp_path) == []
 
@@ -55,5 +55,5 @@ def test_image_that_came_back_different_is_found_out(
 
 
 def test_missing_folder_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(WriteFailed, match=r"cannot write a\.png.*make the folder first"):
+    with pytest.raises(WriteFailed, match=r"cannot write a\.png.*folder first"):
         write_png(tmp_path / "none" / "a.png", LEVELS / 255.0)

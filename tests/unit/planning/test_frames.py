@@ -122,7 +122,7 @@ def test_the_messages_say_which_field_at_which_timecode(tmp_path: Path) -> None:
 
 def test_a_velocity_that_was_named_has_to_be_there(tmp_path: Path) -> None:
     config = resolve_config(["stage.velocity=speed"])
-    with pytest.raises(GridNotFound, match=r'no grid "speed" .*velocity.*found: density'):
+    with pytest.raises(GridNotFound, match=r'no velocity "speed".*found: density.*stage\.velocity'):
         velocity_of(make_stage(tmp_path, "vel"), config)
 
 

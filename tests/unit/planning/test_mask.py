@@ -85,9 +85,7 @@ def test_a_mask_in_neither_place_is_refused_with_what_there_is(tmp_path: Path) -
     body = density_prim("asset filePath = @./smoke.vdb@")
     stage = write_text(tmp_path / "s.usda", world(volume_prim(body, relations=relations)))
     message = (
-        r'no mask "fade": Volume </World/smoke> has no relationship field:fade \(it has: '
-        r"field:density, field:dust\), .*smoke\.vdb has no such grid \(it has: density, heat\)"
-        r".*stage\.mask"
+        r'mask "fade".*</World/smoke>.*density, dust\).*smoke\.vdb.*density, heat\).*stage\.mask'
     )
     for settings in ([], ["optimize.strength=0"]):  # a wrong name is wrong even when not needed
         with pytest.raises(GridNotFound, match=message):

@@ -225,9 +225,9 @@ def test_every_token_is_among_those_that_are_allowed() -> None:
         ("azimuth", "double", False, "Units: degrees. Range: 0 to 180."),
         ("seed", "int64", False, "Range: 0 to 9223372036854775807."),
         ("viewCount", "int", False, "Range: 1 to 64."),
-        ("steps", "token[]", False, "Range: shape, colour, at least one, each at most once."),
-        ("styleWeights", "double[]", True, "Range: each >= 0."),
-        ("reach", "double", False, "Range: > 0, <= 0.5."),
+        ("steps", "token[]", False, "Range: one or more of shape, colour, without repeats."),
+        ("styleWeights", "double[]", True, "Range: each at least 0."),
+        ("reach", "double", False, "Range: above 0 and at most 0.5."),
     ],
 )
 def test_a_request_takes_what_its_setting_takes(

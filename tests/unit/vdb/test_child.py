@@ -78,7 +78,7 @@ def test_file_that_is_no_vdb_is_refused_without_a_process(
 ) -> None:
     (tmp_path / "a.vdb").write_bytes(packed)
     monkeypatch.setattr(child, "_run", lambda *_: pytest.fail("a process was started"))
-    with pytest.raises(DamagedFile, match=r"a\.vdb is not a usable VDB file"):
+    with pytest.raises(DamagedFile, match=r"a\.vdb is not a valid VDB file"):
         read_grids(tmp_path / "a.vdb", DENSITY, TIGHT)
 
 

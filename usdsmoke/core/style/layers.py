@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from usdsmoke.base.errors import ConfigError, FeatureError
+from usdsmoke.base.errors import ConfigError, FeatureError, count_text
 from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
@@ -56,7 +56,8 @@ def style_layers(config: FeaturesConfig) -> dict[str, float]:
     weights = config.weights or [1.0] * len(names)
     if len(weights) != len(names):
         raise ConfigError(
-            f"features.weights holds {len(weights)} numbers for {len(names)} style layers "
+            f"features.weights has {count_text(len(weights), 'number')} for "
+            f"{count_text(len(names), 'style layer')} "
             f"({', '.join(names)}). Give one for each, or none."
         )
     used = {name: weight for name, weight in zip(names, weights, strict=True) if weight > 0}

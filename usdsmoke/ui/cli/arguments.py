@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import GivenSettings, read_settings
 from usdsmoke.base.setting_model import allowed_values
 from usdsmoke.base.settings import SECTIONS, declared_settings
@@ -36,7 +37,8 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of ``usdsmoke`` with its subcommands."""
     parser = argparse.ArgumentParser(
         prog="usdsmoke",
-        description="Stylize the smoke of a USD stage after an example image, into a new layer.",
+        description="Stylize the smoke in a USD stage to match an example image. "
+        "The result is a new layer.",
         epilog=_EXIT_CODES,
     )
     parser.add_argument("--version", action="version", version=f"usdsmoke {__version__}")
@@ -45,11 +47,13 @@ def build_parser() -> argparse.ArgumentParser:
     _add_stylize(commands)
     _add_submit(commands)
     assemble = _add_command(
-        commands, "assemble", "make the result of windows that were run one by one"
+        commands, "assemble", "combine windows that were run separately into one result"
     )
-    assemble.add_argument("output", metavar="OUT", help="the folder of the windows")
+    assemble.add_argument(
+        "output", metavar="OUT", help="the output folder that the windows were run with"
+    )
     _add_layer(assemble)
-    validate = _add_command(commands, "validate", "check a stage or layer with its files and grids")
+    validate = _add_command(commands, "validate", "check a stage or layer, and its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     _add_command(
         commands, "plugin-path", "print the folders of usdsmoke's USD and usdview plug-ins"
@@ -76,13 +80,19 @@ def given_settings(arguments: argparse.Namespace) -> list[Path | GivenSettings]:
         name: options[option] for option, name in _OPTIONS.items() if options[option] is not None
     }
     sources = {name: option for option, name in _OPTIONS.items()}
+    for text in arguments.set:
+        if "=" not in text:
+            raise ConfigError(f"--set {text} has no '='. Write NAME=VALUE, such as windows.size=3.")
     texts = read_settings(arguments.set, "--set")
     return [*config, read_settings([overrides, GivenSettings(given, sources), texts])]
 
 
 def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=summary, description=summary.capitalize() + ".", epilog=_EXIT_CODES
+        name,
+        help=summary,
+        description=f"{summary[:1].upper()}{summary[1:]}.",
+        epilog=_EXIT_CODES,
     )
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
     parser.add_argument("--verbose", action="store_true", help="show the traceback of an error")
@@ -138,7 +148,8 @@ def _add_stylize(commands: Any) -> None:
         "--window",
         type=int,
         metavar="K",
-        help="run only window K, counted from 0 (--dry-run lists them); then 'usdsmoke assemble'",
+        help="run only window K (the first is 0; --dry-run lists all). After the last window, run "
+        "'usdsmoke assemble'",
     )
     part.add_argument(
         "--cluster",
@@ -151,12 +162,14 @@ def _add_stylize(commands: Any) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace an existing result, or an unfinished run with other settings",
+        help="replace an existing result, or an unfinished run whose settings differ",
     )
 
 
 def _add_submit(commands: Any) -> None:
-    parser = _add_command(commands, "submit", "write a run as a job for a render queue")
+    parser = _add_command(
+        commands, "submit", "write a job for a render queue; nothing is submitted"
+    )
     _add_run(parser)
     parser.add_argument(
         "--template",
@@ -175,7 +188,9 @@ def _add_submit(commands: Any) -> None:
 
 def _add_preview(commands: Any) -> None:
     parser = _add_command(commands, "preview", "draw the smoke of a stage, including its looks")
-    parser.add_argument("stage", metavar="STAGE", help="a USD file; for a look its root stage")
+    parser.add_argument(
+        "stage", metavar="STAGE", help="a USD file; to draw a look, give its root stage"
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -191,21 +206,25 @@ def _add_preview(commands: Any) -> None:
     parser.add_argument(
         "--compare", action="store_true", help="also draw the stage without its look"
     )
-    parser.add_argument("--width", type=int, metavar="N", help="pixels (default: at most 512)")
+    parser.add_argument(
+        "--width", type=int, metavar="N", help="width of a picture in pixels (default: up to 512)"
+    )
     parser.add_argument("--size", type=size_value, metavar="WxH", help="width and height in pixels")
     parser.add_argument(
         "--background",
         choices=("grey", "black", "none"),
         default="grey",
-        help="background of a PNG; none: transparent, for a single picture",
+        help="background of a PNG; none: transparent (single pictures only)",
     )
 
 
 def _add_report(commands: Any) -> None:
-    parser = _add_command(commands, "report", "measure what the settings gain and cost in a scene")
+    parser = _add_command(
+        commands, "report", "measure the benefit and cost of the settings on a scene"
+    )
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     parser.add_argument(
-        "-o", "--output", required=True, metavar="DIR", help="the folder of the report"
+        "-o", "--output", required=True, metavar="OUT", help="the folder of the report"
     )
     _add_selection(parser)
     _add_style(parser)
@@ -250,18 +269,18 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         metavar="FILE.yaml",
-        help="settings; requests on Volumes override them (see 'usdsmoke settings')",
+        help="settings file; requests on Volumes override it (see 'usdsmoke settings')",
     )
     parser.add_argument(
         "--overrides",
         metavar="FILE.yaml",
-        help="settings that override requests on Volumes, like all options",
+        help="settings file that overrides requests on Volumes, as command-line options do",
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
-        metavar="KEY=VALUE",
+        metavar="NAME=VALUE",
         help="one setting, such as windows.size=3; may be repeated; overrides everything else",
     )
     _add_option(parser, "--camera", metavar="PATH")

@@ -14,16 +14,18 @@ def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> N
     Args:
         add: makes a command of a name and a summary.
     """
-    parser = add("provenance", "show how a result was made, and from what")
+    parser = add("provenance", "show how a result was made, and from which inputs")
     parser.add_argument("file", metavar="FILE", help=_FILE)
     parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON")
     parser = add("verify", "report what has changed since a result was made")
     parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser = add("rerun", "make a result again from its provenance record")
+    parser = add("rerun", "repeat a run from its provenance record")
     parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="the result's folder")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="the folder for the new result"
+    )
     parser.add_argument(
         "--force",
         action="store_true",
-        help="use inputs that have changed, and replace a result in OUT",
+        help="accept inputs that have changed, and replace any result in OUT",
     )

@@ -9,18 +9,22 @@ __all__ = ["duration_value", "empty_path", "repair_value", "size_value"]
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"(\d+(?:\.\d*)?)\s*(s|min|h|)")
 _LEAST = 1.0  # seconds
+_ARGUMENTS = {"stage": "STAGE", "file": "FILE", "output": "OUT"}  # without an option
 _PATHS = ("stage", "style", "output", "config", "overrides", "template", "file")
 
 
 def empty_path(arguments: argparse.Namespace) -> str | None:
-    """Name of a path that is empty, as from a script whose variable is not set.
+    """The option or argument of a path that is empty, as from a script whose variable is not set.
 
     An empty path would mean the current folder.
     """
     for name in _PATHS:
         value = getattr(arguments, name, None)
         if value == "" or (isinstance(value, list) and "" in value):
-            return name
+            is_argument = name in ("stage", "file") or (
+                name == "output" and arguments.command == "assemble"
+            )
+            return _ARGUMENTS[name] if is_argument else f"--{name}"
     return None
 
 
@@ -50,9 +54,7 @@ def repair_value(text: str) -> float:
     except ValueError:
         number = math.nan
     if name.strip().lower() != "nan" or not equals or not math.isfinite(number):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a replacement. Write nan=NUMBER, such as nan=0."
-        )
+        raise argparse.ArgumentTypeError(f"cannot read {text!r}. Write nan=NUMBER, such as nan=0.")
     return number
 
 

@@ -91,8 +91,8 @@ def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
         names = ", ".join(f"<{volume.GetPath()}>" for volume in volumes)
         raise StageError(
             f"there is no look of usdsmoke on {names}: neither a variant set "
-            f'"{VARIANT_SET}" with a variant "{ORIGINAL}" nor a look layer; open the stage that '
-            "usdsmoke stylize wrote, or put its look layer over this one"
+            f'"{VARIANT_SET}" with a variant "{ORIGINAL}" nor a look layer. Open the stage that '
+            "usdsmoke stylize wrote, or put its look layer over this one."
         )
     return _switch_layers(stage, volumes, looks)
 

@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import CameraSource, StageSource
-from usdsmoke.usd.stage.opening import named_prim
+from usdsmoke.usd.stage.opening import named_prim, type_words
 
 __all__ = ["list_cameras", "read_camera", "seen_through"]
 
@@ -94,11 +94,10 @@ def seen_through(
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
     listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage)) or "none"
-    advice = f"Use one of the stage's cameras: {listed}"
-    prim = named_prim(stage, path, "a camera, such as /World/camera", advice, StageError)
+    advice = f"Use one of its cameras: {listed}."
+    prim = named_prim(stage, path, "/World/camera", advice, StageError)
     if not prim.IsA(UsdGeom.Camera):
-        kind = prim.GetTypeName() or "none"
-        raise StageError(f"the prim <{path}> is of type {kind}, not a Camera. {advice}")
+        raise StageError(f"<{path}> {type_words(prim)}, not a Camera. {advice}")
     return UsdGeom.Camera(prim)
 
 

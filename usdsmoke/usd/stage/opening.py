@@ -10,7 +10,7 @@ from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.schema import register_schema
 
-__all__ = ["StageOrFile", "layer_files", "named_prim", "open_stage", "stage_file"]
+__all__ = ["StageOrFile", "layer_files", "named_prim", "open_stage", "stage_file", "type_words"]
 
 StageOrFile: TypeAlias = str | os.PathLike[str] | Usd.Stage
 
@@ -64,14 +64,14 @@ def layer_files(stage: Usd.Stage) -> list[str]:
 
 
 def named_prim(
-    stage: Usd.Stage, path: str, what: str, advice: str, error: type[UsdSmokeError]
+    stage: Usd.Stage, path: str, example: str, advice: str, error: type[UsdSmokeError]
 ) -> Usd.Prim:
     """The active prim at a path, of whatever type.
 
     Args:
         stage: composed.
         path: as it was given.
-        what: what the path should lead to, with an example.
+        example: a path of the right form.
         advice: the last sentence of every message: what to choose from.
         error: what to raise.
 
@@ -81,10 +81,15 @@ def named_prim(
     if not (
         path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
     ):
-        raise error(f"{path!r} is not the path of {what}. {advice}")
+        raise error(f"{path!r} is not a prim path. A path starts with '/', such as {example}.")
     prim = stage.GetPrimAtPath(path)
     if not prim:
-        raise error(f"no prim <{path}> on the stage. {advice}")
+        raise error(f"there is no prim <{path}> on the stage. {advice}")
     if not prim.IsActive():
         raise error(f"the prim <{path}> is inactive. Activate it, or choose another. {advice}")
     return prim
+
+
+def type_words(prim: Usd.Prim) -> str:
+    """What type a prim has, as the middle of a message: "is of type Xform"."""
+    return f"is of type {prim.GetTypeName()}" if prim.GetTypeName() else "is of no type"

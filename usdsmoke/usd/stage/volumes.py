@@ -30,7 +30,7 @@ from usdsmoke.usd.stage.fields import (
     field_source,
     find_fields,
 )
-from usdsmoke.usd.stage.opening import named_prim
+from usdsmoke.usd.stage.opening import named_prim, type_words
 from usdsmoke.usd.stage.originals import is_look_layer
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
@@ -144,7 +144,7 @@ def _choose_volumes(
         )
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
-        f"with a density field{_composition_hint(stage)}"
+        f"with a density field{_composition_hint(stage)}."
     )
 
 
@@ -153,17 +153,16 @@ def _composition_hint(stage: Usd.Stage) -> str:
     # OpenUSD 24.05 lacks the function. It prints the errors when it opens the stage.
     errors = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
     if not errors:
-        return "; usdsmoke does not turn meshes or particles into smoke."
+        return "; usdsmoke does not turn meshes or particles into smoke"
     return f", or repair the stage, of which a part is missing: {' '.join(str(errors[0]).split())}"
 
 
 def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
     listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
-    advice = f"Use one of the stage's Volumes: {listed}"
-    prim = named_prim(stage, path, "a prim, such as /World/smoke", advice, VolumeNotFound)
+    advice = f"Use one of its Volumes: {listed}."
+    prim = named_prim(stage, path, "/World/smoke", advice, VolumeNotFound)
     if not prim.IsA(UsdVol.Volume):
-        kind = prim.GetTypeName() or "none"
-        raise VolumeNotFound(f"the prim <{path}> is of type {kind}. {advice}")
+        raise VolumeNotFound(f"<{path}> {type_words(prim)}, not a Volume. {advice}")
     if prim.IsInstanceProxy():
         raise StageError(f"cannot use Volume <{path}>: {describe_instance(prim)}")
     return prim
