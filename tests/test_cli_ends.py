@@ -87,7 +87,7 @@ def test_a_note_is_made_of_fractional_timecodes(
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
-        ("[1, 2]", "style.weights has 2 numbers for 1 style images"),
+        ("[1, 2]", "style.weights has 2 numbers for 1 style image"),
         ("[0]", "style.weights are 0"),
     ],
 )

@@ -151,11 +151,11 @@ def test_the_table_has_a_line_for_every_fact(
 def test_what_has_no_record_is_refused(shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
     source = shot.stage.parent / "cache/smoke.0001.vdb"
     for file, reason in (
-        (shot.stage, "no record"),
-        (source, "no record"),
-        (shot.stage.parent, "no record"),
+        (shot.stage, "no usdsmoke record"),
+        (source, "no usdsmoke record"),
+        (shot.stage.parent, "no usdsmoke record"),
         (shot.folder / "none.usda", "there is no"),
-        (shot.style, "cannot read"),
+        (shot.style, "not a USD file"),
     ):
         assert main(["provenance", str(file)]) == 1
         out, err = capsys.readouterr()

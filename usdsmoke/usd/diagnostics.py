@@ -1,5 +1,6 @@
 """OpenUSD's own diagnostics, kept off the terminal and turned into messages."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -9,6 +10,7 @@ from usdsmoke.base.errors import StageError
 
 __all__ = ["captured_diagnostics", "layer_problem", "open_quietly", "short_reason"]
 
+_LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
 _FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
 
 
@@ -37,8 +39,8 @@ def open_quietly(file_path: str) -> Usd.Stage:
     with captured_diagnostics():
         try:
             stage = Usd.Stage.Open(file_path)
-        except Tf.ErrorException:
-            raise StageError(layer_problem(file_path)) from None
+        except Tf.ErrorException as error:
+            raise StageError(layer_problem(file_path, error)) from None
     if not stage:
         raise StageError(layer_problem(file_path))
     return stage
@@ -53,11 +55,12 @@ def short_reason(error: Tf.ErrorException) -> str:
     return "no reason given"
 
 
-def layer_problem(file_path: str) -> str:
+def layer_problem(file_path: str, error: Tf.ErrorException | None = None) -> str:
     """Why USD cannot open a file: it is missing, a folder, not readable, not USD, or not valid.
 
     Args:
         file_path: that could not be opened; the asset resolver finds it.
+        error: from OpenUSD, which may name the line.
     """
     found = str(Ar.GetResolver().Resolve(file_path)) or file_path
     if Ar.IsPackageRelativePath(found):
@@ -76,4 +79,11 @@ def layer_problem(file_path: str) -> str:
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
     suffix = Sdf.FileFormat.GetFileExtension(file_path)
-    return f"cannot open {file_path}: it is not a valid .{suffix} file. Export it again."
+    return (
+        f"cannot open {file_path}: it is not a valid .{suffix} file{_line(error)}. Export it again."
+    )
+
+
+def _line(error: Tf.ErrorException | None) -> str:
+    found = _LINE.search(short_reason(error)) if error is not None else None
+    return f" (line {found[1] or found[2]})" if found else ""

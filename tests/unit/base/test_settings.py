@@ -246,7 +246,7 @@ def test_a_refusal_names_where_the_setting_comes_from(tmp_path: Path) -> None:
         resolve_settings(read_settings("windows.size=0", "--set"))
     with pytest.raises(ConfigError, match=r"'window' \(from --set\).*'windows'"):
         read_settings("window.size=0", "--set")
-    with pytest.raises(ConfigError, match=r"--seed is -1.*at least 0") as refused:
+    with pytest.raises(ConfigError, match=r"--seed is -1.*from 0 to") as refused:
         resolve_settings(GivenSettings({"optimize.seed": -1}, {"optimize.seed": "--seed"}))
     assert "optimize.seed" not in str(refused.value)
     with pytest.raises(ConfigError, match=r"windows\.sise \(from .*settings\.yaml\)"):

@@ -177,7 +177,7 @@ def test_the_machines_memory_counts_when_no_limit_is_set(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_module, "available_memory_gib", lambda: 0.25)
-    with pytest.raises(PlanError, match=r" 0\.2 GiB \(.*machine\)"):
+    with pytest.raises(PlanError, match=r" 0\.2 GiB .*machine\)"):
         check_plan(plan_of(shot.stage))
     monkeypatch.setattr(plan_module, "available_memory_gib", lambda: math.inf)
     check_plan(plan_of(shot.stage))

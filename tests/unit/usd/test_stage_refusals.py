@@ -35,10 +35,10 @@ def refuse(folder, body, error, reason, header=HEADER, **settings):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("none.usda", None, r"none\.usda: it is missing, may not be read"),
-        ("bad.usda", '#usda 1.0\ndef Xform "a" {', r"bad\.usda: .*(Expected }|syntax error)"),
-        ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc: "),
-        ("notes.txt", "hello", r"notes\.txt: .*\.usda"),
+        ("none.usda", None, r"there is no file .*none\.usda"),
+        ("bad.usda", '#usda 1.0\ndef Xform "a" {', r"bad\.usda.* valid \.usda file \(line [23]\)"),
+        ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc.* valid \.usdc file"),
+        ("notes.txt", "hello", r"notes\.txt.* not a USD file.*\.usda"),
     ],
 )
 def test_a_file_that_is_no_stage_is_refused_in_one_line(tmp_path, capfd, name, content, reason):
@@ -48,6 +48,22 @@ def test_a_file_that_is_no_stage_is_refused_in_one_line(tmp_path, capfd, name, c
         open_stage(tmp_path / name)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_folder_instead_of_a_stage_is_refused(tmp_path):
+    with pytest.raises(StageError, match=r"is a folder.*\.usda"):
+        open_stage(tmp_path)
+
+
+def test_what_the_system_refuses_to_open_is_named_with_its_reason(tmp_path, monkeypatch):
+    stage_file = write_text(tmp_path / "bad.usda", "no usd at all")
+
+    def refused(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("builtins.open", refused)
+    with pytest.raises(StageError, match=r"bad\.usda.*Permission denied.*permissions"):
+        open_stage(stage_file)
 
 
 def test_a_stage_without_volumes_is_refused(tmp_path):
@@ -196,5 +212,5 @@ def test_a_named_volume_without_selected_frames_is_refused(tmp_path):
 def test_an_unreadable_stage_is_refused(tmp_path):
     stage_file = plume_stage(tmp_path)
     stage_file.chmod(0)
-    with pytest.raises(StageError, match="may not be read"):
+    with pytest.raises(StageError, match=r"cannot be read: .*permissions"):
         open_stage(stage_file)
