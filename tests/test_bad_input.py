@@ -163,7 +163,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "no image": (no_image, "ImageError", "style.png: No such file"),
     "no config": (with_arguments("--config", "no.yaml"), "ConfigError", "no.yaml"),
     "unknown setting": (with_arguments("--set", "windows.sise=3"), "ConfigError",
-        "unknown setting windows.sise. Did you mean windows.size?"),
+        "windows.sise (from --set). Did you mean windows.size?"),
     "setting without =": (with_arguments("--set", "windowssize"), "ConfigError", "NAME=VALUE"),
     "no velocity": (with_arguments("--set", "stage.velocity=v"), "GridNotFound", "stage.velocity"),
     "too little memory": (with_arguments("--set", "optimize.memory_limit_gib=0.01"), "PlanError",
