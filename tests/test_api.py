@@ -49,7 +49,7 @@ def test_a_users_script_is_typed(tmp_path: Path) -> None:
     good.write_text(SCRIPT)
     bad.write_text('import usdsmoke\nn: str = usdsmoke.plan("shot.usda").n_frames\n')
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(good), str(bad)],
+        [sys.executable, "-m", "mypy", str(good), str(bad)],
         capture_output=True,
         text=True,
         cwd=PROJECT,

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
-from benchmarks.coherence import main
 from benchmarks.coherence_measures import border_ratio, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, _joined
 from usdsmoke.base.volume import DenseField, VolumeFrame
@@ -65,17 +63,3 @@ def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
     masses = [float(item.density.values.mean()) for item in run.outcomes]
     np.testing.assert_allclose(masses, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
     np.testing.assert_allclose(run.differences, [(2 / 3, run.differences[0][1])] * 2, rtol=1e-6)
-
-
-def test_the_command_writes_its_table_and_pictures(tmp_path, capsys) -> None:
-    report = tmp_path / "results" / "coherence.md"
-    code = main(["--quick", "--report", str(report), "--pictures", str(tmp_path / "pictures")])
-    assert code == 0
-    text = report.read_text(encoding="utf-8")
-    assert text in capsys.readouterr().out
-    for words in ("temporal error, displacement", "temporal error, colour", "grey pictures"):
-        assert words in text
-    for name in ("flicker", "coherence_strip"):
-        with Image.open(tmp_path / "pictures" / f"{name}.png") as picture:
-            low, high = picture.convert("L").getextrema()
-            assert min(picture.size) > 200 and high - low > 100
