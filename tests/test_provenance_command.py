@@ -101,7 +101,7 @@ def test_a_record_of_another_format_or_none_at_all_is_refused_in_one_line(
     layer = Sdf.Layer.OpenAsAnonymous(str(result.look_layer))
     data, text = dict(layer.customLayerData), layer.customLayerData["usdsmoke"]["record"]
     other = json.dumps({"format": 7, "version": "9.9"})
-    for record, facts in ((other, ("format 7", "9.9")), (text[:100], ("cannot be read",))):
+    for record, facts in ((other, ("format 7", "9.9")), (text[:100], ("cannot read", "record"))):
         layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], "record": record}}
         layer.Export(str(result.look_layer))
         for command in ("provenance", "rerun"):

@@ -55,12 +55,12 @@ def short_reason(error: Tf.ErrorException) -> str:
     return "no reason given"
 
 
-def layer_problem(file_path: str, error: Tf.ErrorException | None = None) -> str:
+def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> str:
     """Why USD cannot open a file: it is missing, a folder, not readable, not USD, or not valid.
 
     Args:
         file_path: that could not be opened; the asset resolver finds it.
-        error: from OpenUSD, which may name the line.
+        refusal: from OpenUSD, which may name the line.
     """
     found = str(Ar.GetResolver().Resolve(file_path)) or file_path
     if Ar.IsPackageRelativePath(found):
@@ -79,9 +79,8 @@ def layer_problem(file_path: str, error: Tf.ErrorException | None = None) -> str
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
     suffix = Sdf.FileFormat.GetFileExtension(file_path)
-    return (
-        f"cannot open {file_path}: it is not a valid .{suffix} file{_line(error)}. Export it again."
-    )
+    what = f"a valid .{suffix} file{_line(refusal)}"
+    return f"cannot open {file_path}: it is not {what}. Export it again."
 
 
 def _line(error: Tf.ErrorException | None) -> str:

@@ -132,8 +132,8 @@ def test_points_land_where_usds_own_frustum_puts_them(stage, path, time_code, he
     [
         ("/rig/none", "no prim </rig/none>"),
         ("/rig", "of type Xform"),
-        ("rig/camera", "path of a camera"),
-        ("/rig/camera.focalLength", "path of a camera"),
+        ("rig/camera", "is not a prim path"),
+        ("/rig/camera.focalLength", "is not a prim path"),
         ("/away", "is inactive"),
     ],
 )

@@ -74,7 +74,7 @@ def test_any_program_can_run_them_through_usd(tmp_path):
     assert [str(error.GetIdentifier()) for error in errors] == [
         "usdsmokeValidators:FieldFileMissing.FieldFileMissing"
     ]
-    wanted = "timeCode 3: filePath is @./cache/smoke.0003.vdb@: nothing"
+    wanted = "timeCode 3: filePath is @./cache/smoke.0003.vdb@: there is no such file"
     assert errors[0].GetMessage().startswith(wanted)
 
 

@@ -81,7 +81,9 @@ def named_prim(
     if not (
         path.startswith("/") and Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsPrimPath()
     ):
-        raise error(f"{path!r} is not a prim path. A path starts with '/', such as {example}.")
+        raise error(
+            f"{path!r} is not a prim path. A path starts with '/', such as {example}. {advice}"
+        )
     prim = stage.GetPrimAtPath(path)
     if not prim:
         raise error(f"there is no prim <{path}> on the stage. {advice}")
