@@ -146,4 +146,4 @@ def test_the_option_of_the_command(
     assert main(shot.arguments("--tolerance", "0.3")) == 0
     assert "settings for a tolerance of 0.3" in capsys.readouterr().err
     assert main(shot.arguments("--tolerance", "0", "--force")) == 1
-    assert "optimize.target_error" in capsys.readouterr().err
+    assert "--tolerance is 0" in capsys.readouterr().err

@@ -269,4 +269,4 @@ def test_a_frame_without_its_look_is_compared_with_its_own_hash(
 def test_a_stage_without_a_look_is_refused(shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(shot.stage), "--json"]) == 1
     error = json.loads(capsys.readouterr().out)["error"]
-    assert error["type"] == "LayerError" and "no record of usdsmoke" in error["message"]
+    assert error["type"] == "LayerError" and "no usdsmoke record" in error["message"]

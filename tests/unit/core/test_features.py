@@ -269,7 +269,7 @@ def test_style_layers_leave_out_those_of_weight_zero():
     ("settings", "message"),
     [
         ({"layers": ["relu1_1"]}, "relu1_1.* embedded .*oriented1"),
-        ({"layers": ["learned1"], "weights": [1.0, 2.0]}, "holds 2 numbers for 1 style layers"),
+        ({"layers": ["learned1"], "weights": [1.0, 2.0]}, "2 numbers for 1 style layer"),
         ({"layers": ["learned1"], "weights": [0.0]}, "all 0 .* losses.style=0"),
     ],
 )
