@@ -132,10 +132,6 @@ class Section(BaseModel):
             raise TypeError(f"{type(self).__name__} has no {', '.join(sorted(unknown))}")
         return self.model_construct(set(self.model_fields_set), **{**self.__dict__, **values})
 
-    def without_explicit(self: _Section, key: str) -> _Section:
-        """The section with the same values, of which one is no longer explicit."""
-        return self.model_construct(set(self.model_fields_set) - {key}, **self.__dict__)
-
     @classmethod
     def explain(cls, name: str, error: Mapping[str, Any], sources: Mapping[str, str]) -> str:
         """A validation error of pydantic in plain words: what is wrong, and what to do."""

@@ -67,10 +67,10 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
         if not (run.complete and run.run_id in published and run.look == look):
             continue
         if selected and frames != selected:
-            stage = job.config.stage.replace(frames=frames)
-            if "stage.frames" not in run.request.get("explicit", ()):
-                stage = stage.without_explicit("frames")  # the record stays what it was
-            whole = job.with_config(job.config.replace(stage=stage))
+            config = job.config.replace(stage=job.config.stage.replace(frames=frames))
+            if "stage.frames" not in run.request.get("explicit", ()):  # the record stays as it was
+                config = config.with_explicit(config.explicit - {"stage.frames"})
+            whole = job.with_config(config)
             if numbers := _windows_of(whole.plan, job.plan):
                 if changes := Identity(whole).changes(run):
                     raise OutputExists(_other_result(run.output, changes))

@@ -102,15 +102,14 @@ class _Worker:
 
     def __init__(self) -> None:
         self.messages: IO[bytes] = tempfile.TemporaryFile()  # a file: they cannot fill memory
-        with _interrupts_held():  # Ctrl-C is for the parent, which then ends the worker
-            self.process = subprocess.Popen(
-                python_command("from usdsmoke.vdb.worker import main; sys.exit(main())"),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self.messages,
-                env=_environment(),
-                bufsize=0,
-            )
+        self.process = subprocess.Popen(
+            python_command("from usdsmoke.vdb.worker import main; sys.exit(main())"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.messages,
+            env=_environment(),
+            bufsize=0,
+        )
         assert self.process.stdin is not None and self.process.stdout is not None
         self.requests, self.answers = self.process.stdin, self.process.stdout
 
@@ -142,9 +141,12 @@ class _Worker:
 
     def end(self, patience: float = _FAREWELL) -> None:
         """Let it end, or make it end."""
-        self.requests.close()
-        self.wait(patience)
-        self.forget()
+        try:
+            self.requests.close()
+            self.wait(patience)
+        finally:  # Ctrl-C may end the waiting
+            self.wait(0.0)
+            self.forget()
 
     def wait(self, patience: float) -> int:
         """Its return code; it is killed when it does not end within ``patience`` seconds."""
@@ -192,7 +194,10 @@ def _run(folder: str, config: GridsConfig) -> None:
         if _worker is not None and _worker.process.poll() is not None:
             end_worker()  # somebody has killed it while it had nothing to do
         if _worker is None:
-            _worker = _Worker()
+            # Ctrl-C is for the parent, which ends the worker; it waits until the worker is known,
+            # so that no pipe or process is left without an owner.
+            with _interrupts_held():
+                _worker = _Worker()
         worker, goes_on, patience = _worker, False, 0.0
         try:
             goes_on = worker.ask(folder, _PATIENCE * config.time_limit_s)

@@ -322,9 +322,6 @@ def test_the_worker_and_its_folders_go_with_the_parent(
     assert not list(temporary.iterdir())
 
 
-# Ctrl-C may arrive between a pipe's opening and its first owner: it is closed when it is collected.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_ctrl_c_ends_the_request_and_the_next_one_is_right(
     tmp_path: Path, good_file: bytes
 ) -> None:
