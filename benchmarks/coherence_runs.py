@@ -125,7 +125,7 @@ def run_windows(shot: Shot) -> Run:
         starts |= {start.time_code: start for start in found}
     coarse_seconds = time.process_time() - started
     versions = [
-        _chain(shot, [by_code[code] for code in (*window.time_codes, *window.beyond)], starts)
+        _chain(shot, [by_code[code] for code in (*window.time_codes, *window.overlap)], starts)
         for window in windows
     ]
     run = _joined(windows, versions)

@@ -1,6 +1,7 @@
 """Counters of the work of a run: what OpenVDB is asked for, and elements that torch makes."""
 
 import itertools
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-__all__ = ["Elements", "Reads"]
+__all__ = ["Elements", "Reads", "unnamed_files"]
 
 
 class Elements(TorchDispatchMode):
@@ -73,3 +74,9 @@ class Reads:
             return answer, found
 
         monkeypatch.setattr("usdsmoke.vdb.child.run_child", watched)
+
+
+def unnamed_files(folder: Path) -> set[str]:
+    """The files without a name that this process holds in a folder."""
+    held = {os.path.realpath(entry.path) for entry in os.scandir("/proc/self/fd")}
+    return {path for path in held if path.startswith(f"{folder}/#")}

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.counters import Elements, Reads
+from tests.counters import Elements, Reads, unnamed_files
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, make_style, run
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core, scene_of
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
 from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.runs.progress import RunProgress
 from usdsmoke.vdb.binding import find_binding
 
 QUICK = ("views.pool=2", "views.image_size=16", "optimize.threads=1")
@@ -154,6 +155,27 @@ def test_each_grid_of_a_source_file_is_read_once(
     names = [f"cache/smoke.{number:04d}.vdb" for number in (1, 2, 3)]
     assert set(reads.sources) == {(name, grid) for name in names for grid in ("density", "vel")}
     assert set(reads.sources.values()) == {1}
+
+
+def test_a_source_frame_leaves_the_disk_when_nothing_left_to_do_reads_it(
+    tmp_path: Path, core: FakeCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.vdb.store._FILE_BYTES", 1)  # a file for each grid
+    monkeypatch.setattr("usdsmoke.vdb.store._folder", lambda: tmp_path)
+    shot, counts = make_shot(tmp_path, n_frames=8), dict[tuple[str, int], int]()
+
+    def count(state: RunProgress) -> None:
+        counts[state.step, state.frame] = len(unnamed_files(tmp_path))
+
+    run(shot, "windows.size=2", "windows.overlap=0", progress=count)
+    assert [counts["write", frame] for frame in range(0, 8, 2)] == [
+        8,
+        7,
+        5,
+        4,
+    ]  # 1, 5, 8 are on the sheet
+    assert counts["picture", 0] == 3  # for the contact sheet
+    assert not unnamed_files(tmp_path)
 
 
 def test_velocity_is_read_only_where_a_frame_has_a_neighbour(

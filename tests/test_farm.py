@@ -124,7 +124,7 @@ def test_a_manifest_tells_everything_about_its_window(farm: Shot) -> None:
     record = json.loads((run_folder(farm) / "run.json").read_text())
     assert told["run_id"] == record["run_id"]
     assert (told["window"], told["volume"]) == (1, "/World/smoke")
-    assert (told["time_codes"], told["beyond"]) == ([4, 5, 6], [7])
+    assert (told["time_codes"], told["overlap"]) == ([4, 5, 6], [7])
     parts = [f"parts/0001/smoke.{code:04d}.vdb" for code in (4, 5, 7)]
     assert sorted(frames) == sorted([*parts, "smoke.0006.vdb"])
     assert [name for name in sorted(frames) if frames[name]["part"]] == parts
@@ -141,7 +141,7 @@ def test_the_plan_lists_the_windows_of_all_volumes_by_number(
 ) -> None:
     assert main(farm.arguments(*OPTIONS, "--dry-run", "--json")) == 0
     plan = json.loads(capsys.readouterr().out)
-    told = [(w["index"], w["volume"], w["time_codes"], w["beyond"]) for w in plan["windows"]]
+    told = [(w["index"], w["volume"], w["time_codes"], w["overlap"]) for w in plan["windows"]]
     assert told == [
         (0, "/World/smoke", [1, 2, 3], [4, 5]),
         (1, "/World/smoke", [4, 5, 6], [7]),

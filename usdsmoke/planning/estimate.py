@@ -79,7 +79,7 @@ class FrameSize:
     window_start: bool = True  # False: it starts from its neighbour's result
     n_copied: int = 0  # values per voxel that are copied to the result: the velocity's 3, or 0
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
-    seen: float = 1.0  # share of the box that the shot's camera sees
+    visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
 
 
@@ -90,6 +90,7 @@ class Estimate:
     memory_gib: float  # peak
     seconds: float
     bytes_written: int
+    bytes_temporary: int = 0  # of decoded source frames; where the disk is short, fewer are kept
 
 
 def estimate_run(
@@ -145,6 +146,7 @@ def add_estimates(parts: Sequence[Estimate]) -> Estimate:
         memory_gib=max((part.memory_gib for part in parts), default=BASE / GIB),
         seconds=sum(part.seconds for part in parts) - (len(parts) - 1) * START,
         bytes_written=sum(part.bytes_written for part in parts),
+        bytes_temporary=sum(part.bytes_temporary for part in parts),
     )
 
 
@@ -185,7 +187,7 @@ def _picture_pixels(frame: FrameSize, config: Config) -> float:
 
 def _is_optimized(frame: FrameSize, config: Config) -> bool:
     computed = config.optimize.strength > 0 if frame.computed is None else frame.computed
-    return frame.active_voxels * frame.seen > 0 and computed and config.losses.style > 0
+    return frame.active_voxels * frame.visible > 0 and computed and config.losses.style > 0
 
 
 def _frame_memory(frame: FrameSize, config: Config) -> float:
@@ -215,8 +217,8 @@ def _frame_seconds(
 
 def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, finest: float) -> float:
     """Seconds of one thread."""
-    active, box = (frame.seen * n for n in _refined(frame, config))
-    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.seen ** (2 / 3)
+    active, box = (frame.visible * n for n in _refined(frame, config))
+    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     if not frame.window_start and finest == 1.0:
         octaves = warm_iterations(octaves, config.windows.warm_iterations)

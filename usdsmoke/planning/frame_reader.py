@@ -1,5 +1,7 @@
 """The source frames of a run, each read from disk once."""
 
+from collections.abc import Iterable
+
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.planning.frames import read_frame, read_velocity_grids
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
@@ -38,6 +40,10 @@ class FrameReader:
             self._store.read,
         )
 
+    def release(self, frames: Iterable[FramePlan], needed: Iterable[FramePlan] = ()) -> None:
+        """Give up the disk space of frames; files that ``needed`` ones are read from stay."""
+        self._store.release(_files(frames) - _files(needed))
+
     def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
         """The velocity's grids that are copied to a frame's result, unchanged.
 
@@ -48,6 +54,10 @@ class FrameReader:
             return []
         density = frame.source.fields[volume.source.density]
         return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
+
+
+def _files(frames: Iterable[FramePlan]) -> set[str]:
+    return {field.file_path for frame in frames for field in frame.source.fields.values()}
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:

@@ -3,6 +3,7 @@
 No voxel is read and torch is not loaded.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -69,9 +70,18 @@ def make_plan(
 def _estimate(volume: VolumePlan) -> Estimate:
     sizes, twice, coarse = (
         [frame.size for frame in frames]
-        for frames in (volume.frames, volume.twice_frames, volume.coarse_frames)
+        for frames in (volume.frames, volume.overlap_frames, volume.coarse_frames)
     )
-    return estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
+    estimate = estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
+    return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, volume.frames)))
+
+
+def _decoded_bytes(frame: FramePlan) -> int:
+    """Of a frame's source grids as dense arrays: density, velocity and mask."""
+    velocity = frame.velocity or frame.copied
+    grids = () if velocity is None else velocity.grids
+    boxes = [grid.box_shape or (0, 0, 0) for grid in grids for _ in range(3 // len(grids))]
+    return 4 * sum(map(math.prod, (frame.size.box, frame.size.mask_box, *boxes)))
 
 
 def check_plan(plan: Plan, output: Path | None = None) -> None:
@@ -146,7 +156,7 @@ def _plan_volume(
     windows = split_windows(time_codes, config.windows, first_index, frame_length)
     computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
     if not any(computed):  # the result is the source: there is nothing to carry or to blend
-        windows = tuple(replace(window, beyond=(), joined=False) for window in windows)
+        windows = tuple(replace(window, overlap=(), continues=False) for window in windows)
     names = result_file_names(volume, stem)
     window_of = {code: window for window in windows for code in window.time_codes}
     frames = []
@@ -172,13 +182,13 @@ def _plan_frame(
     grid = find_density(volume, frame, headers[density.file_path])
     velocity = find_frame_velocity(volume, frame, headers, config)
     copied = velocity if is_copied(velocity, density, config) else None
-    followed = window.joined or len(window.time_codes) > 1
+    followed = window.continues or len(window.time_codes) > 1
     mask = find_frame_mask(volume, frame, headers, config)
     size = FrameSize(
         *grid_size(density.file_path, grid),
         window_start=frame.time_code == window.time_codes[0],
         n_copied=0 if copied is None else 3,
-        seen=visible_share(frame, density, grid, config),
+        visible=visible_share(frame, density, grid, config),
         computed=computed,
     )
     if size.active_voxels == 0 or not computed:

@@ -47,7 +47,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         needed += [f"{sentence}{where}" for sentence in _needed_by(own, members)]
     if n_coarse := sum(len(volume.coarse_frames) for volume in volumes):
         needed.append(f"one coarse step over {n_coarse} frames, which all windows start from")
-    if n_twice := sum(len(volume.twice_frames) for volume in volumes):
+    if n_twice := sum(len(volume.overlap_frames) for volume in volumes):
         needed.append(f"{_count(n_twice, 'frame')} in two windows each, blended (windows.overlap)")
     # Written.
     kind = "half" if config.grids.half else "float"
@@ -185,13 +185,13 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
 def _animated_settings(volumes: Volumes) -> list[str]:
     """The settings that frames have their own values for, a sentence each."""
     sentences = []
-    for name, (section, key) in SETTINGS.items():
-        values = [getattr(own, name) for own in _controls(volumes)]
+    for control, name in SETTINGS.items():
+        values = [getattr(own, control) for own in _controls(volumes)]
         found = [value for value in values if value is not None]
         if found:
-            span = "" if name == "style_weights" else f", {min(found):g} to {max(found):g}"
+            span = "" if control == "style_weights" else f", {min(found):g} to {max(found):g}"
             sentences.append(
-                f"{section}.{key} per frame for {_count(len(found), 'frame')}{span}, from the stage"
+                f"{name} per frame for {_count(len(found), 'frame')}{span}, from the stage"
             )
     return sentences
 
@@ -300,7 +300,7 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
     """What the camera does not see or resolve."""
     omitted, where = [], f"of <{volume.source.prim_path}>"
     filled = [frame for frame in volume.frames if not frame.is_empty]
-    outside = [frame for frame in filled if frame.size.seen == 0]
+    outside = [frame for frame in filled if frame.size.visible == 0]
     if outside:
         omitted.append(
             Omission(
@@ -309,7 +309,7 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
             )
         )
     n_active = sum(frame.size.active_voxels for frame in filled)
-    n_visible = sum(frame.size.active_voxels * frame.size.seen for frame in filled)
+    n_visible = sum(frame.size.active_voxels * frame.size.visible for frame in filled)
     if n_visible < n_active:
         omitted.append(
             Omission(

@@ -63,9 +63,9 @@ class VolumePlan:
         return tuple(frame for frame in self.frames if frame.source.time_code in codes)
 
     @property
-    def twice_frames(self) -> tuple[FramePlan, ...]:
+    def overlap_frames(self) -> tuple[FramePlan, ...]:
         """The frames that two windows compute, and whose versions are blended."""
-        codes = {code for window in self.windows for code in window.beyond}
+        codes = {code for window in self.windows for code in window.overlap}
         return tuple(frame for frame in self.frames if frame.source.time_code in codes)
 
 
@@ -85,7 +85,7 @@ class WindowTask:
 
     def is_part(self, frame: FramePlan) -> bool:
         """True if another window computes the frame too, and both versions are blended."""
-        return any(frame is other for other in self.volume.twice_frames)
+        return any(frame is other for other in self.volume.overlap_frames)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Plan:
         for number, volume in enumerate(self.volumes):
             frames = {frame.source.time_code: frame for frame in volume.frames}
             for window in volume.windows:
-                members = tuple(frames[code] for code in (*window.time_codes, *window.beyond))
+                members = tuple(frames[code] for code in (*window.time_codes, *window.overlap))
                 tasks.append(WindowTask(window, number, volume, members))
         return tasks
 

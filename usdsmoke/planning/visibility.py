@@ -53,7 +53,7 @@ def pixel_sizes(
     for frame in frames:
         density, camera = frame.source.fields[volume.source.density], frame.source.camera
         points = _box_points(density, frame.grid)
-        if points is None or camera is None or frame.size.seen == 0:
+        if points is None or camera is None or frame.size.visible == 0:
             continue
         finest = min(finest, _nearest_pixel(camera, points[1], config))
         voxel, longest_side = _lengths(points[0], frame.size.box)

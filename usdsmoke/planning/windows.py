@@ -25,8 +25,8 @@ class Window:
 
     index: int  # 0-based, over all Volumes of a run
     time_codes: tuple[float, ...]  # ascending, at least one: the frames that are its own
-    beyond: tuple[float, ...] = ()  # the next window's first frames, computed here too
-    joined: bool = False  # to the previous window: there is no cut between them
+    overlap: tuple[float, ...] = ()  # the next window's first frames, computed here too
+    continues: bool = False  # the previous window: there is no cut between them
 
 
 def find_cuts(
@@ -75,7 +75,7 @@ def split_windows(
 
     >>> [window.time_codes for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(1, 2), (3,), (10, 11)]
-    >>> [window.beyond for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
+    >>> [window.overlap for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(3,), (), ()]
 
     Args:
@@ -92,14 +92,14 @@ def split_windows(
     for number, time_code in enumerate(time_codes):
         is_cut = number == 0 or time_code in cuts
         if is_cut or len(windows[-1].time_codes) == config.size:
-            joined = not is_cut and config.size > 1
-            windows.append(Window(first_index + len(windows), (time_code,), joined=joined))
+            continues = not is_cut and config.size > 1
+            windows.append(Window(first_index + len(windows), (time_code,), continues=continues))
         else:
             codes = (*windows[-1].time_codes, time_code)
             windows[-1] = replace(windows[-1], time_codes=codes)
     for place, (window, later) in enumerate(pairwise(windows)):
-        if later.joined:
-            windows[place] = replace(window, beyond=later.time_codes[: config.overlap])
+        if later.continues:
+            windows[place] = replace(window, overlap=later.time_codes[: config.overlap])
     return tuple(windows)
 
 
@@ -114,7 +114,7 @@ def coarse_runs(windows: Sequence[Window]) -> tuple[tuple[float, ...], ...]:
     """
     runs: list[list[Window]] = []
     for window in windows:
-        if not window.joined:
+        if not window.continues:
             runs.append([])
         runs[-1].append(window)
     return tuple(

@@ -208,10 +208,10 @@ def _versions(plan: Plan, run: Run, windows: Sequence[WindowRecord]) -> dict[str
     """By file name the frames that two windows have, in order."""
     found = {}
     for task, _ in pairwise(plan.tasks):
-        place, beyond = task.number, task.window.beyond
+        place, overlap = task.number, task.window.overlap
         own = len(task.window.time_codes)
         gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
-        weights = zip(task.frames[own:], tail_weights(len(beyond)), strict=True)
+        weights = zip(task.frames[own:], tail_weights(len(overlap)), strict=True)
         for frame, weight in weights:
             tail, head = windows[place], windows[place + 1]
             found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight, gamma_w)

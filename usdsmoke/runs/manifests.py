@@ -20,7 +20,7 @@ class WindowRecord:
     window: int
     volume: str  # prim path
     time_codes: list[float]  # its own
-    beyond: list[float]  # those of the next window that it computes too
+    overlap: list[float]  # those of the next window that it computes too
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder; see write_result
     seconds: float
     timings: dict[str, float] = field(default_factory=dict)  # of these: reading, writing

@@ -78,12 +78,12 @@ class OpenRun:
         starts = {id(frame) for _, _, chain in chains for frame in chain}
         n_bytes = 0
         for number, volume in enumerate(self.plan.volumes):
-            twice = {id(frame) for frame in volume.twice_frames}
+            twice = {id(frame) for frame in volume.overlap_frames}
             own = [task for task in tasks if task.volume_number == number]
             parts = [f.size for task in own for f in task.frames if id(f) in twice]
             once = [f for f in volume.frames if id(f) in todo - twice]
             blended = [
-                f for f in volume.twice_frames if whole and run.finished(f.file_name) is None
+                f for f in volume.overlap_frames if whole and run.finished(f.file_name) is None
             ]
             coarse = [f.size for f in volume.frames if id(f) in starts]
             written = [f.size for f in (*once, *blended)]

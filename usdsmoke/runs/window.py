@@ -1,18 +1,19 @@
 """The work itself: every frame checked, every window stylized, every frame written."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.planning.frame_reader import hash_sources
-from usdsmoke.planning.plan import WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import PartClock, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
+from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
     from usdsmoke.base.progress import Progress
@@ -65,12 +66,21 @@ def stylize_windows(
     configs = [task.volume.config for task in tasks for _ in task.frames]
     meter, done = WorkMeter(configs, warm), 0
     tell = _never_back(tell)
-    for task in tasks:
+    for place, task in enumerate(tasks):
         with opened.run.claim(task.number):
             if again or opened.run.window(task.number) is None:
                 progress = _Counter(meter, done, len(warm), tell)
                 _stylize_window(opened, task, source_hashes, progress)
         done += len(task.frames)
+        later = [frame for other in tasks[place + 1 :] for frame in other.frames]
+        opened.reader.release(task.frames, [*later, *_frames_to_assemble(opened.plan)])
+
+
+def _frames_to_assemble(plan: Plan) -> Iterator[FramePlan]:
+    """Sources that are read after the windows: for contact sheets, and beside blended frames."""
+    for volume in plan.volumes:
+        yield from sample_frames(volume)
+        yield from (frame for frame in volume.overlap_frames if frame.copied is not None)
 
 
 def _never_back(tell: RunProgressCallback) -> RunProgressCallback:
@@ -152,7 +162,7 @@ def _stylize_window(
         window=task.number,
         volume=task.volume.source.prim_path,
         time_codes=list(task.window.time_codes),
-        beyond=list(task.window.beyond),
+        overlap=list(task.window.overlap),
         frames=records,
         seconds=clock.total,
         timings=clock.parts,

@@ -4,7 +4,8 @@ import dataclasses
 import os
 import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -19,16 +20,35 @@ __all__ = ["GridStore"]
 
 _DISK_TMP = Path("/var/tmp")  # on disk, where /tmp may be in memory
 _RESERVE = 2**30  # bytes of the disk that stay free for other programs
-_ALIGNED = 64  # bytes that an array in the file begins at a multiple of
+_ALIGNED = 64  # bytes that an array in a file begins at a multiple of
+_FILE_BYTES = 2**28  # a file with this much in it is followed by another one,
+_MOST_FILES = 200  # unless this many are open: systems limit their number
 _Key = tuple[object, ...]
 
 
-class GridStore:
-    """Reads grids and keeps them, decoded and checked, in one unnamed file.
+@dataclass(frozen=True)
+class _Kept:
+    """A field on disk."""
 
-    The file is in TMPDIR, or else in /var/tmp or the system's folder for temporary files. The
-    system removes it when the process ends, even if it is killed. If the disk is nearly full, grids
-    are not kept but read again.
+    bare: DenseField  # without its values
+    shape: tuple[int, ...]
+    file: IO[bytes]
+    start: int  # byte in the file
+
+    def mapped(self) -> DenseField:
+        if 0 in self.shape:
+            return self.bare
+        # "c": private, because torch warns about read-only arrays
+        values = np.memmap(self.file, np.float32, mode="c", offset=self.start, shape=self.shape)
+        return dataclasses.replace(self.bare, values=np.asarray(values))
+
+
+class GridStore:
+    """Reads grids and keeps them, decoded and checked, in unnamed files.
+
+    The files are in TMPDIR, or else in /var/tmp or the system's folder for temporary files. The
+    system removes them when the process ends, even if it is killed. If the disk is nearly full,
+    grids are not kept but read again: the store never takes the space that results need.
 
     Args:
         spare_bytes: of the disk, reserved for the files that the run still writes.
@@ -36,8 +56,9 @@ class GridStore:
 
     def __init__(self, spare_bytes: int = 0) -> None:
         self._spare = spare_bytes + _RESERVE
-        self._file: IO[bytes] | None = None
-        self._kept: dict[_Key, list[tuple[DenseField, tuple[int, ...], int]]] = {}
+        self._files: list[IO[bytes]] = []  # grids are added to the last one
+        self._kept: dict[_Key, list[_Kept]] = {}
+        weakref.finalize(self, _close, self._files)
 
     def read(
         self,
@@ -54,41 +75,51 @@ class GridStore:
         """
         key = _key(file_path, requests, config)
         if key is not None and key in self._kept:
-            return [self._mapped(*entry) for entry in self._kept[key]]
+            return [kept.mapped() for kept in self._kept[key]]
         fields = read_grids(file_path, requests, config)
         if key is not None and _key(file_path, requests, config) == key:  # not changed meanwhile
             self._keep(key, fields)
         return fields
 
+    def release(self, file_paths: Collection[str]) -> None:
+        """Forget the grids of files; disk space becomes free in pieces of about 256 MiB.
+
+        Arrays that were returned stay valid.
+        """
+        paths = {os.path.abspath(file_path) for file_path in file_paths}
+        self._kept = {key: kept for key, kept in self._kept.items() if key[0] not in paths}
+        used = {id(kept.file) for entries in self._kept.values() for kept in entries}
+        unused = [file for file in self._files if id(file) not in used]
+        self._files[:] = [file for file in self._files if id(file) in used]
+        _close(unused)
+
     def _keep(self, key: _Key, fields: Sequence[DenseField]) -> None:
+        needed = self._spare + sum(field.values.nbytes for field in fields)
         try:
-            if self._file is None:
-                self._file = tempfile.TemporaryFile(dir=_folder(), buffering=0)
-                weakref.finalize(self, self._file.close)
-            entries = [self._written(self._file, field) for field in fields]
+            if free_disk_bytes(_folder()) >= needed:
+                self._kept[key] = [_write(self._file(), field) for field in fields]
         except OSError:
-            return  # the disk is nearly full: they are read again
-        if None not in entries:
-            self._kept[key] = [entry for entry in entries if entry is not None]
+            return  # the disk is full after all: they are read again
 
-    def _written(
-        self, file: IO[bytes], field: DenseField
-    ) -> tuple[DenseField, tuple[int, ...], int] | None:
-        """The field without its values, their shape and place; None if the disk is nearly full."""
-        if free_disk_bytes(_folder()) < self._spare + field.values.nbytes:
-            return None
-        start = -(-file.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
-        file.seek(start)
-        field.values.tofile(file)  # raises OSError when it is cut short
-        return dataclasses.replace(field, values=_nothing(field)), field.values.shape, start
+    def _file(self) -> IO[bytes]:
+        """The file that the next field is added to."""
+        is_full = self._files and self._files[-1].seek(0, os.SEEK_END) >= _FILE_BYTES
+        if not self._files or (is_full and len(self._files) < _MOST_FILES):
+            self._files.append(tempfile.TemporaryFile(dir=_folder(), buffering=0))
+        return self._files[-1]
 
-    def _mapped(self, bare: DenseField, shape: tuple[int, ...], start: int) -> DenseField:
-        assert self._file is not None
-        if 0 in shape:
-            return bare
-        # "c": private, because torch warns about read-only arrays
-        values = np.memmap(self._file, np.float32, mode="c", offset=start, shape=shape)
-        return dataclasses.replace(bare, values=np.asarray(values))
+
+def _write(file: IO[bytes], field: DenseField) -> _Kept:
+    start = -(-file.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
+    file.seek(start)
+    field.values.tofile(file)  # raises OSError when it is cut short
+    nothing = np.zeros((0, 0, 0, *field.values.shape[3:]), np.float32)
+    return _Kept(dataclasses.replace(field, values=nothing), field.values.shape, file, start)
+
+
+def _close(files: list[IO[bytes]]) -> None:
+    for file in files:
+        file.close()
 
 
 def _key(
@@ -102,10 +133,6 @@ def _key(
     grids = tuple((request.name, request.index, request.components) for request in requests)
     identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     return (os.path.abspath(file_path), identity, grids, config.repair_nan)
-
-
-def _nothing(field: DenseField) -> np.ndarray:
-    return np.zeros((0, 0, 0, *field.values.shape[3:]), np.float32)
 
 
 def _folder() -> Path:

@@ -43,9 +43,9 @@ def test_a_window_goes_on_as_far_as_the_overlap_and_the_next_window_reach(
 ) -> None:
     windows = split_windows(time_codes, WindowsConfig(size=size, overlap=overlap))
     for window, later in pairwise(windows):
-        wanted = min(overlap, len(later.time_codes)) if later.joined else 0
-        assert window.beyond == later.time_codes[:wanted]
-    assert not windows or windows[-1].beyond == ()
+        wanted = min(overlap, len(later.time_codes)) if later.continues else 0
+        assert window.overlap == later.time_codes[:wanted]
+    assert not windows or windows[-1].overlap == ()
     plain = split_windows(time_codes, WindowsConfig(size=size, overlap=0))
     assert [window.time_codes for window in plain] == [window.time_codes for window in windows]
 
@@ -53,14 +53,14 @@ def test_a_window_goes_on_as_far_as_the_overlap_and_the_next_window_reach(
 def test_nothing_overlaps_or_is_joined_across_a_cut() -> None:
     time_codes = [1.0, 2.0, 3.0, 4.0, 100.0, 101.0, 102.0]
     windows = split_windows(time_codes, WindowsConfig(size=2))
-    assert [window.joined for window in windows] == [False, True, False, True]
-    assert [window.beyond for window in windows] == [(3, 4), (), (102,), ()]
+    assert [window.continues for window in windows] == [False, True, False, True]
+    assert [window.overlap for window in windows] == [(3, 4), (), (102,), ()]
     assert coarse_runs(windows) == ((1, 2, 3, 4), (100, 101, 102))
 
 
 def test_windows_of_one_frame_stand_alone() -> None:
     windows = split_windows([1.0, 2.0, 3.0], WindowsConfig(size=1))
-    assert all(not window.joined and not window.beyond for window in windows)
+    assert all(not window.continues and not window.overlap for window in windows)
     assert coarse_runs(windows) == ()
 
 

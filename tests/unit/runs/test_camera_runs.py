@@ -108,8 +108,8 @@ def test_the_plan_tells_what_the_camera_leaves_out(shot: Shot) -> None:
     first, second, third = plan.volumes[0].frames
     side = np.linspace(-0.25, 7.75, 500)  # the file has all 16 x 16 x 16 voxels active
     film = side[:, None] / (side + 20)
-    assert first.size.seen == pytest.approx((film < 0.275).mean(), abs=0.03)
-    assert second.size.seen == third.size.seen == 0
+    assert first.size.visible == pytest.approx((film < 0.275).mean(), abs=0.03)
+    assert second.size.visible == third.size.visible == 0
     said = reasons(plan)
     assert said["the effect at timeCodes 2,3 of </World/smoke>"] == "outside the camera's frustum"
     part = [what for what in said if what.startswith("about ") and "of the smoke" in what]
@@ -133,7 +133,7 @@ def test_a_share_in_sight_costs_that_share() -> None:
     config = resolve_config()
     size = {"active_voxels": 10**6, "box": (128, 128, 128)}
     whole, half, none = (
-        estimate_run([FrameSize(**size, seen=seen)], config, threads=1).seconds  # type: ignore[arg-type]
+        estimate_run([FrameSize(**size, visible=seen)], config, threads=1).seconds  # type: ignore[arg-type]
         for seen in (1.0, 0.5, 0.0)
     )
     assert 0.4 < (half - none) / (whole - none) < 0.7 and none < 0.1 * whole

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.counters import Reads
+from tests.counters import Reads, unnamed_files
 from tests.grids_fixtures import TIGHT, make_field, make_vectors, raw_grid, write_raw
 from usdsmoke.base.errors import NonFiniteError, UnsupportedGrid
 from usdsmoke.base.sections import GridsConfig
@@ -105,3 +105,26 @@ def test_empty_grids_are_kept_as_well(tmp_path: Path) -> None:
     for _ in range(2):
         density, _ = store.read(tmp_path / "a.vdb", BOTH, TIGHT)
         assert density.is_empty
+
+
+def test_released_files_give_their_disk_space_back_and_are_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.vdb.store._FILE_BYTES", 1)  # a file for each grid
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    paths = [str(tmp_path / f"{number}.vdb") for number in range(3)]
+    for path in paths:
+        write_frame(path, [make_field(), make_vectors("vel")], {}, half=False)
+    store, reads = GridStore(), Reads(monkeypatch)
+    for path in paths:
+        store.read(path, BOTH, TIGHT)
+    assert len(unnamed_files(tmp_path)) == 6
+    density, _ = store.read(paths[0], BOTH, TIGHT)
+    store.release(paths[:2])
+    assert np.array_equal(density.values, make_field().values)
+    del density, _
+    assert len(unnamed_files(tmp_path)) == 2
+    for path in paths:
+        store.read(path, BOTH, TIGHT)
+    assert len(reads.grids) == (3 + 2) * 2

@@ -6,7 +6,8 @@ No torch here, because the plan uses it.
 from collections.abc import Sequence
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.settings import Config, style_shares
+from usdsmoke.base.setting_model import extra_of
+from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
@@ -19,11 +20,11 @@ __all__ = [
     "is_computed",
 ]
 
-SETTINGS = {  # of a frame's controls, as section and key
-    "strength": ("optimize", "strength"),
-    "pattern_speed": ("windows", "pattern_speed"),
-    "gamma": ("optics", "gamma"),
-    "style_weights": ("style", "weights"),
+# The dotted name of a setting by the field of ``FrameControls`` that stands for it.
+SETTINGS = {
+    extra["control"]: name
+    for name, field in declared_settings().items()
+    if "control" in (extra := extra_of(field))
 }
 
 
@@ -43,9 +44,9 @@ def frame_config(
             none above 0; the message names the timeCode.
     """
     values = {
-        f"{section}.{key}": value
-        for name, (section, key) in SETTINGS.items()
-        if (value := getattr(controls, name)) is not None
+        name: value
+        for control, name in SETTINGS.items()
+        if (value := getattr(controls, control)) is not None
     }
     if not values:
         return config

@@ -68,7 +68,7 @@ class PlannedVolume:
             return "windows.size is 1: frames are stylized one by one, without the frame before"
         if not list(_neighbours(self.plan)):
             return "there is a cut between any two frames"
-        if all(len(window.time_codes) + len(window.beyond) == 1 for window in windows):
+        if all(len(window.time_codes) + len(window.overlap) == 1 for window in windows):
             return "no two frames share a window"
         return "no two neighbouring frames are stylized"
 
@@ -128,7 +128,7 @@ def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
         for frame in volume.frames
     )
     texts = [] if moving else ["compared in place, as there is no velocity"]
-    if any(volume.twice_frames for volume in volumes):
+    if any(volume.overlap_frames for volume in volumes):
         texts.append("each window's version separately, where windows overlap")
     return texts
 
@@ -144,7 +144,7 @@ def _at_border(volume: VolumePlan, frame: FramePlan) -> bool:
     """Whether a frame is the first of its window and no earlier window computes it."""
     code = frame.source.time_code
     first = any(window.time_codes[0] == code for window in volume.windows)
-    return first and not any(code in window.beyond for window in volume.windows)
+    return first and not any(code in window.overlap for window in volume.windows)
 
 
 def _shortened(texts: Sequence[str]) -> str:

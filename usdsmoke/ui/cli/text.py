@@ -48,7 +48,8 @@ def plan_text(plan: "Plan") -> str:
             *(f"  {omission.what}: {omission.reason}" for omission in plan.omitted),
             "estimate",
             f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
-            f"{_size(estimate.bytes_written)} on disk",
+            f"{_size(estimate.bytes_written)} on disk, up to {_size(estimate.bytes_temporary)} of "
+            "temporary files",
         ]
     )
 
@@ -173,9 +174,9 @@ def _window_lines(plan: "Plan") -> list[str]:
     lines = []
     for volume in plan.volumes:
         for window in volume.windows:
-            beyond = f", overlap to {window.beyond[-1]:g}" if window.beyond else ""
+            overlap = f", overlap to {window.overlap[-1]:g}" if window.overlap else ""
             codes = format_time_codes(window.time_codes)
-            lines.append(f"  {window.index}: {codes}{beyond} of <{volume.source.prim_path}>")
+            lines.append(f"  {window.index}: {codes}{overlap} of <{volume.source.prim_path}>")
     return ["windows", *lines] if len(lines) > 1 else []
 
 
