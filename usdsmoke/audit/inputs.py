@@ -23,8 +23,6 @@ from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
 from usdsmoke.usd.volume_settings import resolve_volumes
 
-__all__ = ["Change", "check_inputs", "recorded_config", "shown"]
-
 _SHOWN = 12  # digits of a hash that people compare
 
 

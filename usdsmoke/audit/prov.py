@@ -19,8 +19,6 @@ from usdsmoke.base.machine import check_packages
 if TYPE_CHECKING:
     from prov.model import ProvDocument
 
-__all__ = ["prov_document"]
-
 _TERMS = "usdsmoke"
 _SOFTWARE = "software"
 _PREFIXES = {_TERMS: "urn:x-usdsmoke:terms:", _SOFTWARE: "urn:x-usdsmoke:software:"}

@@ -24,8 +24,6 @@ from usdsmoke.usd.diagnostics import layer_problem
 from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header
 
-__all__ = ["FoundRecord", "find_records", "provenance"]
-
 _LAYERS = (".usda", ".usdc", ".usd")
 _OURS = "usdsmoke:"
 

@@ -15,8 +15,6 @@ from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.progress import RunProgressCallback
 
-__all__ = ["Rerun", "rerun"]
-
 _MOST_NAMED = 6  # changes in a message
 
 

@@ -28,8 +28,6 @@ from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
-__all__ = ["Change", "verify", "verify_inputs"]
-
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
 
 

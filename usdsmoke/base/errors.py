@@ -28,34 +28,6 @@
 A message has two parts: what is wrong (what was found), and what to do.
 """
 
-__all__ = [
-    "AssetNotResolved",
-    "BindingMissing",
-    "ClusterError",
-    "ConfigError",
-    "DamagedFile",
-    "FeatureError",
-    "FieldNotFound",
-    "FileUnreadable",
-    "GridError",
-    "GridNotFound",
-    "GridTooLarge",
-    "ImageError",
-    "Interrupted",
-    "LayerError",
-    "MissingPackage",
-    "NonFiniteError",
-    "OutputExists",
-    "PlanError",
-    "ShapeError",
-    "StageError",
-    "UnsupportedGrid",
-    "UsdSmokeError",
-    "VolumeNotFound",
-    "WriteFailed",
-    "count_text",
-]
-
 
 class UsdSmokeError(Exception):
     """Base of every named error; the command line prints its text and exits with 1."""

@@ -11,16 +11,6 @@ from typing import Any
 
 from usdsmoke.base.json_records import from_json, to_json
 
-__all__ = [
-    "Estimate",
-    "FrameErrors",
-    "FrameReport",
-    "OverlapReport",
-    "StepReport",
-    "TemporalErrors",
-    "TransportReport",
-]
-
 
 @dataclass(frozen=True)
 class Estimate:

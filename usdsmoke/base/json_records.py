@@ -5,8 +5,6 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
-__all__ = ["from_json", "to_json"]
-
 _Record = TypeVar("_Record")
 _ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
 

@@ -20,8 +20,6 @@ try:
 except ImportError:  # Windows: a second process is not kept out there
     pass
 
-__all__ = ["OutputLock", "hold_file", "lock_output"]
-
 _PATIENCE = 1.0  # seconds: another process may lock the folder briefly to clean up when it ends
 _LONG_PATIENCE = 300.0  # for tasks of a queue, which may be started twice, or a little early
 

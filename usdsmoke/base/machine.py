@@ -17,20 +17,6 @@ from typing import Any
 
 from usdsmoke.base.errors import MissingPackage
 
-__all__ = [
-    "GIB",
-    "available_memory_gib",
-    "check_packages",
-    "free_disk_bytes",
-    "give_back_memory",
-    "missing_package",
-    "package_versions",
-    "platform_name",
-    "prepare_torch_environment",
-    "python_command",
-    "usable_cpus",
-]
-
 GIB = 2**30
 
 _PACKAGES = ("usd-core", "torch", "numpy")

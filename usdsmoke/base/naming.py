@@ -8,25 +8,6 @@ from pathlib import Path
 
 from usdsmoke.base.errors import LayerError
 
-__all__ = [
-    "ASSET_SOURCE",
-    "COLOUR_CHANNELS",
-    "COLOUR_VECTORS",
-    "DEFAULT_LOOK",
-    "EMISSION",
-    "ORIGINAL",
-    "RUN_RECORD",
-    "SCATTER_COLOURS",
-    "VARIANT_SET",
-    "channel_names",
-    "colour_names",
-    "frame_file_names",
-    "look_suffix",
-    "relative_asset_path",
-    "run_record_files",
-    "volume_stems",
-]
-
 # Relationship, field prim and grid of one field have the same name: renderers differ in which of
 # them they look up.
 EMISSION = "emission"  # Storm's own shader reads this name

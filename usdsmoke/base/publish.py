@@ -16,8 +16,6 @@ from pathlib import Path
 
 from usdsmoke.base.errors import WriteFailed
 
-__all__ = ["make_folders", "publish_file", "publish_new", "remove_empty", "remove_leftovers"]
-
 _LEFTOVER = re.compile(r"\.(.+)\.tmp-[0-9a-f]{8}(\.[^.]*)?")
 
 _ADVICE = {

@@ -17,24 +17,6 @@ from typing import Any, BinaryIO
 from usdsmoke.base.errors import FileUnreadable, LayerError
 from usdsmoke.base.json_records import from_json, to_json
 
-__all__ = [
-    "RECORD_FILE",
-    "RECORD_FORMAT",
-    "SOFTWARE_PACKAGE",
-    "Extinction",
-    "Figure",
-    "FrameRecord",
-    "MachineRecord",
-    "RunRecord",
-    "SourceGrid",
-    "StyleRecord",
-    "hash_file",
-    "hash_stream",
-    "new_run_id",
-    "short_run_id",
-    "utc_now",
-]
-
 RECORD_FORMAT = 1  # rises when a field changes its meaning
 RECORD_FILE = "provenance.json"  # in the folder of a run
 SOFTWARE_PACKAGE = "org.usdsmoke.usdsmoke"  # reverse-domain, as UsdMedia's authorship asks for

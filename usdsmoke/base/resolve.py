@@ -18,21 +18,6 @@ from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.setting_model import extra_of, range_text, type_text
 from usdsmoke.base.settings import SECTIONS, Config, declared_settings, flatten_settings
 
-__all__ = [
-    "FilePath",
-    "GivenSettings",
-    "Settings",
-    "Styles",
-    "read_settings",
-    "recorded_settings",
-    "resolve_config",
-    "resolve_settings",
-    "settings",
-    "settings_record",
-    "settings_yaml",
-    "style_paths",
-]
-
 FilePath = str | PathLike[str]
 Styles = FilePath | Sequence[FilePath] | None
 Settings = Config | Mapping[str, Any] | FilePath | Sequence[Any] | None  # see resolve_settings

@@ -10,21 +10,6 @@ from pydantic import Field
 
 from usdsmoke.base.setting_model import Section, setting
 
-__all__ = [
-    "ColourConfig",
-    "FeaturesConfig",
-    "GridsConfig",
-    "LayerConfig",
-    "LossesConfig",
-    "OpticsConfig",
-    "OptimizeConfig",
-    "ShapeConfig",
-    "StageConfig",
-    "StyleConfig",
-    "ViewsConfig",
-    "WindowsConfig",
-]
-
 Weights = list[Annotated[float, Field(ge=0)]]
 Iterations = list[Annotated[int, Field(ge=0)]]
 _PER_VOXEL = "1/(voxel of the source grid) per unit of density"

@@ -23,18 +23,6 @@ from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError
 
-__all__ = [
-    "Section",
-    "ValueType",
-    "allowed_values",
-    "extra_of",
-    "limits_of",
-    "nearest",
-    "range_text",
-    "setting",
-    "type_text",
-]
-
 _Section = TypeVar("_Section", bound="Section")  # typing.Self came with Python 3.11
 _TYPES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 

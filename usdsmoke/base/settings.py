@@ -23,15 +23,6 @@ from usdsmoke.base.sections import (
 )
 from usdsmoke.base.setting_model import Section, nearest
 
-__all__ = [
-    "SECTIONS",
-    "Config",
-    "check_setting",
-    "declared_settings",
-    "flatten_settings",
-    "style_shares",
-]
-
 
 class Config(BaseModel):
     """All settings, by section, and which of them the user gave explicitly."""

@@ -7,15 +7,6 @@ from typing import TypeVar
 
 from usdsmoke.base.errors import ConfigError
 
-__all__ = [
-    "FrameRange",
-    "format_time_code",
-    "format_time_codes",
-    "parse_frames",
-    "select_frames",
-    "spread",
-]
-
 _Item = TypeVar("_Item")
 
 _TOLERANCE = 1e-6  # layer offsets with a scale leave rounding in timeCodes

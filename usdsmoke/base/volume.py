@@ -13,21 +13,6 @@ import numpy as np
 
 from usdsmoke.base.errors import ShapeError
 
-__all__ = [
-    "VELOCITY_NAMES",
-    "CameraSource",
-    "DenseField",
-    "EarlierLooks",
-    "FieldSource",
-    "FrameControls",
-    "FrameSource",
-    "StageSource",
-    "StyleRequest",
-    "VolumeFrame",
-    "VolumeSource",
-    "WrittenFrame",
-]
-
 # What relationships and grids of velocity are called: by Houdini, Arnold and MoonRay, Blender.
 VELOCITY_NAMES = ("vel", "v", "velocity")
 

@@ -38,8 +38,6 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["stylize_on_cluster"]
-
 _CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
 _LOST_S = 60.0  # without any worker, after which the run stops

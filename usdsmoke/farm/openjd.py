@@ -20,8 +20,6 @@ from usdsmoke.pipeline import Request
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 
-__all__ = ["JobBundle", "submit"]
-
 
 @dataclass(frozen=True)
 class JobBundle:

@@ -14,15 +14,6 @@ import yaml
 
 from usdsmoke.base.errors import ConfigError, PlanError
 
-__all__ = [
-    "FIRST_LINE",
-    "asset_references",
-    "bundle_text",
-    "job_parameters",
-    "job_template",
-    "parameter_values",
-]
-
 FIRST_LINE = "# Written by 'usdsmoke submit', which replaces it; change the copy that is submitted."
 _LONGEST_NAME = 128  # characters of a job's name
 _LONGEST_VALUE = 1024  # characters of a parameter's value

@@ -9,8 +9,6 @@ from PIL import Image, ImageDraw, ImageFont
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.naming import DEFAULT_LOOK, look_suffix
 
-__all__ = ["compose_cells", "compose_sheet", "sheet_files"]
-
 _CELL = 256  # pixels of a picture's cell along each side, at most
 _GAP = 8
 _LABEL = 24  # pixels of a line of text

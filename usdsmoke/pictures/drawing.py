@@ -16,16 +16,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
     from usdsmoke.core.views.march import Picture
 
-__all__ = [
-    "BACKGROUND",
-    "GREY",
-    "box_corners",
-    "display_picture",
-    "draw_fields",
-    "front_view",
-    "grey_picture",
-]
-
 BACKGROUND = 0.03  # linear, behind the smoke; on black the style's dark colours would be lost
 GREY = 0.5  # scene-linear light of thick smoke that has no emission
 _FINE = 1_000_000  # pixels, of a view that is made for its proportions

@@ -10,8 +10,6 @@ import OpenEXR
 from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 
-__all__ = ["write_exr"]
-
 # Red, green, blue and white of Rec.709 [ITU-R BT.709].
 _REC709 = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
 

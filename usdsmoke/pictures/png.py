@@ -18,8 +18,6 @@ from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import hash_stream
 
-__all__ = ["StyleImage", "encode_srgb", "read_style_image", "write_png"]
-
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
 _EXR_MAGIC = b"\x76\x2f\x31\x01"

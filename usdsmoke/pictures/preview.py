@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
     from usdsmoke.core.views.march import Picture
 
-__all__ = ["PreviewResult", "preview"]
-
 _LOOK, _ORIGINAL = "look", "original"
 _MOST_COLUMNS = 6  # of a contact sheet
 

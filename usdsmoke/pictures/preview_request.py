@@ -12,8 +12,6 @@ from usdsmoke.base.errors import ConfigError, WriteFailed
 from usdsmoke.base.time_codes import parse_frames
 from usdsmoke.usd.stage import StageOrFile
 
-__all__ = ["BACKGROUNDS", "MOST_PIXELS", "PreviewOptions", "PreviewRequest", "check_pixels"]
-
 BACKGROUNDS = ("grey", "black", "none")
 MOST_PIXELS = 16_000_000  # of a picture: a minute or two of drawing
 _MOST_SHEET_PIXELS = 64_000_000  # of all pictures of a contact sheet

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.views.media import Medium
     from usdsmoke.core.views.scene import Scene
 
-__all__ = ["Smoke", "find_smoke"]
-
 _BASE_GIB = 0.5  # of a process that draws; measured
 _BYTES = 60  # a voxel of the boxes, density and emission; measured
 

@@ -34,16 +34,6 @@ from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 from usdsmoke.vdb.header import GridHeader
 
-__all__ = [
-    "Estimate",
-    "FrameSize",
-    "add_estimates",
-    "estimate_run",
-    "grid_size",
-    "n_different_views",
-    "written_bytes",
-]
-
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
 BOX_BYTES = 48  # density before and after, RGB, and one temporary array
 BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back

@@ -7,8 +7,6 @@ from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.definition import embedded_hash
 from usdsmoke.core.style.layers import content_layers, find_vgg19_file, style_layers
 
-__all__ = ["check_features", "features_hash", "features_hashes"]
-
 
 def check_features(config: FeaturesConfig, here: bool = True) -> None:
     """Refuse unknown layers, and a network whose parameter file is missing.

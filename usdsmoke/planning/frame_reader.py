@@ -8,8 +8,6 @@ from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.store import GridStore
 
-__all__ = ["FrameReader", "hash_sources"]
-
 
 class FrameReader:
     """Reads the frames of a plan. Each grid is decoded and checked once, see ``GridStore``.

@@ -15,17 +15,6 @@ from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, ReadGrids, check_readable, find_grid, read_grids
 from usdsmoke.vdb.velocity import find_velocity, read_velocity
 
-__all__ = [
-    "MaskSource",
-    "VelocitySource",
-    "find_density",
-    "find_frame_mask",
-    "find_frame_velocity",
-    "is_copied",
-    "read_frame",
-    "read_velocity_grids",
-]
-
 
 @dataclass(frozen=True)
 class VelocitySource:

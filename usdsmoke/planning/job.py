@@ -41,8 +41,6 @@ from usdsmoke.usd.stage import (
 from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
 from usdsmoke.vdb.binding import check_bindings
 
-__all__ = ["Job", "Request", "describe_request", "prepare_job", "recorded_request"]
-
 
 @dataclass(frozen=True)
 class Request:

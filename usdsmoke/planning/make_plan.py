@@ -28,8 +28,6 @@ from usdsmoke.planning.windows import Window, coarse_runs, find_cuts, split_wind
 from usdsmoke.usd.volume_settings import VolumeSettings
 from usdsmoke.vdb.header import FileHeader, read_header
 
-__all__ = ["check_disk", "check_plan", "make_plan", "result_file_names"]
-
 _DISK_RESERVE = 64 * 2**20  # bytes beside the result: layers, contact sheet, temporaries
 _DISK_RESERVE_LATER = 4 * 2**20  # the same for the rest of a run that has started
 

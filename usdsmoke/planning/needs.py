@@ -13,8 +13,6 @@ from usdsmoke.planning.estimate import n_different_views
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
 
-__all__ = ["list_needed", "list_omitted", "takes_effect", "unneeded_layers"]
-
 Volumes = Sequence[VolumePlan]
 
 _FEW_CUTS = 8

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from usdsmoke.base.errors import LayerError
 
-__all__ = ["check_output_folder", "settle_output"]
-
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
 

@@ -14,8 +14,6 @@ from usdsmoke.planning.frames import MaskSource, VelocitySource
 from usdsmoke.planning.windows import Window
 from usdsmoke.vdb.header import GridHeader
 
-__all__ = ["FramePlan", "Omission", "Plan", "VolumePlan", "WindowTask"]
-
 
 @dataclass(frozen=True)
 class Omission:

@@ -9,8 +9,6 @@ import numpy as np
 
 from usdsmoke.base.volume import StageSource, VolumeSource
 
-__all__ = ["stage_pieces", "stage_values"]
-
 _METADATA = (
     "up_axis",
     "meters_per_unit",

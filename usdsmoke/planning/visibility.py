@@ -11,8 +11,6 @@ from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.vdb.header import GridHeader
 
-__all__ = ["pixel_sizes", "visible_share"]
-
 _SAMPLES = 16  # points along each side of a box
 
 

@@ -14,8 +14,6 @@ from itertools import pairwise
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import WindowsConfig
 
-__all__ = ["Window", "coarse_runs", "find_cuts", "split_windows"]
-
 _GAP = 2.0  # a step of more than this many usual steps is a cut: nothing is carried over it
 
 

@@ -34,8 +34,6 @@ from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 
-__all__ = ["StylizeResult", "assemble_run", "is_whole", "summarize_result"]
-
 
 @dataclass(frozen=True)
 class StylizeResult:

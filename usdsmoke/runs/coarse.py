@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.smoke.device import Machine
     from usdsmoke.core.views.scene import Scene
 
-__all__ = ["coarse_starts", "measure_scenes", "read_scene", "run_coarse_step", "settle_scenes"]
-
 
 def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     """Extinction and picture size of every Volume, from up to three frames of its sequence.

@@ -30,8 +30,6 @@ from usdsmoke.runs.run import Run
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
-__all__ = ["frame_metadata", "keep_record", "make_record"]
-
 _OURS = "usdsmoke:"
 
 

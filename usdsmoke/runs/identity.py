@@ -21,8 +21,6 @@ from usdsmoke.runs.machine import machine_of
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 
-__all__ = ["Identity", "describe_run", "list_changes", "requested_values"]
-
 # Values of ``optimize`` that leave a choice to the machine on which a run begins.
 _OPEN = {"threads": 0, "device": "auto"}
 

@@ -19,15 +19,6 @@ from usdsmoke.runs.run import Run, find_runs
 if TYPE_CHECKING:
     from usdsmoke.core.smoke.device import Machine
 
-__all__ = [
-    "machine_of",
-    "machine_record",
-    "processor_note",
-    "processor_warnings",
-    "settle_threads",
-    "with_settled",
-]
-
 
 def machine_of(job: Job) -> "Machine":
     """What this machine computes a job with.

@@ -9,8 +9,6 @@ from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
 
-__all__ = ["CoarseRecord", "WindowRecord", "coarse_file_name", "part_file_name"]
-
 
 @dataclass(frozen=True)
 class WindowRecord:

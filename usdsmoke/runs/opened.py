@@ -14,8 +14,6 @@ from usdsmoke.runs.machine import machine_of
 from usdsmoke.runs.manifests import coarse_file_name
 from usdsmoke.runs.run import Run
 
-__all__ = ["OpenRun", "missing_starts"]
-
 
 @dataclass
 class OpenRun:

@@ -17,8 +17,6 @@ from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, find_runs, new_run
 from usdsmoke.usd.look import published_runs
 
-__all__ = ["frames_again", "join_run", "open_run", "open_run_to_assemble"]
-
 _BEGINNING = "vdb/begin.lock"  # held while a run begins
 _MOST_NAMED = 3  # frames in a message
 

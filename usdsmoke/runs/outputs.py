@@ -29,14 +29,6 @@ from usdsmoke.vdb.write import write_frame
 if TYPE_CHECKING:
     from usdsmoke.core.sequence.stylize import StylizedFrame
 
-__all__ = [
-    "collect_volume",
-    "frame_record",
-    "plain_values",
-    "result_fields",
-    "write_result",
-]
-
 
 def result_fields(
     fields: Sequence[DenseField],

@@ -7,8 +7,6 @@ from usdsmoke.base.progress import Progress
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
-__all__ = ["WAITING", "RunProgress", "RunProgressCallback", "WorkMeter"]
-
 _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 
 

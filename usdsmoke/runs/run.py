@@ -36,8 +36,6 @@ from usdsmoke.base.publish import (
 from usdsmoke.base.record_format import hash_file, new_run_id, utc_now
 from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 
-__all__ = ["Run", "find_runs", "new_run"]
-
 _SCENES = "scenes.json"
 _COARSE = "coarse.json"
 _KEY_LENGTH = 12

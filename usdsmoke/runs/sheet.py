@@ -20,8 +20,6 @@ from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["sample_frames", "write_contact_sheet"]
-
 _PICTURE_SIZE = 256  # pixels of the longer side: that of a cell
 
 

@@ -22,8 +22,6 @@ from usdsmoke.runs.identity import describe_run
 from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.sheet import sample_frames
 
-__all__ = ["choice_notes", "foresee_tolerance", "settle_tolerance"]
-
 _VERSION = 2  # of what a calibration holds
 _HEADING = "settings for a tolerance of"
 

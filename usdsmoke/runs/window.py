@@ -18,8 +18,6 @@ from usdsmoke.runs.sheet import sample_frames
 if TYPE_CHECKING:
     from usdsmoke.base.progress import Progress
 
-__all__ = ["check_frames", "stylize_windows"]
-
 
 def check_frames(
     opened: OpenRun, tasks: Sequence[WindowTask], tell: RunProgressCallback

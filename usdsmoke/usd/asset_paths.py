@@ -9,8 +9,6 @@ from pxr import Ar, Sdf, Usd
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.usd.values import value_at
 
-__all__ = ["anchored_asset", "asset_value", "vdb_problem"]
-
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is a drive
 
 

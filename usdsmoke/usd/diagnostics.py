@@ -8,8 +8,6 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from usdsmoke.base.errors import StageError
 
-__all__ = ["captured_diagnostics", "layer_problem", "open_quietly", "short_reason"]
-
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
 _FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
 

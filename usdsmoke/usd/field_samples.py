@@ -8,8 +8,6 @@ from pxr import Gf, Usd
 
 from usdsmoke.usd.values import authored_path, value_at
 
-__all__ = ["FieldSample", "FieldSamples", "held_time_code", "usd_time"]
-
 
 @dataclass(frozen=True)
 class FieldSample:

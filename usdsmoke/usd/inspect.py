@@ -18,8 +18,6 @@ from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 from usdsmoke.vdb.velocity import find_velocity
 
-__all__ = ["inspect"]
-
 
 def inspect(
     stage: str | PathLike[str] | Usd.Stage,

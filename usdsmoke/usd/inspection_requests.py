@@ -21,8 +21,6 @@ from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 from usdsmoke.usd.volume_requests import has_request, request_origins
 from usdsmoke.usd.volume_settings import ResolvedVolumes, VolumeSettings, resolve_volumes
 
-__all__ = ["RunArguments", "describe_requests"]
-
 _SETTINGS = ("stage.mask", "views.camera", *(row.setting for row in REQUEST_ATTRIBUTES))
 
 

@@ -14,18 +14,6 @@ from pxr import Sdf
 from usdsmoke.base.errors import LayerError
 from usdsmoke.base.record_format import RunRecord
 
-__all__ = [
-    "LAYER_HASH",
-    "RECORD_HASH",
-    "RECORD_KEY",
-    "add_digests",
-    "layer_digest",
-    "put_record",
-    "read_record",
-    "record_digest",
-    "record_values",
-]
-
 RECORD_KEY = "usdsmoke"  # in customLayerData
 LAYER_HASH = "layerHash"
 RECORD_HASH = "recordHash"

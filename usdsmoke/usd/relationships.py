@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 from pxr import Sdf, Usd
 
-__all__ = ["FIELD_PREFIX", "field_targets", "target_prim"]
-
 FIELD_PREFIX = "field:"
 
 

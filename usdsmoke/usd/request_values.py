@@ -15,21 +15,6 @@ from usdsmoke.base.setting_model import extra_of
 from usdsmoke.base.settings import declared_settings
 from usdsmoke.usd.values import authored_path, value_at
 
-__all__ = [
-    "CAMERA",
-    "MASK",
-    "REQUEST_ATTRIBUTES",
-    "REQUEST_PREFIX",
-    "STYLE_IMAGES",
-    "RequestAttribute",
-    "authoring_layer",
-    "forwarded_targets",
-    "image_paths",
-    "image_problem",
-    "plain_value",
-    "values_at",
-]
-
 REQUEST_PREFIX = "usdSmoke:request:"
 
 STYLE_IMAGES = f"{REQUEST_PREFIX}styleImages"  # asset[]; not a setting, but what --style gives

@@ -8,23 +8,6 @@ from pathlib import Path
 
 from pxr import Plug, Usd
 
-__all__ = [
-    "COLOR_SPACE",
-    "EMISSION_ABSOLUTE",
-    "EMISSION_MODE",
-    "EMISSION_PER_DENSITY",
-    "EXTINCTION_PER_DENSITY",
-    "LIN_REC709",
-    "LOOK_API",
-    "PLUGIN_FOLDER",
-    "RUN",
-    "SEED",
-    "STYLE",
-    "STYLE_API",
-    "late_note",
-    "register_schema",
-]
-
 PLUGIN_FOLDER = Path(__file__).resolve().parents[1] / "plugin"
 
 LOOK_API = "UsdSmokeLookAPI"  # the schemas' names, as they stand in apiSchemas

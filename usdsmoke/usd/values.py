@@ -4,8 +4,6 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
-__all__ = ["authored_path", "value_at"]
-
 
 def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
     """An attribute's value; None where it has none or is blocked.

@@ -35,15 +35,6 @@ from usdsmoke.usd.request_values import (
 from usdsmoke.usd.schema import STYLE_API
 from usdsmoke.usd.values import value_at
 
-__all__ = [
-    "has_request",
-    "ignored_attributes",
-    "read_request",
-    "request_origins",
-    "request_problems",
-    "requested_mask",
-]
-
 _NAMES = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))
 
 

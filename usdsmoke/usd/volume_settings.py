@@ -17,8 +17,6 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StageSource, StyleRequest, VolumeSource
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
 
-__all__ = ["ResolvedVolumes", "VolumeSettings", "resolve_volumes"]
-
 
 @dataclass(frozen=True)
 class VolumeSettings:

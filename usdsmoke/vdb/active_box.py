@@ -6,8 +6,6 @@ import numpy as np
 
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["active_box", "active_mask", "crop_to_active"]
-
 Ijk = tuple[int, int, int]
 
 

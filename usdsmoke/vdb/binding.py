@@ -18,8 +18,6 @@ import numpy as np
 from usdsmoke.base.errors import BindingMissing
 from usdsmoke.base.machine import python_command
 
-__all__ = ["binding_version", "check_bindings", "find_binding"]
-
 _MODULES = ("openvdb", "pyopenvdb")
 _INSTALL = (
     "Install conda-forge's openvdb, or Debian's python3-openvdb and link its pyopenvdb*.so into "

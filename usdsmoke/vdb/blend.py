@@ -12,8 +12,6 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["blend_frames", "relative_difference", "tail_weights"]
-
 
 def tail_weights(n_frames: int) -> list[float]:
     """Weight of the earlier window in each frame of an overlap; the later one has the rest.

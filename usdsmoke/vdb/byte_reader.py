@@ -5,8 +5,6 @@ from typing import Any, BinaryIO
 
 from usdsmoke.base.errors import DamagedFile
 
-__all__ = ["ByteReader"]
-
 _MAX_ITEMS = 65_536  # metadata entries or grids; real files have tens
 _MAX_TEXT = 65_536  # bytes of a name or type
 _MAX_BYTES = 33_554_432  # bytes of all headers together

@@ -32,8 +32,6 @@ from usdsmoke.base import errors
 from usdsmoke.base.machine import python_command
 from usdsmoke.base.sections import GridsConfig
 
-__all__ = ["ChildFailure", "end_worker", "run_child"]
-
 _GIB = 2**30
 _PATIENCE = 10  # wall-clock seconds per CPU second: disks and other processes are slow
 _OUT_OF_TIME = getattr(signal, "SIGPROF", 0)  # Windows has no such signal

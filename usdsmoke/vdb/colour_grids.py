@@ -18,8 +18,6 @@ from usdsmoke.base.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["absolute_emission", "empty_colour_grids", "make_colour_grids"]
-
 _PER_DENSITY = "perDensity"
 
 

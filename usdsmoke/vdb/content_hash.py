@@ -17,8 +17,6 @@ from usdsmoke.vdb.active_box import active_mask, crop_to_active
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["CONTENT_KEY", "hash_fields", "hash_vdb_file"]
-
 CONTENT_KEY = "usdsmoke:content_sha256"  # file metadata that holds the hash
 
 

@@ -20,8 +20,6 @@ import numpy as np
 from usdsmoke.base.errors import AssetNotResolved, UnsupportedGrid
 from usdsmoke.vdb.byte_reader import ByteReader
 
-__all__ = ["FileHeader", "GridHeader", "read_header"]
-
 _MAGIC = b" BDV\0\0\0\0"
 _OLDEST = 220  # first public release; older layouts differ
 _NEWEST = 299  # above every existing version: a larger number means damage, not a newer format

@@ -23,15 +23,6 @@ from usdsmoke.vdb import child
 from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
-__all__ = [
-    "GridRequest",
-    "ReadGrids",
-    "check_readable",
-    "find_grid",
-    "read_binding_version",
-    "read_grids",
-]
-
 _COMPONENTS = {"float": 1, "vec3s": 3}  # the value types that every version of the bindings knows
 _STANDARD_TREE = "5_4_3"
 _KEPT_CLASSES = ("fog volume", "staggered")

@@ -16,8 +16,6 @@ from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["GridStore"]
-
 _DISK_TMP = Path("/var/tmp")  # on disk, where /tmp may be in memory
 _RESERVE = 2**30  # bytes of the disk that stay free for other programs
 _ALIGNED = 64  # bytes that an array in a file begins at a multiple of

@@ -7,8 +7,6 @@ import numpy as np
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.active_box import active_box
 
-__all__ = ["box_extent", "field_extent", "index_to_world"]
-
 
 def index_to_world(points_ijk: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Positions in grid world of positions in index space.

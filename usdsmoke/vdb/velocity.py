@@ -12,8 +12,6 @@ from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids
 
-__all__ = ["centre_staggered", "find_velocity", "join_components", "read_velocity"]
-
 _SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
 
 

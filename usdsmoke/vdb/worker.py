@@ -23,8 +23,6 @@ from usdsmoke.base.errors import BindingMissing, GridTooLarge
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
 
-__all__ = ["answer_request", "main"]
-
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
 _GROWTH = 2**28  # bytes of address space beyond the first answer's that end a worker

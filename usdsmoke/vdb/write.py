@@ -20,8 +20,6 @@ from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["clean_metadata", "write_frame"]
-
 _LARGEST_HALF = 65504.0
 _INT64 = 2**63
 _VECTOR_TYPES = (

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.smoke.active import ActiveSmoke
     from usdsmoke.core.views.scene import Scene
 
-__all__ = ["Case", "open_case"]
-
 _SHORTEST = 24  # voxels along the longest side of the small copy: less shows no style
 
 

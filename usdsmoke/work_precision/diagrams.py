@@ -6,8 +6,6 @@ from typing import Any
 
 from usdsmoke.work_precision.records import Point, Spread, SweepResult
 
-__all__ = ["draw_sweep"]
-
 _COLOURS = ("#0b6e99", "#c8501e", "#3a7d2c", "#8a4fa3", "#a07900", "#5b5b5b")
 _MARKERS = "osD^vP"
 _LEAST_SPAN = 1.3  # of an axis, end by beginning

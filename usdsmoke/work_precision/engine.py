@@ -25,8 +25,6 @@ from usdsmoke.work_precision.records import (
 )
 from usdsmoke.work_precision.verdict import verdict_on
 
-__all__ = ["Budget", "Clock", "Sweep", "Tell", "measure", "run_sweeps"]
-
 _FEWEST = 3  # points of a sweep, where it has as many
 
 # sweep, point, share of the time that is used

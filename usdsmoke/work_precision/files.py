@@ -14,8 +14,6 @@ from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
 from usdsmoke.work_precision.records import Plan, Task
 
-__all__ = ["FILES"]
-
 _SHARES = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)  # of the largest density
 
 

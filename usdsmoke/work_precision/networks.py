@@ -13,8 +13,6 @@ from usdsmoke.work_precision.trial import Setting, Trial, base_iterations, scale
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["NETWORK", "check_network", "patch_distance"]
-
 _SHARES = (1.0, 0.5, 2.0)
 _PATCH = 7  # pixels
 _N_DIRECTIONS = 64

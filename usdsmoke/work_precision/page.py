@@ -9,8 +9,6 @@ from typing import Any
 from usdsmoke.work_precision.records import Report
 from usdsmoke.work_precision.verdict import ratio_text
 
-__all__ = ["make_page", "number"]
-
 
 def make_page(report: Report, pictures: Mapping[str, bytes]) -> str:
     """The report as HTML, from the template ``page.html.j2``.

@@ -5,20 +5,6 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-__all__ = [
-    "CPU_TIME",
-    "WALL_TIME",
-    "LeftOut",
-    "Omission",
-    "Plan",
-    "Point",
-    "Report",
-    "Spread",
-    "SweepResult",
-    "Task",
-    "spread_of",
-]
-
 CPU_TIME, WALL_TIME = "CPU time [s]", "wall-clock time [s]"
 
 

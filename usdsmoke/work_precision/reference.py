@@ -14,8 +14,6 @@ from usdsmoke.work_precision.trial import (
 )
 from usdsmoke.work_precision.unseen_loss import Outcome
 
-__all__ = ["EXCESS", "Reference", "reference_of", "reference_seconds"]
-
 EXCESS = "style loss above the reference's, as a share of the fall from start to reference"
 _RUNS = 8.5  # time of both references, in configured runs
 _SHARE, _POOL = 4.0, 64  # of the iterations; views

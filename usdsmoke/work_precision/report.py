@@ -32,8 +32,6 @@ from usdsmoke.work_precision.records import Omission, Report, SweepResult
 from usdsmoke.work_precision.sweeps import ITERATIONS, OCTAVES, VIEWS, VIEWS_COUNT
 from usdsmoke.work_precision.windows import WINDOWS
 
-__all__ = ["SWEEPS", "ReportResult", "make_report", "processor_name", "report_as_dict"]
-
 PAGE, DATA = "report.html", "report.json"
 
 # The most useful first: what decides a run's time and look.

@@ -19,8 +19,6 @@ from usdsmoke.work_precision.trial import (
     trial_seconds,
 )
 
-__all__ = ["ITERATIONS", "OCTAVES", "VIEWS", "VIEWS_COUNT"]
-
 _SHARES = (0.5, 2.0, 0.25)  # of the iterations
 _TOLERANCES = (5e-2, 1e-2, 0.0)
 _POOLS, _COUNTS = (1, 4, 64, 32), (2, 4)

@@ -18,19 +18,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.steps.targets import StyleTargets
     from usdsmoke.core.views.scene import Scene
 
-__all__ = [
-    "N_RUNS",
-    "Setting",
-    "Trial",
-    "base_iterations",
-    "copy_text",
-    "main_step",
-    "need_seconds",
-    "scaled",
-    "trial_seconds",
-    "untiring",
-]
-
 N_RUNS = 2  # of a point
 _TRIALS = 20  # configured runs that the first points of all sweeps take
 _WORTH = 0.75  # of the time: a smaller copy that takes more loses detail for too little

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.style.losses import PictureLoss
     from usdsmoke.core.views.cameras import View
 
-__all__ = ["Outcome", "UnseenLoss"]
-
 _N_VIEWS = 16  # unused ones, and at most as many of the used ones
 _SEED = 20_011  # of the unused views: far from any run's
 

@@ -2,8 +2,6 @@
 
 from usdsmoke.work_precision.records import Point, SweepResult
 
-__all__ = ["costs_more", "ratio_text", "verdict_on"]
-
 _EQUAL = 1.02  # ratio of errors that count as equal
 _CLOSE = 1.05  # ratio of costs that count as equal
 _CLOSE_OF_TWO = 1.15  # the same for points of two runs, whose spread says little

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from usdsmoke.core.sequence.stylize import StylizedFrame
     from usdsmoke.core.smoke.active import ActiveSmoke
 
-__all__ = ["WINDOWS"]
-
 _NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
 _ONE_FRAME = "one frame: nothing is carried from frame to frame"
 _LEAST_FRAMES, _FEW_FRAMES = 3, 4

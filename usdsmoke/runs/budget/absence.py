@@ -8,8 +8,6 @@ from itertools import pairwise
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 
-__all__ = ["PlannedVolume", "temporal_note"]
-
 _MOST_NAMED = 6
 
 

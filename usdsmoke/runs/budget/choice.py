@@ -22,8 +22,6 @@ from usdsmoke.runs.budget.rows import (
     VIEW_SAMPLING,
 )
 
-__all__ = ["Choice", "choose_settings"]
-
 FEWEST_VIEWS, MOST_VIEWS = 4, 64
 FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
 USUAL_HALF = 15.0  # iterations, the "a" below; plumes that were measured have 10 to 20

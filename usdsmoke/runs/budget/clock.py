@@ -12,8 +12,6 @@ from typing import ParamSpec, Protocol, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
 
-__all__ = ["ELSEWHERE", "PartClock", "TimedWindow", "run_seconds", "step_seconds", "timed_items"]
-
 ELSEWHERE = "elsewhere"  # time that windows and the coarse step keep themselves
 
 _Arguments = ParamSpec("_Arguments")

@@ -15,8 +15,6 @@ from usdsmoke.runs.budget.absence import PlannedVolume, temporal_note
 from usdsmoke.runs.budget.clock import step_seconds
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow
 
-__all__ = ["ErrorBudget", "ErrorEstimate", "Tolerance", "Verdict", "make_budget", "run_budget"]
-
 _ADVICE = {row.name: row.advice for row in ROWS}
 
 

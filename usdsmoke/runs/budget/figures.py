@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.record_format import Figure
 
-__all__ = ["figures_of", "mean_entries", "summarize_figures"]
-
 
 def figures_of(report: FrameReport) -> dict[str, float]:
     """The figures of one frame by name, those that are finite.

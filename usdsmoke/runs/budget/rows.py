@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from usdsmoke.base.frame_report import Estimate, FrameReport, StepReport
 from usdsmoke.runs.budget.absence import PlannedVolume
 
-__all__ = ["PICTURE_SAFETY", "ROWS", "SAFETY", "ErrorRow"]
-
 SAFETY = 2.0  # between an estimate before the run and its bound
 PICTURE_SAFETY = 4.0  # of the resolution: strokes get finer while the optimiser goes on
 

@@ -13,8 +13,6 @@ from usdsmoke.base.settings import SECTIONS, declared_settings
 from usdsmoke.ui.cli.record_arguments import add_record_commands
 from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 
-__all__ = ["build_parser", "given_settings"]
-
 _OPTIONS = {  # that stand for a setting
     "--prim": "stage.prims",
     "--frames": "stage.frames",

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission
     from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
 
-__all__ = ["budget_text"]
-
 
 def budget_text(
     budget: "ErrorBudget",

@@ -9,8 +9,6 @@ from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.arguments import given_settings
 from usdsmoke.ui.cli.text import inspection_text, print_json, validation_text
 
-__all__ = ["run_inspect", "run_plugin_path", "run_settings", "run_validate"]
-
 
 def run_inspect(arguments: argparse.Namespace) -> int:
     """``usdsmoke inspect``; the exit code, 1 where there are problems."""

@@ -29,8 +29,6 @@ from usdsmoke.ui.cli.text import print_json
 from usdsmoke.ui.cli.values import empty_path
 from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit
 
-__all__ = ["main"]
-
 _BROKEN_PIPE = 128 + 13
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "inspect": run_inspect,

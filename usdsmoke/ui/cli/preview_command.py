@@ -10,8 +10,6 @@ from usdsmoke.ui.cli.text import print_json
 if TYPE_CHECKING:
     from usdsmoke.pictures.preview import PreviewResult
 
-__all__ = ["run_preview"]
-
 
 def run_preview(arguments: argparse.Namespace) -> int:
     """``usdsmoke preview``; the exit code."""

@@ -9,8 +9,6 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from usdsmoke.runs.progress import RunProgress
 
-__all__ = ["ConsoleProgress", "format_seconds"]
-
 _LINE_EVERY = 10.0  # seconds between two lines of a log
 _LEARN_FOR = 2.0  # seconds before the remaining time is shown
 

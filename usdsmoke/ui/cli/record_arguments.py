@@ -3,8 +3,6 @@
 import argparse
 from collections.abc import Callable
 
-__all__ = ["add_record_commands"]
-
 _FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or its folder"
 
 

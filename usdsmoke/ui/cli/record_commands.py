@@ -7,8 +7,6 @@ from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verificatio
 from usdsmoke.ui.cli.text import plan_text, print_json, result_text
 from usdsmoke.ui.cli.work_commands import result_as_dict
 
-__all__ = ["run_provenance", "run_rerun", "run_verify"]
-
 
 def run_provenance(arguments: argparse.Namespace) -> int:
     """``usdsmoke provenance``; the exit code."""

@@ -10,8 +10,6 @@ from usdsmoke.ui.cli.text import columns
 if TYPE_CHECKING:
     from usdsmoke.audit import Change, FoundRecord, Rerun
 
-__all__ = ["provenance_text", "rerun_text", "verification_text"]
-
 _SHOWN = 12  # digits of a hash that people compare
 _MOST_LINES = 4  # of a long list of files
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from usdsmoke.work_precision import ReportResult
 
-__all__ = ["run_report"]
-
 _LINE_EVERY = 10.0  # seconds between two lines of a log
 
 

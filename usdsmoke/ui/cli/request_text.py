@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["request_rows"]
-
 _WORDS = {"config": "configuration", "option": "option", "default": "default"}
 
 

@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from usdsmoke.planning.plan import Plan, VolumePlan
     from usdsmoke.usd.rules import Finding
 
-__all__ = [
-    "columns",
-    "inspection_text",
-    "job_text",
-    "plan_text",
-    "print_json",
-    "result_text",
-    "step_text",
-    "validation_text",
-]
-
 
 def print_json(value: Any) -> None:
     """Print one JSON value on stdout. NaN and infinity raise ValueError: JSON has neither."""

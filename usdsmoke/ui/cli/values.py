@@ -4,8 +4,6 @@ import argparse
 import math
 import re
 
-__all__ = ["duration_value", "empty_path", "repair_value", "size_value"]
-
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"(\d+(?:\.\d*)?)\s*(s|min|h|)")
 _LEAST = 1.0  # seconds

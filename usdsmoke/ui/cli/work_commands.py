@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from usdsmoke.planning.plan import Plan
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
-__all__ = ["result_as_dict", "run_assemble", "run_stylize", "run_submit"]
-
 _Result = TypeVar("_Result")
 
 

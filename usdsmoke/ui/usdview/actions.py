@@ -12,8 +12,6 @@ from pxr import Tf, Usd
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd import short_reason
 
-__all__ = ["UsdviewApi", "Window", "run_action"]
-
 
 class UsdviewApi(Protocol):
     """The part of usdview's api that is used; the names are usdview's."""

@@ -20,8 +20,6 @@ from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
 from usdsmoke.usd import held_time_code, read_record
 from usdsmoke.usd.stage import find_volumes
 
-__all__ = ["NO_STYLE", "CommandText", "stylize_command"]
-
 NO_STYLE = "STYLE.png"  # stands for an image that is not known
 _GIVEN_OTHERWISE = ("stage.prims", "stage.frames")  # by options of their own
 

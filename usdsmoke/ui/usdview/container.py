@@ -11,8 +11,6 @@ from typing import Any
 from pxr import Tf
 from pxr.Usdviewq.plugin import PluginContainer
 
-__all__ = ["MENU", "QtWindow", "SmokeContainer"]
-
 MENU = "usdsmoke"
 # (name of the action, label, what it does); None is a line between groups.
 _ITEMS: tuple[tuple[str, str, str] | None, ...] = (

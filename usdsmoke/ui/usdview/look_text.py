@@ -12,8 +12,6 @@ from usdsmoke.ui.cli.record_text import provenance_text
 from usdsmoke.ui.usdview.looks import Look, looks_of, shown_run
 from usdsmoke.usd import schema
 
-__all__ = ["look_text"]
-
 _AUTHORSHIP = "authorship:"
 _SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by item
 

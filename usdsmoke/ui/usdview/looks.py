@@ -9,8 +9,6 @@ from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.usd import captured_diagnostics, read_record, record_values, schema
 
-__all__ = ["Look", "find_looks", "looks_of", "show_next", "shown_run"]
-
 # A muted layer belongs to nobody and would be gone, with edits that were not saved. What FindOrOpen
 # gives keeps a layer alive; what stages give does not.
 _HELD: dict[str, Sdf.Layer] = {}

@@ -8,8 +8,6 @@ from pxr import Usd, UsdVol
 from usdsmoke.base.errors import VolumeNotFound
 from usdsmoke.usd import field_targets
 
-__all__ = ["selected_volumes", "selects_everything"]
-
 
 def selects_everything(selected: Sequence[Usd.Prim]) -> bool:
     """Whether nothing is selected, or the root of all, which usdview takes for nothing."""

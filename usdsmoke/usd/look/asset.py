@@ -22,8 +22,6 @@ from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.layer_record import record_values
 from usdsmoke.usd.look.root import copied_layer_data, copy_stage_metadata
 
-__all__ = ["author_asset", "check_asset"]
-
 _EXPRESSION = Sdf.ValueTypeNames.PathExpression
 _ADVICE = "Set layer.mode to sublayer (--mode sublayer), or"
 

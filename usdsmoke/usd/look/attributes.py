@@ -16,8 +16,6 @@ from usdsmoke.base.record_format import SOFTWARE_PACKAGE, RunRecord, short_run_i
 from usdsmoke.usd import schema
 from usdsmoke.usd.look.records import StylizedVolume
 
-__all__ = ["author_attributes", "result_hashes"]
-
 _TYPES = Sdf.ValueTypeNames
 _DIGITAL_SOURCE = "http://cv.iptc.org/newscodes/digitalsourcetype/"
 

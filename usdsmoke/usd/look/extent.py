@@ -9,8 +9,6 @@ from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.values import value_at
 
-__all__ = ["Box", "author_extent", "volume_boxes"]
-
 Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
 

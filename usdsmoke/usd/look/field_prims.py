@@ -11,8 +11,6 @@ from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.relationships import FIELD_PREFIX, field_targets
 
-__all__ = ["FieldTarget", "choose_field_prims", "count_field_uses"]
-
 _CLOSE = 1e-9  # of matrix elements: the same ops evaluated twice
 
 

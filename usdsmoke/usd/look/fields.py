@@ -20,8 +20,6 @@ from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.relationships import FIELD_PREFIX
 from usdsmoke.usd.values import value_at
 
-__all__ = ["author_field", "close_fields", "retarget"]
-
 _TYPES = Sdf.ValueTypeNames
 _INVERT, _RESET = "!invert!", "!resetXformStack!"
 

@@ -22,8 +22,6 @@ from usdsmoke.usd.look.fields import author_field, close_fields, retarget
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.usd.look.root import author_root, copy_stage_metadata
 
-__all__ = ["author_look", "published_runs"]
-
 
 def author_look(
     stage: Usd.Stage,

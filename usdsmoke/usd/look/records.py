@@ -10,8 +10,6 @@ from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import StageSource, VolumeSource, WrittenFrame
 from usdsmoke.usd.field_samples import held_time_code
 
-__all__ = ["LookFiles", "StylizedVolume", "look_files"]
-
 
 @dataclass(frozen=True)
 class StylizedVolume:

@@ -13,8 +13,6 @@ from pxr import Sdf, Usd, UsdGeom
 from usdsmoke.base.naming import ASSET_SOURCE, relative_asset_path
 from usdsmoke.usd.layer_record import RECORD_KEY
 
-__all__ = ["author_root", "copied_layer_data", "copy_stage_metadata"]
-
 # Composition, the source's own story, and rights of its owner: they stay with the source.
 _NOT_COPIED = (
     "subLayers",

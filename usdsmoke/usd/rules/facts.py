@@ -18,17 +18,6 @@ from usdsmoke.usd.relationships import field_targets, target_prim
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, find_grid
 
-__all__ = [
-    "DENSITY",
-    "FieldFacts",
-    "collect_fields",
-    "field_to_stage",
-    "file_trouble",
-    "header_of",
-    "is_velocity",
-    "sample_grid",
-]
-
 DENSITY = StageConfig().density  # a stage is checked without a run's settings
 _VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
 _READING = Lock()  # UsdValidation runs validators at the same time, and all want the same headers

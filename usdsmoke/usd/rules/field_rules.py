@@ -25,19 +25,6 @@ from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.header import GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
-__all__ = [
-    "check_absolute_paths",
-    "check_classes",
-    "check_density",
-    "check_files",
-    "check_gaps",
-    "check_grids",
-    "check_kinds",
-    "check_targets",
-    "check_tokens",
-    "check_types",
-]
-
 _DATA_TYPES = {  # of a grid's values: the fieldDataType tokens that describe them
     "float": ("float", "half"),
     "double": ("double",),

@@ -6,8 +6,6 @@ from enum import Enum
 
 from usdsmoke.base.time_codes import format_time_codes
 
-__all__ = ["Finding", "Problem", "Severity", "grouped"]
-
 
 class Severity(str, Enum):
     """How bad a finding is; only an error says that the stage cannot be used as it is."""

@@ -14,8 +14,6 @@ from usdsmoke.usd.rules.facts import collect_fields, header_of
 from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 
-__all__ = ["check_field_results", "check_layer_results", "recorded_results"]
-
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
 _DIGITS = 12  # digits of a hash that people compare
 

@@ -21,8 +21,6 @@ from usdsmoke.usd.schema import late_note, register_schema
 if TYPE_CHECKING:
     from pxr import UsdValidation
 
-__all__ = ["PREFIX", "register_validators", "validate"]
-
 PREFIX = "usdsmokeValidators:"
 
 PrimRule = Callable[[Usd.Prim, Gf.Interval], list[Problem]]

@@ -18,16 +18,6 @@ from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.usd.schema import STYLE_API
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
-__all__ = [
-    "check_extent",
-    "check_one_file",
-    "check_one_name",
-    "check_one_place",
-    "check_request",
-    "check_request_applied",
-    "check_request_placed",
-]
-
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 

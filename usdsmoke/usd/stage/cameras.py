@@ -12,8 +12,6 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import CameraSource, StageSource
 from usdsmoke.usd.stage.opening import named_prim, type_words
 
-__all__ = ["list_cameras", "read_camera", "seen_through"]
-
 _NUMBERS = {
     "focal_length": "focalLength",
     "horizontal_aperture": "horizontalAperture",

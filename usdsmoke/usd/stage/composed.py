@@ -14,8 +14,6 @@ from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
 from usdsmoke.usd.stage.fields import check_assets, field_source
 from usdsmoke.usd.values import value_at
 
-__all__ = ["ComposedVolume", "composed_volumes"]
-
 
 @dataclass(frozen=True)
 class ComposedVolume:

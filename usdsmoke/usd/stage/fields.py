@@ -17,15 +17,6 @@ from usdsmoke.usd.relationships import FIELD_PREFIX, field_targets, target_prim
 from usdsmoke.usd.request_values import MASK
 from usdsmoke.usd.values import value_at
 
-__all__ = [
-    "VolumeFields",
-    "check_assets",
-    "describe_instance",
-    "field_source",
-    "find_fields",
-    "velocity_relationships",
-]
-
 _AXES = "xyz"
 
 

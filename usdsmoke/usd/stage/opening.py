@@ -10,8 +10,6 @@ from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.schema import register_schema
 
-__all__ = ["StageOrFile", "layer_files", "named_prim", "open_stage", "stage_file", "type_words"]
-
 StageOrFile: TypeAlias = str | os.PathLike[str] | Usd.Stage
 
 

@@ -19,8 +19,6 @@ from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.stage.opening import StageOrFile, open_stage
 from usdsmoke.vdb.header import read_header
 
-__all__ = ["check_originals", "is_look_layer", "open_original", "open_source"]
-
 _MARK = "usdsmoke:run"  # in the metadata of every file that usdsmoke writes
 
 _INSTEAD = "To start from the stylized smoke, set stage.restylize (--restylize)."

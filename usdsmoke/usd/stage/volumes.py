@@ -34,8 +34,6 @@ from usdsmoke.usd.stage.opening import named_prim, type_words
 from usdsmoke.usd.stage.originals import is_look_layer
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
-__all__ = ["find_volumes"]
-
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
 
 
