@@ -22,7 +22,7 @@ from tests.grids_fixtures import (
     uniform,
 )
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.active_box import crop_to_active
+from usdsmoke.vdb.boxes import crop_to_active
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids

@@ -27,9 +27,6 @@ _PREFIXES = {_TERMS: "urn:x-usdsmoke:terms:", _SOFTWARE: "urn:x-usdsmoke:softwar
 def prov_document(found: Sequence[FoundRecord]) -> dict[str, Any]:
     """One PROV-JSON document of all records, as JSON values.
 
-    Args:
-        found: from ``provenance``.
-
     Raises:
         MissingPackage: the package ``prov`` is not installed.
         LayerError: a record cannot be read.

@@ -71,7 +71,6 @@ class TemporalErrors:
         """Both, weighted; one alone where the other has none.
 
         Args:
-            other: of another version of the same frame.
             weight: of this one, 0 to 1.
         """
 

@@ -25,10 +25,6 @@ def to_json(record: Any, defaults: bool = False) -> dict[str, Any]:
 def from_json(kind: type[_Record], values: Mapping[str, Any]) -> _Record:
     """The dataclass that ``to_json`` gave the values of; names that it does not know are ignored.
 
-    Args:
-        kind: the dataclass.
-        values: JSON values.
-
     Raises:
         ValueError: a field is missing or has a value of another type.
     """

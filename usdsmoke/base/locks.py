@@ -28,7 +28,6 @@ class OutputLock:
     """The lock that this process holds on an output folder.
 
     Args:
-        handle: the open folder.
         alone: True if no other process may hold it at the same time.
         real: True if the file system has locks.
     """
@@ -59,7 +58,6 @@ def lock_output(
     """Lock an output folder; it is made if missing, and removed if left empty.
 
     Args:
-        output: the folder.
         alone: keep every other process out; otherwise others that share it may enter.
         waits: if given, wait some minutes for other processes; called once when the wait begins.
 

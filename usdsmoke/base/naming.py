@@ -46,7 +46,6 @@ def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> 
     ('emission', 'emission_r', 'emission_g', 'emission_b')
 
     Args:
-        scatter_colours: some of SCATTER_COLOURS.
         split: True if each colour has three grids of floats beside its grid of vectors.
     """
     vectors = [name for name in COLOUR_VECTORS if name == EMISSION or name in scatter_colours]
@@ -62,7 +61,6 @@ def volume_stems(prim_paths: Sequence[str], name: str = "") -> tuple[str, ...]:
     ('plume', 'a_fog', 'b_fog')
 
     Args:
-        prim_paths: of the Volumes.
         name: replaces the prim's name; with several Volumes it is put before it.
     """
     if name and len(prim_paths) == 1:

@@ -137,10 +137,6 @@ class RunRecord:
     def from_text(cls, text: str, where: str) -> "RunRecord":
         """The record that ``to_text`` gave.
 
-        Args:
-            text: JSON.
-            where: the file that holds it, for messages.
-
         Raises:
             LayerError: the text is no record, or one of another format.
         """

@@ -120,9 +120,6 @@ def resolve_config(*sources: Settings) -> Config:
     >>> resolve_config({"windows": {"size": 3}}, "optimize.seed=7").windows.size
     3
 
-    Args:
-        sources: see ``resolve_settings``, from the weakest to the strongest.
-
     Raises:
         ConfigError: see ``resolve_settings``.
     """
@@ -133,7 +130,6 @@ def settings_record(config: Config, folder: Path) -> dict[str, Any]:
     """The settings as JSON values for a record in a folder.
 
     Args:
-        config: a run's settings.
         folder: of the record. The parameter file, the one path among the settings, is recorded
             relative to it.
 
@@ -186,7 +182,6 @@ def settings_yaml(config: Config, comments: bool = True) -> str:
     """The settings as a YAML file that ``read_settings`` reads back unchanged.
 
     Args:
-        config: what to write.
         comments: whether each setting is preceded by its meaning, unit and limits.
     """
     lines, told = [], settings()

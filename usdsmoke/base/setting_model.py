@@ -31,7 +31,6 @@ def setting(default: Any, description: str, **declared: Any) -> Any:
     """A field of a section.
 
     Args:
-        default: the value of a setting that nobody gives.
         description: what it means, without a full stop.
         declared: limits as in ``pydantic.Field`` (``ge``, ``gt``, ``le``, ``min_length``), and
             ``unit``; ``distinct`` (a list names nothing twice); ``pattern`` with ``form`` (what a
@@ -101,8 +100,6 @@ class Section(BaseModel):
         """A section of these values; the others are defaults.
 
         Args:
-            name: of the section, for messages.
-            values: by key.
             sources: where values come from, such as "--set", by dotted name; for messages.
 
         Raises:
@@ -142,8 +139,6 @@ def nearest(word: object, known: Sequence[str], section: str = "") -> str:
     """What to do about an unknown word: a sentence with the nearest known one, or all of them.
 
     Args:
-        word: as given.
-        known: the words to choose from.
         section: of the known settings; the nearest one is named with it.
     """
     close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)

@@ -179,11 +179,6 @@ def flatten_settings(values: Mapping[str, Any], source: str = "") -> dict[str, A
 def check_setting(name: str, value: Any, source: str) -> Any:
     """A value for one setting, checked, as the type that the setting has.
 
-    Args:
-        name: dotted.
-        value: as given.
-        source: where it comes from, for messages.
-
     Raises:
         ConfigError: see ``Section.checked``.
     """

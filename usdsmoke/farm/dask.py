@@ -65,7 +65,6 @@ def stylize_on_cluster(
 
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.
-        request: the request.
         progress: called when a step or a window is finished.
         planned: called once with the plan, before the cluster is contacted.
 

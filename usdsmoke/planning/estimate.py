@@ -95,8 +95,6 @@ def estimate_run(
 
     Args:
         frames: of all volumes; empty frames cost their file only.
-        config: the resolved settings.
-        n_styles: style images.
         threads: None takes the configured number, or all of the machine.
         twice: the frames that two windows compute.
         coarse: the frames of the shared coarse step.
@@ -141,12 +139,7 @@ def add_estimates(parts: Sequence[Estimate]) -> Estimate:
 
 
 def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, int]]:
-    """Active voxels and their box; without metadata, the file's size is taken as the grid's.
-
-    Args:
-        file_path: the grid's file.
-        grid: its header.
-    """
+    """Active voxels and their box; without metadata, the file's size is taken as the grid's."""
     active, box = grid.active_voxels, grid.box_shape
     if active is None:
         active = max(1, os.path.getsize(file_path) // 2)  # half floats, nothing compressed

@@ -12,7 +12,6 @@ def check_features(config: FeaturesConfig, here: bool = True) -> None:
     """Refuse unknown layers, and a network whose parameter file is missing.
 
     Args:
-        config: which network and layers.
         here: True if the parameter file must exist; False if other machines do the work.
 
     Raises:

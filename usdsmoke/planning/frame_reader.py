@@ -10,11 +10,7 @@ from usdsmoke.vdb.store import GridStore
 
 
 class FrameReader:
-    """Reads the frames of a plan. Each grid is decoded and checked once, see ``GridStore``.
-
-    Args:
-        plan: which grids of which files.
-    """
+    """Reads the frames of a plan. Each grid is decoded and checked once, see ``GridStore``."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -59,10 +55,6 @@ def _files(frames: Iterable[FramePlan]) -> set[str]:
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:
-    """Content hashes of a frame's sources: ``density``, ``mask`` and ``velocity``, as read.
-
-    Args:
-        frame: from ``FrameReader.read``.
-    """
+    """Content hashes of a frame's sources: ``density``, ``mask`` and ``velocity``, as read."""
     fields = {"density": frame.density, "mask": frame.mask, "velocity": frame.velocity}
     return {name: hash_fields([field]) for name, field in fields.items() if field is not None}

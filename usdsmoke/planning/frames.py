@@ -55,8 +55,6 @@ def find_frame_velocity(
     simulations usually write it without naming it on the stage.
 
     Args:
-        volume: names its velocity relationships.
-        frame: one timeCode of it.
         headers: by file path, of the frame's files.
         config: ``stage.velocity`` names it, empty tries the usual names.
 
@@ -88,12 +86,6 @@ def find_frame_mask(
 
     The Volume's own relationship of that name comes first, with its file, grid and transform; then
     the grid of that name in the density's file, with the transform of the density.
-
-    Args:
-        volume: names its mask relationship, where it has one.
-        frame: one timeCode of it.
-        headers: by file path, of the frame's files.
-        config: ``stage.mask`` names it.
 
     Raises:
         GridNotFound: the named mask is neither; the message lists the relationships and grids.
@@ -142,11 +134,6 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
     If ``layer.copy_velocity`` is unset, it is copied if the stage has a field for it beside the
     density. Clients that read one file per Volume (Blender, Arnold, RenderMan) would otherwise read
     the source's file.
-
-    Args:
-        velocity: as found, None when there is none.
-        density: the field that the result replaces.
-        config: section ``layer``.
     """
     if velocity is None or config.layer.copy_velocity is not None:
         return velocity is not None and bool(config.layer.copy_velocity)
@@ -169,14 +156,11 @@ def read_frame(
     """The dense fields of one timeCode.
 
     Args:
-        volume: names the field of the density.
-        frame: its files at one timeCode, and its controls.
         config: limits of reading, and the velocity's unit.
         velocity: from ``find_frame_velocity``; None reads no velocity.
         time_codes_per_second: turns velocities per frame, that is per timeCode, into
             velocities per second; the stage's frames per second are not used.
         mask: from ``find_frame_mask``; None reads no mask.
-        read: reads the grids of a file.
 
     Raises:
         GridError: a file or grid cannot be used.

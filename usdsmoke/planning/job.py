@@ -123,7 +123,6 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     """Open the stage, find its Volumes, read the style images, make the plan and check it.
 
     Args:
-        request: the request.
         fits: True if this machine's memory, disk and network file must suffice for the whole run.
 
     Raises:
@@ -179,7 +178,6 @@ def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None =
     """The request that started a run.
 
     Args:
-        output: the output folder.
         record: from ``describe_request``.
         mode: ``layer.mode`` instead of the record's.
 

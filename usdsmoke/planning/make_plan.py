@@ -38,8 +38,6 @@ def make_plan(
     """The plan of a stylization, from USD values and VDB headers.
 
     Args:
-        source: the selected Volumes and timeCodes.
-        config: the run's settings.
         settings: those of each Volume; None takes the run's, and one style image.
 
     Raises:
@@ -86,7 +84,6 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
     """Refuse a plan that does not fit the memory or the disk.
 
     Args:
-        plan: with its estimate.
         output: the folder that will hold the result; None skips the check of the disk.
 
     Raises:
@@ -114,7 +111,6 @@ def check_disk(output: Path, n_bytes: int, is_started: bool = False) -> None:
     """Refuse to write more than the disk can hold.
 
     Args:
-        output: the folder that holds the result, or will hold it.
         n_bytes: size of the files that are still to be written.
         is_started: True if a part of the run exists: it then needs a smaller reserve.
 

@@ -20,12 +20,7 @@ _OTHER_LOSSES = ("total_variation", "histogram", "content", "laplacian", "photor
 
 
 def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
-    """What will be read, computed and written, one sentence each.
-
-    Args:
-        config: the run's settings.
-        volumes: with their own settings. Sentences name the Volumes if settings differ.
-    """
+    """What will be read, computed and written, one sentence each."""
     # Read.
     needed = [
         f"density of <{volume.source.prim_path}> at timeCodes {_time_codes(volume.frames)}"
@@ -58,13 +53,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
 
 
 def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple[Omission, ...]:
-    """What is left out, and why. Sentences name the Volumes if settings differ.
-
-    Args:
-        source: names the Volumes that were not selected.
-        config: the run's settings.
-        volumes: with their own settings.
-    """
+    """What is left out, and why. Sentences name the Volumes if settings differ."""
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
     groups = _by_config(volumes) or [(config, [])]
     for own, members in groups:
@@ -83,12 +72,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
 
 
 def takes_effect(config: Config, volumes: Volumes) -> bool:
-    """True if there is anything to optimise. Otherwise the result is the source.
-
-    Args:
-        config: of these Volumes.
-        volumes: their frames may have their own strength.
-    """
+    """True if there is anything to optimise. Otherwise the result is the source."""
     controls = _controls(volumes) or [FrameControls()]
     return any(in_effect(config, own) for own in controls)
 

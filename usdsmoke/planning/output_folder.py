@@ -49,7 +49,6 @@ def check_output_folder(
 
     Args:
         output: the output folder, settled; need not exist.
-        look: the name of the look that is to be written.
         inputs: absolute.
         targets: files that will be written outside the folder of frames.
 

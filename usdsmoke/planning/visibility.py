@@ -22,10 +22,7 @@ def visible_share(
     0 means that certainly nothing is visible.
 
     Args:
-        frame: one timeCode, with or without a camera.
-        density: gives the grid's transform to the stage.
         grid: the density's header; without a box or a transform the share is 1.
-        config: ``views.camera_margin``.
     """
     camera, points = frame.camera, _box_points(density, grid)
     if camera is None or points is None:
@@ -40,13 +37,7 @@ def visible_share(
 def pixel_sizes(
     config: Config, volume: VolumePlan, frames: Sequence[FramePlan]
 ) -> tuple[float, float]:
-    """The width of a pixel, stage units: the camera's finest one, and one without a camera.
-
-    Args:
-        config: the Volume's.
-        volume: names the density.
-        frames: those with smoke.
-    """
+    """The width of a pixel, stage units: the camera's finest one, and one without a camera."""
     finest, longest, voxels = np.inf, 0.0, []
     for frame in frames:
         density, camera = frame.source.fields[volume.source.density], frame.source.camera

@@ -78,8 +78,6 @@ def split_windows(
 
     Args:
         time_codes: ascending, each once.
-        config: section ``windows``.
-        first_index: of the first window.
         frame_length: timeCodes in a frame, see ``find_cuts``.
 
     Raises:
@@ -106,9 +104,6 @@ def coarse_runs(windows: Sequence[Window]) -> tuple[tuple[float, ...], ...]:
 
     >>> coarse_runs(split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2)))
     ((1, 2, 3),)
-
-    Args:
-        windows: of one Volume, in order.
     """
     runs: list[list[Window]] = []
     for window in windows:

@@ -106,7 +106,6 @@ def assemble_run(opened: OpenRun, tell: RunProgressCallback, clock: PartClock) -
     Args:
         opened: the run; this process is alone in the output folder.
         tell: called for every frame that is blended, and for every sheet.
-        clock: of the call.
 
     Raises:
         LayerError: a window is not finished, or the result cannot be written.
@@ -157,12 +156,7 @@ def is_whole(opened: OpenRun) -> bool:
 
 
 def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult:
-    """What is in the output folder when a run is complete.
-
-    Args:
-        opened: the run, complete.
-        more: further warnings.
-    """
+    """What is in the output folder when a run is complete."""
     job, run = opened.job, opened.run
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
     budget = ErrorBudget.from_json(run.error_budget)

@@ -109,8 +109,6 @@ def coarse_starts(
     """What gives a frame's coarse start by its timeCode; None where windows do without.
 
     Args:
-        run: with the coarse step done.
-        volume: of the frames.
         frames: those whose starts are asked for.
 
     Raises:
@@ -192,9 +190,6 @@ def _resumed(
     """From which frame of a sequence on there is something to do, and what that starts with.
 
     Args:
-        run: with the files.
-        record: of the files that are unchanged.
-        frames: of the sequence.
         here: the machine; a sequence of another kind of processor is not continued.
     """
     from usdsmoke.core.sequence.coarse import load_carried

@@ -41,8 +41,6 @@ def frame_metadata(
     The record of the run has everything else, see ``make_record``.
 
     Args:
-        run: that makes the frame.
-        volume, frame: what the file is the result of.
         source_hashes: content hashes by field, of what was read.
     """
     source_file = frame.source.fields[volume.source.density].file_path
@@ -64,7 +62,6 @@ def make_record(
     """The record of a run that has every frame of the result.
 
     Args:
-        job: that was asked for.
         run: with its error budget.
         windows: the manifests of all windows.
         results: content hash of every written file.

@@ -43,7 +43,6 @@ class Identity:
     What the job leaves to the machine is as the run has it, once there is one.
 
     Args:
-        job: what was asked for.
         reads: the input files that are read, as the plan names them, given a run that has begun;
             None: all. Digests of other files are taken from the run.
     """
@@ -91,8 +90,6 @@ def describe_run(
     device stand there as asked for; they may be left to the machine.
 
     Args:
-        job: gives stage, files, settings and styles.
-        features_hash: of what pictures are compared by.
         known: digests of an earlier description's ``files``, for those that are not read.
         requested: the files that are read and compared, named as in the plan; None: all.
     """
@@ -126,10 +123,6 @@ def _file_digest(job: Job, file_path: str) -> str:
 
 def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]:
     """What each Volume's prim asks for and gets, as JSON values that name no folder.
-
-    Args:
-        plan: of the run.
-        styles: all images of the run.
 
     Returns:
         ``settings``, ``styles`` (name and SHA-256) and, where values change over time, ``samples``

@@ -36,8 +36,6 @@ def settle_threads(output: Path, config: Config, force: bool) -> Config:
     continue, or, where there is none, what this process may use.
 
     Args:
-        output: the output folder.
-        config: as asked for.
         force: a result is replaced, and not continued.
     """
     threads = config.optimize.threads

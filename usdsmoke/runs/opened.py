@@ -109,8 +109,6 @@ def missing_starts(
     """Volume number, Volume and frames of every sequence in which a coarse start is missing.
 
     Args:
-        run: with its folder.
-        plan: of the run.
         requested: the frames whose starts are checked; None: all.
     """
     names = (

@@ -30,9 +30,6 @@ def open_run(job: Job) -> Iterator[OpenRun]:
 
     A selection of a result's own frames means these frames once more: the job becomes the result's.
 
-    Args:
-        job: what was asked for.
-
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
         ConfigError: the device is not there.
@@ -51,9 +48,6 @@ def open_run(job: Job) -> Iterator[OpenRun]:
 
 def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
     """The whole job, its run and the windows to do, where the job is a part of a result's frames.
-
-    Args:
-        job: what was asked for.
 
     Raises:
         OutputExists: the result is of other settings or inputs.
@@ -254,8 +248,6 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
     stopped before its last step; such a run is continued like any other.
 
     Args:
-        job: what was asked for.
-        identity: the job's.
         alone: no other process is in the folder; otherwise its unfinished runs stay.
 
     Raises:

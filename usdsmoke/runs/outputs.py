@@ -22,8 +22,8 @@ from usdsmoke.runs.manifests import part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
+from usdsmoke.vdb.boxes import field_extent
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
-from usdsmoke.vdb.transform import field_extent
 from usdsmoke.vdb.write import write_frame
 
 if TYPE_CHECKING:
@@ -42,9 +42,7 @@ def result_fields(
     Args:
         fields: density and, after a colour step, emission.
         copied: grids that are written beside them as they are.
-        report: of the frame.
         gamma_w: extinction per density, 1/stage unit.
-        config: the resolved settings.
 
     Returns:
         Density and emission, pruned, and the other grids that are asked for; the report.
@@ -71,13 +69,6 @@ def write_result(
     A version that is to be blended with another is a part: it keeps all of its voxels, in 32-bit
     floats, and nothing is copied into it. The density's grid has the name of its relationship: some
     renderers look for the one name, some for the other.
-
-    Args:
-        opened: the run that it goes to.
-        task: the window.
-        frame: what it is the result of.
-        stylized: the result.
-        source_hashes: content hashes of what was read, see ``hash_sources``.
 
     Returns:
         The file, relative to the run's folder, and JSON values that describe it; see
@@ -140,9 +131,7 @@ def collect_volume(
 
     Args:
         run: complete but for the layer.
-        volume: one of its Volumes.
         extinction_per_density: of its scene, for frames that have no gamma of their own.
-        styles: all images of the run.
 
     Raises:
         WriteFailed: that file could not be written.

@@ -35,7 +35,6 @@ class WorkMeter:
     """The share of a run that is done, counted in iterations weighted by what an octave costs.
 
     Args:
-        config: gives steps, octaves and iterations; one for all frames, or one for each.
         warm: for every frame to do, whether it starts from its neighbour's result.
     """
 
@@ -47,12 +46,7 @@ class WorkMeter:
         self._total = sum(self._frame_work(frame) for frame in range(len(warm)))
 
     def share(self, report: Progress, frame: int) -> float:
-        """The share that is done after an iteration.
-
-        Args:
-            report: the core's.
-            frame: 0-based, among the frames to do.
-        """
+        """The share that is done after an iteration."""
         before = sum(self._frame_work(earlier) for earlier in range(frame))
         steps = list(self._iterations[frame])
         steps = steps[: steps.index(report.step)]

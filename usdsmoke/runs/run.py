@@ -99,11 +99,6 @@ class Run:
 
         If another process has begun the same run meanwhile, its record is used.
 
-        Args:
-            plan: to keep in the record.
-            request: what it takes to make the job again.
-            processor: the kind of this machine's.
-
         Raises:
             WriteFailed: the operating system refused.
         """
@@ -131,9 +126,6 @@ class Run:
 
     def keep_scenes(self, scenes: Sequence[Mapping[str, Any]]) -> None:
         """Note what was measured, unless another process has noted it meanwhile.
-
-        Args:
-            scenes: one for each Volume, JSON values.
 
         Raises:
             WriteFailed: the operating system refused.
@@ -168,7 +160,6 @@ class Run:
 
         Args:
             files: that belong to the result and are outside the run's folder.
-            alone: see ``tidy``.
         """
         self.files = sorted(os.path.relpath(file_path, self.output) for file_path in files)
         others = [run for run in find_runs(self.output) if run.run_id != self.run_id]
@@ -193,11 +184,7 @@ class Run:
         remove_empty([*self._made, self.folder.parent])
 
     def tidy(self, alone: bool = False) -> None:
-        """Remove temporaries of killed processes.
-
-        Args:
-            alone: see ``remove_leftovers``.
-        """
+        """Remove temporaries of killed processes."""
         for folder in (self.folder, *self.folder.rglob("*/")):
             remove_leftovers(folder, alone)
 
@@ -268,12 +255,7 @@ class Run:
         return not (self.frames or manifests or self.manifest_path().is_file())
 
     def is_unchanged(self, file_name: str, digest: str) -> bool:
-        """Whether a file of this folder has this SHA-256.
-
-        Args:
-            file_name: relative to the run's folder.
-            digest: 64 hexadecimal digits.
-        """
+        """Whether a file of this folder has this SHA-256."""
         file_path = self.folder / file_name
         if not file_path.is_file():
             return False
@@ -320,12 +302,7 @@ def find_runs(output: Path) -> Iterator[Run]:
 
 
 def new_run(output: Path, description: Mapping[str, Any]) -> Run:
-    """A run that has not begun, in a folder of its own.
-
-    Args:
-        output: the output folder; need not exist.
-        description: settings and inputs, JSON values.
-    """
+    """A run that has not begun, in a folder of its own."""
     key = _digest(description)[:_KEY_LENGTH]
     folder, number = output / "vdb" / key, 2
     while (folder / RUN_RECORD).exists():  # a result with the same key is being replaced

@@ -32,7 +32,6 @@ def settle_tolerance(job: Job, prepare: Callable[[Config], Job], keep: bool = Tr
     What the user has set, by name or in a file, stays. The plan says what was chosen and why.
 
     Args:
-        job: as it was asked for.
         prepare: makes the same job with other settings.
         keep: put the calibration into the output folder, or take it from there.
 

@@ -52,8 +52,6 @@ def stylize_windows(
 
     Args:
         opened: the run; it has begun, and the coarse step is done.
-        tasks: the windows to do.
-        source_hashes: from ``check_frames``.
         tell: called for every iteration and every file.
         again: do them all, also those that are finished.
 

@@ -4,17 +4,15 @@
 - `schema`: the names of usdsmoke's schemas, and their registration
 - `diagnostics`: OpenUSD's warnings and errors as messages
 - `layer_record`: the record of a run in a look layer, and its digests
-- `relationships`: a Volume's field relationships
-- `field_samples`: the file and grid that a field shows at a time
-- `values`: attribute values, alike in every version of OpenUSD
-- `asset_paths`: asset paths checked, and rewritten for another layer
+- `field_samples`: a Volume's fields, and the file and grid that each shows at a time
+- `values`: attribute values, alike in every version of OpenUSD; asset paths
 - `volume_requests`, `request_values`: style requests on prims
-- `volume_settings`: the settings of each Volume
-- `inspect`, `inspection_requests`: everything that a stage holds, as one report
+- `volume_settings`: the settings of each Volume, and where each comes from
+- `inspect`: everything that a stage holds, as one report
 """
 
 from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
-from usdsmoke.usd.field_samples import held_time_code
+from usdsmoke.usd.field_samples import field_targets, held_time_code
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
     RECORD_HASH,
@@ -23,7 +21,6 @@ from usdsmoke.usd.layer_record import (
     record_digest,
     record_values,
 )
-from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.schema import late_note, register_schema
 
 __all__ = [

@@ -57,7 +57,6 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     """Why USD cannot open a file: it is missing, a folder, not readable, not USD, or not valid.
 
     Args:
-        file_path: that could not be opened; the asset resolver finds it.
         refusal: from OpenUSD, which may name the line.
     """
     found = str(Ar.GetResolver().Resolve(file_path)) or file_path

@@ -1,12 +1,38 @@
-"""What a field prim shows at a time: its file and its grid, as USD resolves them."""
+"""A Volume's field relationships, and what a field prim shows at a time, as USD resolves it."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pxr import Gf, Usd
+from pxr import Gf, Sdf, Usd
 
 from usdsmoke.usd.values import authored_path, value_at
+
+FIELD_PREFIX = "field:"
+
+
+def field_targets(volume: Usd.Prim) -> dict[str, list[Sdf.Path]]:
+    """Forwarded targets of every field relationship by its name without the prefix.
+
+    Differs from ``UsdVol.Volume.GetFieldPaths``: names with further colons stay whole, and
+    relationships without or with several targets are kept, so that they can be reported.
+    """
+    return {
+        relationship.GetName().removeprefix(FIELD_PREFIX): list(relationship.GetForwardedTargets())
+        for relationship in volume.GetRelationships()
+        if relationship.GetName().startswith(FIELD_PREFIX)
+    }
+
+
+def target_prim(stage: Usd.Stage, targets: Sequence[Sdf.Path]) -> Usd.Prim | None:
+    """The prim at the one target of a relationship, of any type.
+
+    Returns:
+        None if there is no target or several, or if the target is no prim of the stage.
+    """
+    if len(targets) != 1 or not targets[0].IsPrimPath():
+        return None
+    return stage.GetPrimAtPath(targets[0]) or None
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pxr import Usd
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
-from usdsmoke.usd.inspection_requests import RunArguments, describe_requests
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
+from usdsmoke.usd.volume_settings import RunArguments, describe_requests
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 from usdsmoke.vdb.velocity import find_velocity

@@ -75,11 +75,7 @@ def record_digest(layer: Sdf.Layer) -> str:
 
 
 def add_digests(layer: Sdf.Layer) -> None:
-    """Add both digests to the record of a layer; the last thing that is authored in it.
-
-    Args:
-        layer: with a record.
-    """
+    """Add both digests to the record of a layer; the last thing that is authored in it."""
     data = dict(layer.customLayerData)
     digests = {LAYER_HASH: layer_digest(layer), RECORD_HASH: record_digest(layer)}
     data[RECORD_KEY] = {**data[RECORD_KEY], **digests}

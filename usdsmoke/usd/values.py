@@ -1,8 +1,13 @@
-"""Attribute values and asset paths, read alike from every supported version of OpenUSD."""
+"""Attribute values; asset paths: what is wrong with one, and how a layer elsewhere spells it."""
 
+import os
+import re
+from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Usd
+from pxr import Ar, Sdf, Usd
+
+from usdsmoke.base.naming import relative_asset_path
 
 
 def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
@@ -17,3 +22,74 @@ def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
 def authored_path(asset: Sdf.AssetPath) -> str:
     """The path as the layer spells it. Before 25.05, OpenUSD only keeps an expression's value."""
     return str(getattr(asset, "authoredPath", asset.path))
+
+
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is a drive
+
+
+def vdb_problem(authored_path: str, file_path: str) -> str:
+    """Why a field's file cannot be opened, and what to do about it; "" when nothing is wrong.
+
+    The text continues a sentence that names the path; only the path is looked at, not the file.
+    """
+    if not authored_path and not file_path:
+        return "it is empty. Author the path of a .vdb file."
+    if authored_path.startswith("op:"):
+        return (
+            "that is a node inside Houdini, unknown outside it. "
+            "Write the volumes to files there (USD ROP), and use the stage it writes."
+        )
+    if Ar.IsPackageRelativePath(file_path) or Ar.IsPackageRelativePath(authored_path):
+        package = Ar.SplitPackageRelativePathOuter(file_path or authored_path)[0]
+        return (
+            f"that is inside the package {package}, and OpenVDB reads plain files only. "
+            "Unpack it (a .usdz is a zip), and use the stage inside."
+        )
+    if not file_path:
+        return "there is no such file. Check the path, and whether the files were copied too."
+    if os.path.isdir(file_path):
+        return f"{file_path} is a folder. Author the path of a .vdb file."
+    if not os.path.isfile(file_path):
+        return (
+            f"it resolves to {file_path}, where there is no file. Check the resolver and the disk."
+        )
+    return ""
+
+
+def asset_value(
+    attribute: Usd.Attribute, time_code: float | None, folder: Path
+) -> Sdf.AssetPath | Sdf.ValueBlock:
+    """A composed asset value, re-anchored to a layer in ``folder``; a block where there is none.
+
+    Args:
+        folder: of the layer that the value will stand in.
+    """
+    at = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
+    value = value_at(attribute, at)
+    if value is None:
+        return Sdf.ValueBlock()
+    return anchored_asset(value, _authoring_layer(attribute, at), folder)
+
+
+def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) -> Sdf.AssetPath:
+    """An asset path of ``layer`` as a layer in ``folder`` has to spell it.
+
+    Addresses of a resolver's own (``asset:...``) stay as they are; a path that resolves to nothing
+    keeps pointing to the place where its file should be. Expressions are replaced by their value.
+    """
+    authored = str(value.path)
+    if not authored or _SCHEME.match(authored):
+        return Sdf.AssetPath(authored)
+    resolved = str(value.resolvedPath)
+    if not resolved and layer is not None and not layer.anonymous:
+        resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, authored)
+    if not os.path.isabs(resolved):
+        return Sdf.AssetPath(authored)
+    return Sdf.AssetPath(relative_asset_path(resolved, folder))
+
+
+def _authoring_layer(attribute: Usd.Attribute, at: Usd.TimeCode) -> Sdf.Layer | None:
+    for spec in attribute.GetPropertyStack(at):
+        if spec.HasInfo("timeSamples") or spec.HasInfo("default"):
+            return spec.layer
+    return None

@@ -17,7 +17,7 @@ from usdsmoke.base.setting_model import nearest
 from usdsmoke.base.settings import check_setting
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StyleRequest
-from usdsmoke.usd.relationships import field_targets, target_prim
+from usdsmoke.usd.field_samples import field_targets, target_prim
 from usdsmoke.usd.request_values import (
     CAMERA,
     MASK,
@@ -57,7 +57,6 @@ def read_request(
     first value, or the largest for the strength; a change of any other attribute is an error.
 
     Args:
-        volume: a composed Volume prim.
         time_codes: those that will be stylized, at least one.
         with_styles: True to look for its images; False if others replace them.
 

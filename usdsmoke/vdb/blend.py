@@ -21,9 +21,6 @@ def tail_weights(n_frames: int) -> list[float]:
 
     >>> tail_weights(3)
     [0.9375, 0.75, 0.4375]
-
-    Args:
-        n_frames: that overlap.
     """
     return [1.0 - ((number + 1) / (n_frames + 1)) ** 2 for number in range(n_frames)]
 

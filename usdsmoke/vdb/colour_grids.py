@@ -30,7 +30,6 @@ def make_colour_grids(
         density: [i j k].
         emission: [i j k 3] on the density's lattice, absolute, scene-linear; its box may differ.
         gamma_w: extinction per density, 1/stage unit.
-        config: the section ``layer`` of the settings.
     """
     grids = []
     for name in colour_names(config.scatter_colour):
@@ -61,12 +60,7 @@ def absolute_emission(density: DenseField, emission: DenseField, mode: str) -> D
 
 
 def empty_colour_grids(index_to_world: np.ndarray, config: LayerConfig) -> list[DenseField]:
-    """The same grids without a voxel, for a file that shows no colour.
-
-    Args:
-        index_to_world: [4 4] of all of them.
-        config: the section ``layer`` of the settings.
-    """
+    """The same grids without a voxel, for a file that shows no colour."""
     grids = []
     for name in colour_names(config.scatter_colour, config.split_rgb):
         is_float = name in COLOUR_CHANNELS

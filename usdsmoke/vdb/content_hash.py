@@ -13,7 +13,7 @@ import numpy as np
 
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.active_box import active_mask, crop_to_active
+from usdsmoke.vdb.boxes import active_mask, crop_to_active
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 

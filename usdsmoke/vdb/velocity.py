@@ -19,7 +19,6 @@ def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
     """The grids that hold the velocity: one of vectors, three of numbers, or none.
 
     Args:
-        header: of the file.
         name: a grid of vectors, or the part of three names before ``.x`` or ``_x``; empty means
             vel, v or velocity, vectors first, and of the value types that can be read.
     """
@@ -49,10 +48,7 @@ def read_velocity(
     that holds all of them.
 
     Args:
-        file_path: a VDB file.
         request: with an empty name, the usual names are tried; see ``find_velocity``.
-        config: limits of the reading process.
-        read: reads the grids of the file.
 
     Returns:
         None when no name was given and the file has no velocity.

@@ -14,7 +14,7 @@ from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb import child
-from usdsmoke.vdb.active_box import crop_to_active
+from usdsmoke.vdb.boxes import crop_to_active
 from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
 from usdsmoke.vdb.header import read_header
@@ -57,7 +57,6 @@ def write_frame(
         file_metadata: strings, numbers, booleans and triples of numbers; others are left out.
             The content hash is added as ``usdsmoke:content_sha256``.
         half: store 16-bit floats; values are rounded to them.
-        config: limits of the writing and the reading process.
 
     Returns:
         The content hash, see ``content_hash.hash_fields``, of what the file holds.

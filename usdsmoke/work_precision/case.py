@@ -154,9 +154,7 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     """The frame of a job that a report is made on: the middle one of the largest Volume.
 
     Args:
-        job: from ``prepare_job``.
         longest: voxels along the longest side of the small copy, at most.
-        seconds: that the report may take.
 
     Raises:
         PlanError: there is no smoke in any frame.

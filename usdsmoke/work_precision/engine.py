@@ -42,12 +42,7 @@ class Sweep:
 
 
 class Budget:
-    """The time that a report may take.
-
-    Args:
-        seconds: from now on.
-        clock: seconds; for tests.
-    """
+    """The time that a report may take."""
 
     def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.seconds, self._clock = seconds, clock
@@ -153,9 +148,6 @@ def run_sweeps(
 
     Args:
         sweeps: the most useful first.
-        case: the scene.
-        budget: for all of them. A point that has begun is finished.
-        clock: of the measurements.
         tell: called before each point.
 
     Returns:

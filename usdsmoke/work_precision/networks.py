@@ -21,9 +21,6 @@ _N_DIRECTIONS = 64
 def check_network(plan: RunPlan) -> None:
     """Refuse a named VGG-19 file that cannot be used, before anything is measured.
 
-    Args:
-        plan: of the run that the report is about.
-
     Raises:
         FeatureError: it is missing, or cannot be read.
     """

@@ -14,7 +14,6 @@ def make_page(report: Report, pictures: Mapping[str, bytes]) -> str:
     """The report as HTML, from the template ``page.html.j2``.
 
     Args:
-        report: its content.
         pictures: a PNG file's bytes by the sweep's name.
     """
     images = {name: base64.b64encode(data).decode("ascii") for name, data in pictures.items()}

@@ -135,7 +135,6 @@ class Trial:
     """A step on the small frame, without neighbours, mask or the camera's frustum.
 
     Args:
-        case: gives frame, scene and styles.
         step: ``shape`` or ``colour``.
         config: of the features and losses that measure results.
     """

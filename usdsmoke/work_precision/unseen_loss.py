@@ -35,13 +35,7 @@ class Outcome:
 
 
 class UnseenLoss:
-    """The configured style loss of one step's results, over views that the step never uses.
-
-    Args:
-        case: gives scene and styles.
-        step: ``shape`` or ``colour``.
-        config: of features and losses.
-    """
+    """The configured style loss of one step's results, over views that the step never uses."""
 
     def __init__(self, case: Case, step: str, config: Config) -> None:
         from usdsmoke.core.steps.targets import make_targets

@@ -12,8 +12,7 @@ from tests.pipeline_fixtures import Shot
 from tests.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.base.resolve import read_settings, resolve_config
-from usdsmoke.farm.openjd import JobBundle, submit
-from usdsmoke.farm.openjd_template import bundle_text, job_parameters, job_template
+from usdsmoke.farm.openjd import JobBundle, bundle_text, job_parameters, job_template, submit
 from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main
 

@@ -10,7 +10,7 @@ from usdsmoke.base.frame_report import (
     TransportReport,
 )
 from usdsmoke.runs.budget import mean_entries, step_seconds, summarize_figures
-from usdsmoke.runs.budget.figures import Figure, figures_of
+from usdsmoke.runs.budget.error_budget import Figure, figures_of
 
 FIRST = FrameReport(
     voxels=5,

@@ -6,7 +6,7 @@ import pytest
 
 from usdsmoke.base.frame_report import Estimate, FrameErrors, FrameReport, TransportReport
 from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget
-from usdsmoke.ui.cli.budget_text import budget_text
+from usdsmoke.ui.cli.text import budget_text
 
 BOUNDED = {row.name: row for row in ROWS if row.share is not None}
 

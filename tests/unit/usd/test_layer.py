@@ -22,10 +22,10 @@ from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import WrittenFrame
-from usdsmoke.usd.asset_paths import anchored_asset
 from usdsmoke.usd.layer_record import read_record
 from usdsmoke.usd.look import StylizedVolume, author_look, look_files
 from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.usd.values import anchored_asset
 
 RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")
 

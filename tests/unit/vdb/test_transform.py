@@ -5,8 +5,14 @@ import pytest
 
 from tests.grids_fixtures import make_field, make_vectors, rotated, uniform
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.active_box import active_box, active_mask, crop_to_active
-from usdsmoke.vdb.transform import box_extent, field_extent, index_to_world
+from usdsmoke.vdb.boxes import (
+    active_box,
+    active_mask,
+    box_extent,
+    crop_to_active,
+    field_extent,
+    index_to_world,
+)
 
 
 def test_point_is_a_row_and_the_translation_stands_in_the_last_row() -> None:

@@ -1,8 +1,7 @@
 """The error budget and the time of a run, from the reports of its frames.
 
 ``rows`` declares every error once. ``error_budget`` puts a run's figures together and judges them
-by a tolerance. ``absence`` says why a figure is missing. ``choice`` chooses settings for a
-tolerance. ``figures`` summarizes frames for the record. ``clock`` measures the parts of a run.
+by a tolerance. ``choice`` chooses settings for one. ``clock`` measures the parts of a run.
 """
 
 from usdsmoke.runs.budget.choice import choose_settings
@@ -13,8 +12,13 @@ from usdsmoke.runs.budget.clock import (
     step_seconds,
     timed_items,
 )
-from usdsmoke.runs.budget.error_budget import ErrorBudget, make_budget, run_budget
-from usdsmoke.runs.budget.figures import mean_entries, summarize_figures
+from usdsmoke.runs.budget.error_budget import (
+    ErrorBudget,
+    make_budget,
+    mean_entries,
+    run_budget,
+    summarize_figures,
+)
 from usdsmoke.runs.budget.rows import ROWS
 
 __all__ = [

@@ -31,11 +31,7 @@ class TimedWindow(Protocol):
 
 
 class PartClock:
-    """Seconds of a call by part, and in all, from now on.
-
-    Args:
-        clock: for tests.
-    """
+    """Seconds of a call by part, and in all, from now on."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._began = clock, clock()

@@ -1,6 +1,7 @@
 """The arguments of each command. Defaults and limits of settings come from the settings."""
 
 import argparse
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import GivenSettings, read_settings
 from usdsmoke.base.setting_model import allowed_values
 from usdsmoke.base.settings import SECTIONS, declared_settings
-from usdsmoke.ui.cli.record_arguments import add_record_commands
 from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 
 _OPTIONS = {  # that stand for a setting
@@ -303,3 +303,25 @@ def _settings_summary() -> str:
     for section, model in SECTIONS.items():
         lines.append(f"  {section}: {', '.join(model.model_fields)}")
     return "\n".join(lines)
+
+
+_FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or its folder"
+
+
+def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> None:
+    """Add ``provenance``, ``verify`` and ``rerun`` to the parser."""
+    parser = add("provenance", "show how a result was made, and from which inputs")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON")
+    parser = add("verify", "report what has changed since a result was made")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser = add("rerun", "repeat a run from its provenance record")
+    parser.add_argument("file", metavar="FILE", help=_FILE)
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="the folder for the new result"
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="accept inputs that have changed, and replace any result in OUT",
+    )

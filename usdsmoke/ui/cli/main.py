@@ -21,10 +21,15 @@ from types import FrameType
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
 from usdsmoke.base.machine import missing_package
 from usdsmoke.ui.cli.arguments import build_parser
-from usdsmoke.ui.cli.look_commands import run_inspect, run_plugin_path, run_settings, run_validate
-from usdsmoke.ui.cli.preview_command import run_preview
+from usdsmoke.ui.cli.commands import (
+    run_inspect,
+    run_plugin_path,
+    run_preview,
+    run_report,
+    run_settings,
+    run_validate,
+)
 from usdsmoke.ui.cli.record_commands import run_provenance, run_rerun, run_verify
-from usdsmoke.ui.cli.report_command import run_report
 from usdsmoke.ui.cli.text import print_json
 from usdsmoke.ui.cli.values import empty_path
 from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit

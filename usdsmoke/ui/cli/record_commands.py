@@ -4,7 +4,7 @@ import argparse
 from dataclasses import asdict
 
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
-from usdsmoke.ui.cli.text import plan_text, print_json, result_text
+from usdsmoke.ui.cli.text import plan_text, print_json, result_text, show
 from usdsmoke.ui.cli.work_commands import result_as_dict
 
 
@@ -15,10 +15,12 @@ def run_provenance(arguments: argparse.Namespace) -> int:
     found = provenance(arguments.file)
     if arguments.prov:
         print_json(prov_document(found))
-    elif arguments.json:
-        print_json({"records": [item.to_dict() for item in found]})
-    else:
-        print("\n\n".join(provenance_text(item) for item in found))
+        return 0
+    show(
+        arguments,
+        lambda: {"records": [item.to_dict() for item in found]},
+        lambda: "\n\n".join(map(provenance_text, found)),
+    )
     return 0
 
 
@@ -28,10 +30,11 @@ def run_verify(arguments: argparse.Namespace) -> int:
 
     changes = verify(arguments.file)
     is_same = all(change.severity == "note" for change in changes)
-    if arguments.json:
-        print_json({"as_recorded": is_same, "changes": [asdict(change) for change in changes]})
-    else:
-        print(verification_text(arguments.file, changes))
+    show(
+        arguments,
+        lambda: {"as_recorded": is_same, "changes": [asdict(change) for change in changes]},
+        lambda: verification_text(arguments.file, changes),
+    )
     return 0 if is_same else 1
 
 
@@ -52,9 +55,10 @@ def run_rerun(arguments: argparse.Namespace) -> int:
         )
         for warning in again.result.warnings:
             progress.say(f"note: {warning}")
-    if arguments.json:
-        same = {"as_recorded": not again.differences, "differences": list(again.differences)}
-        print_json(result_as_dict(again.result) | {"record": str(again.record)} | same)
-    else:
-        print(f"{result_text(again.result)}\n\n{rerun_text(again)}")
+    same = {"as_recorded": not again.differences, "differences": list(again.differences)}
+    show(
+        arguments,
+        lambda: result_as_dict(again.result) | {"record": str(again.record)} | same,
+        lambda: f"{result_text(again.result)}\n\n{rerun_text(again)}",
+    )
     return 1 if again.differences else 0

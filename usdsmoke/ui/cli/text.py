@@ -1,26 +1,35 @@
-"""What the commands print: plans, results, inspections and findings, as text or JSON."""
+"""What the commands print: plans, results, error budgets, inspections, findings."""
 
+import argparse
 import json
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
-from usdsmoke.ui.cli.request_text import request_rows
 
 if TYPE_CHECKING:
     from usdsmoke.farm.openjd import JobBundle
     from usdsmoke.pipeline import StepResult, StylizeResult
-    from usdsmoke.planning.plan import Plan, VolumePlan
+    from usdsmoke.planning.plan import Omission, Plan, VolumePlan
+    from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
     from usdsmoke.usd.rules import Finding
 
 
 def print_json(value: Any) -> None:
     """Print one JSON value on stdout. NaN and infinity raise ValueError: JSON has neither."""
     print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def show(arguments: argparse.Namespace, value: Callable[[], Any], text: Callable[[], str]) -> None:
+    """Print a command's outcome on stdout: its JSON value with ``--json``, or else its text."""
+    if arguments.json:
+        print_json(value())
+    else:
+        print(text())
 
 
 def plan_text(plan: "Plan") -> str:
@@ -215,3 +224,87 @@ def _count(n: int, noun: str) -> str:
 
 def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1e6:,.0f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.0f} kB"
+
+
+def budget_text(
+    budget: "ErrorBudget",
+    seconds: Mapping[str, float] | None = None,
+    omitted: Sequence["Omission"] = (),
+) -> str:
+    """The error budget as a table, with what was left out and the time that the parts took.
+
+    Args:
+        seconds: of all parts of the run; None or empty takes the budget's.
+        omitted: what the plan left out; the reasons stand there.
+    """
+    rows: list[tuple[str, ...]] = [("error", "mean", "largest", "of", "frames", "took")]
+    rows += [
+        (
+            estimate.name,
+            f"{estimate.mean:.2%}",
+            f"{estimate.largest:.2%}",
+            estimate.relative_to,
+            str(estimate.n_frames),
+            f"{estimate.seconds:.2f} s" if estimate.seconds else "-",
+        )
+        for estimate in budget.estimates
+    ]
+    verdict = []
+    if budget.tolerance is not None:
+        bounds = {item.name: _bound(item) for item in budget.tolerance.rows}
+        rows = [(*rows[0], "bound"), *((*row, bounds.get(row[0], "-")) for row in rows[1:])]
+        verdict = [f"tolerance of {budget.tolerance}"]
+    notes = [f"{name}: {note}" for name, note in budget.notes.items()]
+    left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
+    parts = dict(seconds or budget.seconds)
+    whole = parts.pop("all", None)
+    took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())
+    time = f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
+    rest = [_left_out(omitted)] if omitted else []
+    return "\n".join([*columns(rows), *notes, *left_out, *rest, time, *verdict])
+
+
+def _short(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60 else format_seconds(seconds)
+
+
+def _left_out(omitted: Sequence["Omission"]) -> str:
+    """What was not read, computed or written, without the reasons."""
+    names = "; ".join(dict.fromkeys(item.what for item in omitted))
+    return f"left out, for the reasons in the plan and the record: {names}"
+
+
+def _bound(item: "Verdict") -> str:
+    return f"{item.bound:.2%} {'kept' if item.kept else 'NOT KEPT'}"
+
+
+_WORDS = {"config": "configuration", "option": "option", "default": "default"}
+
+
+def request_rows(request: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and origin of everything but defaults, and the number of defaults."""
+    images = ", ".join(Path(name).name for name in request["styles"]["value"])
+    rows = [("style images", images or "none", _origin(request["styles"]))] if images else []
+    settings = request["settings"]
+    rows += [
+        (name, _value(entry), _origin(entry))
+        for name, entry in settings.items()
+        if entry["origin"] != "default"
+    ]
+    n_others = sum(entry["origin"] == "default" for entry in settings.values())
+    if rows and n_others:
+        rows.append(("others", f"{n_others} settings", "default"))
+    return rows
+
+
+def _value(entry: Mapping[str, Any]) -> str:
+    if samples := entry.get("samples"):
+        (first, start), (last, end) = samples[0], samples[-1]
+        return f"{start} at {first:g} to {end} at {last:g}"
+    return str(entry["value"])
+
+
+def _origin(entry: Mapping[str, Any]) -> str:
+    if entry["origin"] != "prim":
+        return _WORDS[entry["origin"]]
+    return f"<{entry['attribute']}> in {Path(entry['layer']).name}"

@@ -5,8 +5,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.ui.cli.arguments import given_settings
-from usdsmoke.ui.cli.budget_text import budget_text
-from usdsmoke.ui.cli.text import job_text, plan_text, print_json, result_text, step_text
+from usdsmoke.ui.cli.text import (
+    budget_text,
+    job_text,
+    plan_text,
+    result_text,
+    show,
+    step_text,
+)
 
 if TYPE_CHECKING:
     from usdsmoke.pipeline import Request, StepResult, StylizeResult
@@ -22,17 +28,15 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         from usdsmoke.pipeline import plan_request as make_plan
 
         plan = make_plan(_request(arguments))
-        if arguments.json:
-            print_json(plan.to_dict() | {"config": plan.config.model_dump()})
-        else:
-            print(plan_text(plan))
+        show(
+            arguments,
+            lambda: plan.to_dict() | {"config": plan.config.model_dump()},
+            lambda: plan_text(plan),
+        )
         return 0
     if arguments.coarse or arguments.window is not None:
         step = _with_progress(_run_step, arguments)
-        if arguments.json:
-            print_json(_step_as_dict(step))
-        else:
-            print(step_text(step))
+        show(arguments, lambda: _step_as_dict(step), lambda: step_text(step))
         return 0
     _show_result(_with_progress(_run_whole, arguments), arguments)
     return 0
@@ -43,17 +47,13 @@ def run_submit(arguments: argparse.Namespace) -> int:
     from usdsmoke.farm.openjd import submit
 
     bundle = submit(_request(arguments), arguments.template, arguments.program)
-    if arguments.json:
-        print_json(
-            {
-                "template": str(bundle.template),
-                "files": [str(file_path) for file_path in bundle.files],
-                "parameters": dict(bundle.parameters),
-                "n_windows": bundle.n_windows,
-            }
-        )
-    else:
-        print(job_text(bundle))
+    described = {
+        "template": str(bundle.template),
+        "files": [str(file_path) for file_path in bundle.files],
+        "parameters": dict(bundle.parameters),
+        "n_windows": bundle.n_windows,
+    }
+    show(arguments, lambda: described, lambda: job_text(bundle))
     return 0
 
 
@@ -123,12 +123,10 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
 
 
 def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
-    if arguments.json:
-        print_json(result_as_dict(result))
-    else:
-        print(result_text(result))
-        if result.error_budget is not None:
-            print(f"\n{budget_text(result.error_budget, result.seconds, result.plan.omitted)}")
+    texts = [result_text(result)]
+    if result.error_budget is not None:
+        texts.append(budget_text(result.error_budget, result.seconds, result.plan.omitted))
+    show(arguments, lambda: result_as_dict(result), lambda: "\n\n".join(texts))
 
 
 def _step_as_dict(step: "StepResult") -> dict[str, Any]:

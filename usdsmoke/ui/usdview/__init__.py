@@ -2,7 +2,7 @@
 
 `container` is what usdview loads, and the only module with Qt; it needs ``pxr.Usdviewq``, which
 usd-core does not have. `actions` holds what the menu does, `volumes` and `looks` what it does it
-to, `look_text` and `command_line` the texts. docs/look.md says how to install it.
+to, `command_line` a text to copy. docs/look.md says how to install it.
 """
 
 from pathlib import Path

@@ -52,8 +52,6 @@ def run_action(name: str, label: str, api: UsdviewApi, window: Window) -> None:
         name: a key of this module's actions: inspect, provenance, validate, toggle, copy_frame or
             copy_all.
         label: how the menu calls it; titles of windows.
-        api: usdview's.
-        window: where texts and messages go.
     """
     try:
         if not api.stage:
@@ -90,8 +88,7 @@ def _inspect(api: UsdviewApi, window: Window) -> None:
 
 def _show_provenance(api: UsdviewApi, window: Window) -> None:
     """Show the records of the selected Volumes' looks, muted ones too."""
-    from usdsmoke.ui.usdview.look_text import look_text
-    from usdsmoke.ui.usdview.looks import find_looks
+    from usdsmoke.ui.usdview.looks import find_looks, look_text
     from usdsmoke.ui.usdview.volumes import selected_volumes
 
     volumes = selected_volumes(api.stage, api.selectedPrims)

@@ -1,12 +1,16 @@
-"""The looks on a stage, and switching between them and the source; in memory only."""
+"""The looks on an open stage: which there are, their records as text, and showing the next one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from pxr import Sdf, Tf, Usd
 
+from usdsmoke.audit import FoundRecord
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.ui.cli.record_text import provenance_text
 from usdsmoke.usd import captured_diagnostics, read_record, record_values, schema
 
 # A muted layer belongs to nobody and would be gone, with edits that were not saved. What FindOrOpen
@@ -73,10 +77,6 @@ def show_next(stage: Usd.Stage, volumes: Sequence[Usd.Prim]) -> str:
     session layer, with that of the asset's other root prims. Otherwise look layers are muted and
     unmuted, which concerns all the Volumes they style. No file is touched, and no layer loses
     edits.
-
-    Args:
-        stage: that of the Volumes.
-        volumes: one at least.
 
     Raises:
         StageError: there is no look to switch, it cannot be muted, or there is no session layer.
@@ -216,3 +216,62 @@ def _composed_paths(prim: Usd.Prim) -> set[Sdf.Path]:
         paths.add(node.path.StripAllVariantSelections())
         waiting += list(node.children)
     return paths
+
+
+_AUTHORSHIP = "authorship:"
+_SAID_BETTER = "inputs"  # of an authorship; the layer's record has it item by item
+
+
+def look_text(volumes: Sequence[Usd.Prim], looks: Sequence[Look]) -> str:
+    """The records of the Volumes' looks, and what the composed Volumes say of themselves.
+
+    Only the layers are read; ``usdsmoke validate`` compares the files with them.
+
+    Args:
+        volumes: composed prims.
+        looks: from ``find_looks``; those of other Volumes are left out.
+    """
+    blocks = [_volume_lines(volume) for volume in volumes]
+    blocks += [_look_lines(look) for look in looks_of(volumes, looks)]
+    return "\n\n".join("\n".join(lines) for lines in blocks)
+
+
+def _volume_lines(volume: Usd.Prim) -> list[str]:
+    run = shown_run(volume)
+    lines = [f"Volume <{volume.GetPath()}>: {f'shows run {run}' if run else 'shows its source'}"]
+    for name in (schema.EXTINCTION_PER_DENSITY, schema.EMISSION_MODE, schema.COLOR_SPACE):
+        attribute = volume.GetAttribute(name)
+        if attribute and attribute.HasAuthoredValue():
+            lines.append(f"  {name}: {_plain(attribute.Get())}")
+    for attribute in volume.GetAuthoredAttributes():
+        if attribute.GetName().startswith(_AUTHORSHIP):
+            instance, _, key = attribute.GetName().removeprefix(_AUTHORSHIP).partition(":")
+            if key != _SAID_BETTER and attribute.HasAuthoredValue():
+                lines.append(f"  {instance} {key}: {_plain(attribute.Get())}")
+    return lines
+
+
+def _look_lines(look: Look) -> list[str]:
+    """The record as ``usdsmoke provenance`` prints it, from the layer as it is in memory."""
+    place = Path(look.layer.realPath or look.layer.identifier)
+    try:
+        text = provenance_text(FoundRecord(place, place.parent, look.layer))
+    except LayerError as error:
+        text = str(error)
+    heading = f"look {look.layer.GetDisplayName()}{' (muted)' * look.muted}"
+    return [heading, *(f"  {line}" for line in text.splitlines())]
+
+
+def _plain(value: Any) -> str:
+    """A value on one line."""
+    items = _items(value)
+    if items is not None:
+        return ", ".join(map(str, items))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _items(value: Any) -> list[Any] | None:
+    """The items of a list or of one of USD's arrays; None for anything else."""
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
+        return None
+    return list(value)

@@ -2,20 +2,18 @@
 
 - `look`: writes and checks the layers
 - `records`: a Volume's result, and the names of the files
-- `field_prims`: the prims that carry the result's fields
-- `fields`: the attributes of these prims
+- `fields`: the prims that carry the result's fields
 - `extent`: the Volume's extent over time
 - `attributes`: what a Volume records of the run
-- `root`: the root stage; stage metadata
-- `asset`: the asset with a variant for each look
+- `root`: the root stage, and the asset with a variant for each look
 
 New layers are written through Sdf. The source's layers and the session layer are only read.
 """
 
-from usdsmoke.usd.look.asset import check_asset
 from usdsmoke.usd.look.attributes import result_hashes
 from usdsmoke.usd.look.look import author_look, published_runs
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
+from usdsmoke.usd.look.root import check_asset
 
 __all__ = [
     "LookFiles",

@@ -28,12 +28,6 @@ def author_attributes(
     The extinction has time samples besides its default where it changes over time. The instance
     name of the authorship is new with every run: authorships add up down the namespace, and two of
     one name in different layers hide one another.
-
-    Args:
-        volume_spec: the Volume in the look.
-        volume: the result.
-        digital_source_type: IPTC's term.
-        record: of the run.
     """
     instance = f"usdsmoke_{short_run_id(record.run)}"
     volume_spec.SetInfo(

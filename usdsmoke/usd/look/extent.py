@@ -23,12 +23,6 @@ def author_extent(
     USD interpolates extents linearly while files are held. Each sample therefore also encloses the
     box of the sample before it, so that what is shown lies inside at every moment in between. A
     Volume that is empty at every timeCode gets no extent.
-
-    Args:
-        volume_spec: the Volume in the look.
-        volume_prim: the Volume on the source.
-        density: its density's field prim.
-        volume: the result.
     """
     boxes = volume_boxes(volume_prim, density, volume)
     all_boxes = _union(list(boxes.values()))

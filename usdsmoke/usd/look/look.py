@@ -14,13 +14,17 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
 from usdsmoke.usd.layer_record import add_digests, put_record, record_values
-from usdsmoke.usd.look.asset import author_asset
 from usdsmoke.usd.look.attributes import author_attributes
 from usdsmoke.usd.look.extent import author_extent
-from usdsmoke.usd.look.field_prims import choose_field_prims, count_field_uses
-from usdsmoke.usd.look.fields import author_field, close_fields, retarget
+from usdsmoke.usd.look.fields import (
+    author_field,
+    choose_field_prims,
+    close_fields,
+    count_field_uses,
+    retarget,
+)
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
-from usdsmoke.usd.look.root import author_root, copy_stage_metadata
+from usdsmoke.usd.look.root import author_asset, author_root, copy_stage_metadata
 
 
 def author_look(
@@ -39,10 +43,8 @@ def author_look(
 
     Args:
         stage: the source, as ``open_stage`` gave it; read only.
-        source: what ``find_volumes`` made of it.
         volumes: the results, one for each Volume that was stylized.
         output_folder: an existing folder; asset paths are relative to it.
-        config: the section ``layer`` of the settings.
         record: of the run, with the hashes of the results (``result_hashes``).
         earlier: looks that the stage's files still have and that this one takes the place of.
 

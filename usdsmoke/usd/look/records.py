@@ -65,13 +65,7 @@ class LookFiles:
 
 
 def look_files(source: StageSource, output_folder: Path, config: LayerConfig) -> LookFiles:
-    """Where ``author_look`` will write, before anything is written.
-
-    Args:
-        source: only its file name counts.
-        output_folder: where the result goes.
-        config: the section ``layer`` of the settings.
-    """
+    """Where ``author_look`` will write, before anything is written."""
     stem, suffix = PurePath(source.file_path).stem, look_suffix(config.look)
     folder = Path(output_folder)
     roots = {

@@ -1,8 +1,7 @@
 """Checks of volumes that USD's own validators do not make.
 
 - `validation`: registers the rules with UsdValidation; runs all validators over a stage
-- `findings`: what a rule or a validator finds
-- `facts`: a Volume's fields over time, and the headers of their files
+- `facts`: what rules look at, and what they find
 - `field_rules`: FieldTargetInvalid, FieldKindUnsupported, FieldFileMissing, GridMissing,
   GridUnsupported, FieldTypeMismatch, FieldClassMismatch, FieldTokenUnknown, FrameGap, AbsolutePath
 - `volume_rules`: VolumeExtentMissing, MixedFilesPerVolume, FieldNameMismatch,
@@ -17,7 +16,7 @@ instead, so that validating and stylizing give one reason:
 - RequestInvalid: `usd.volume_requests`
 """
 
-from usdsmoke.usd.rules.findings import Finding, Severity
+from usdsmoke.usd.rules.facts import Finding, Severity
 from usdsmoke.usd.rules.validation import PREFIX, register_validators, validate
 
 __all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate"]

@@ -9,18 +9,19 @@ from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError, UnsupportedGrid
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.usd.field_samples import FieldSamples, usd_time
-from usdsmoke.usd.relationships import field_targets, target_prim
+from usdsmoke.usd.field_samples import FieldSamples, field_targets, target_prim, usd_time
 from usdsmoke.usd.rules.facts import (
     DENSITY,
     FieldFacts,
+    Problem,
+    Severity,
     collect_fields,
     file_trouble,
+    grouped,
     header_of,
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.header import GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid

@@ -10,8 +10,7 @@ from pxr import Gf, Sdf, Usd
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.layer_record import read_record, record_values
-from usdsmoke.usd.rules.facts import collect_fields, header_of
-from usdsmoke.usd.rules.findings import Problem, Severity, grouped
+from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped, header_of
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own

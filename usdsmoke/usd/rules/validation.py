@@ -15,7 +15,7 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
-from usdsmoke.usd.rules.findings import Finding, Problem, Severity
+from usdsmoke.usd.rules.facts import Finding, Problem, Severity
 from usdsmoke.usd.schema import late_note, register_schema
 
 if TYPE_CHECKING:

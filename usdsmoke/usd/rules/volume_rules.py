@@ -9,12 +9,14 @@ from pxr import Gf, Usd, UsdVol
 from usdsmoke.usd.field_samples import FieldSample
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
+    Problem,
+    Severity,
     collect_fields,
     field_to_stage,
+    grouped,
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.rules.findings import Problem, Severity, grouped
 from usdsmoke.usd.schema import STYLE_API
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 

@@ -35,8 +35,6 @@ def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSou
     """A Camera's composed values at a timeCode; what is not authored is the schema's.
 
     Args:
-        stage: from ``open_stage``.
-        prim_path: of a prim of type Camera.
         time_code: values between time samples are interpolated as USD does it.
 
     Raises:
@@ -68,8 +66,6 @@ def seen_through(
     """The same Volumes, with a camera at every selected timeCode.
 
     Args:
-        stage: from ``open_stage``.
-        source: from ``find_volumes``.
         prim_paths: of a prim of type Camera, for all Volumes or one for each; "" is none.
 
     Raises:

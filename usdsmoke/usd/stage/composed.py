@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FieldSource, StageSource
-from usdsmoke.usd.relationships import field_targets
+from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
 from usdsmoke.usd.stage.fields import check_assets, field_source
 from usdsmoke.usd.values import value_at
@@ -35,8 +35,6 @@ def composed_volumes(
     time samples and outside them, as a renderer would.
 
     Args:
-        stage: from ``open_stage``.
-        source: which Volumes, and what their density is called.
         time_code: any.
         emission: relationship name of the emission.
 

@@ -11,11 +11,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VELOCITY_NAMES, FieldSource
-from usdsmoke.usd.asset_paths import vdb_problem
-from usdsmoke.usd.field_samples import FieldSamples
-from usdsmoke.usd.relationships import FIELD_PREFIX, field_targets, target_prim
+from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets, target_prim
 from usdsmoke.usd.request_values import MASK
-from usdsmoke.usd.values import value_at
+from usdsmoke.usd.values import value_at, vdb_problem
 
 _AXES = "xyz"
 
@@ -56,8 +54,6 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
     to be there; a mask without a relationship may still be a grid of the density's file.
 
     Args:
-        volume: a composed Volume prim.
-        density: relationship name of the density.
         velocity: relationship name of the velocity; empty means the usual names.
         mask: relationship name of the mask; empty means none. The request's own relationship,
             ``usdSmoke:request:mask``, may be named too.
@@ -166,7 +162,6 @@ def field_source(
 
     Args:
         relationship: the Volume's name for the field, without ``field:``.
-        prim: an OpenVDBAsset.
         time_code: any; time samples are held.
         xforms: a cache at ``time_code``.
     """

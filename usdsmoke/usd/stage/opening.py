@@ -16,9 +16,6 @@ StageOrFile: TypeAlias = str | os.PathLike[str] | Usd.Stage
 def open_stage(stage: StageOrFile) -> Usd.Stage:
     """The composed stage of a .usda, .usdc, .usd or .usdz file, all payloads loaded.
 
-    Args:
-        stage: a file; an open stage is returned as it is.
-
     Raises:
         StageError: the file is missing, of no USD format, or cannot be parsed.
     """
@@ -67,11 +64,8 @@ def named_prim(
     """The active prim at a path, of whatever type.
 
     Args:
-        stage: composed.
-        path: as it was given.
         example: a path of the right form.
         advice: the last sentence of every message: what to choose from.
-        error: what to raise.
 
     Raises:
         UsdSmokeError: of the kind ``error``: no path of a prim, no such prim, or an inactive one.

@@ -14,8 +14,8 @@ from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd import schema
 from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.layer_record import record_values
-from usdsmoke.usd.relationships import field_targets
 from usdsmoke.usd.stage.opening import StageOrFile, open_stage
 from usdsmoke.vdb.header import read_header
 
@@ -34,7 +34,6 @@ def open_source(
     ``original`` is selected, then look layers are muted, wherever in the stage they come in.
 
     Args:
-        file_path: of a stage.
         restylize: take it as it is.
 
     Raises:
@@ -137,10 +136,6 @@ def check_originals(stage: Usd.Stage, source: StageSource) -> None:
 
     That is so when a stage was flattened or its files were collected by hand. Of a Volume that is
     not marked as stylized only the first file is looked at.
-
-    Args:
-        stage: without the looks that can be left out, see ``open_source``.
-        source: what ``find_volumes`` made of it.
 
     Raises:
         StageError: a density's file is a result of usdsmoke.

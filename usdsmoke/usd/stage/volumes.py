@@ -61,9 +61,6 @@ def find_volumes(
     startTimeCode, and is taken whatever timeCodes are asked for.
 
     Args:
-        stage: from ``open_stage``.
-        config: the section ``stage`` of the settings.
-        with_requests: whether to read what Volumes request.
         with_styles: whether to look for the images that they request; not where others are given.
 
     Raises:

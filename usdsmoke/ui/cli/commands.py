@@ -1,0 +1,171 @@
+"""The commands that stylize nothing: inspect, validate, plugin-path, settings, preview, report."""
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from usdsmoke.base.resolve import settings_yaml
+from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.text import inspection_text, show, validation_text
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+    from usdsmoke.pictures.preview import PreviewResult
+    from usdsmoke.work_precision import ReportResult
+
+
+def run_inspect(arguments: argparse.Namespace) -> int:
+    """``usdsmoke inspect``; the exit code, 1 where there are problems."""
+    from usdsmoke.usd.inspect import inspect
+
+    settings = given_settings(arguments)
+    prims, frames = arguments.prim, arguments.frames or ""
+    found = inspect(arguments.stage, prims, frames, arguments.style, settings)
+    show(arguments, lambda: found, lambda: inspection_text(found))
+    return 1 if found["problems"] else 0
+
+
+def run_validate(arguments: argparse.Namespace) -> int:
+    """``usdsmoke validate``; the exit code, 1 where there are errors."""
+    from usdsmoke.usd.rules import Severity, validate
+
+    findings = validate(arguments.stage)
+    n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
+    show(
+        arguments,
+        lambda: {"errors": n_errors, "findings": [asdict(finding) for finding in findings]},
+        lambda: validation_text(arguments.stage, findings),
+    )
+    return 1 if n_errors else 0
+
+
+def run_plugin_path(arguments: argparse.Namespace) -> int:
+    """``usdsmoke plugin-path``, as PXR_PLUGINPATH_NAME takes it; the exit code."""
+    from usdsmoke.ui import usdview
+    from usdsmoke.usd import schema
+
+    folders = {"schema": str(schema.PLUGIN_FOLDER), "usdview": str(usdview.PLUGIN_FOLDER)}
+    show(arguments, lambda: folders, lambda: os.pathsep.join(folders.values()))
+    return 0
+
+
+def run_settings(arguments: argparse.Namespace) -> int:
+    """``usdsmoke settings``; the exit code."""
+    config = Config()
+    show(arguments, config.model_dump, lambda: settings_yaml(config).removesuffix("\n"))
+    return 0
+
+
+def run_preview(arguments: argparse.Namespace) -> int:
+    """``usdsmoke preview``; the exit code."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from usdsmoke.pictures.preview import preview
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("drawing", total=None)
+        result = preview(
+            arguments.stage,
+            arguments.output,
+            camera=arguments.camera,
+            frames=arguments.frames or "",
+            compare=arguments.compare,
+            prims=arguments.prim,
+            width=arguments.width,
+            size=arguments.size,
+            background=arguments.background,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    for note in result.notes:
+        print(f"note: {note}", file=sys.stderr)
+    show(arguments, lambda: _preview_dict(result), lambda: _preview_text(result))
+    return 0
+
+
+def _preview_text(result: "PreviewResult") -> str:
+    seen = f"camera <{result.camera}>" if result.camera else "the front view"
+    lines = [str(file_path) for file_path in result.files]
+    lines.append(
+        f"  timeCodes {format_time_codes(result.time_codes)} through {seen}, "
+        f"{result.width} x {result.height} pixels each"
+    )
+    for path, extinction in result.extinctions.items():
+        lines.append(f"  <{path}>: extinction {extinction:.4g} per density and stage unit")
+    return "\n".join(lines)
+
+
+def _preview_dict(result: "PreviewResult") -> dict[str, Any]:
+    return {
+        "files": [str(file_path) for file_path in result.files],
+        "time_codes": list(result.time_codes),
+        "width": result.width,
+        "height": result.height,
+        "camera": result.camera,
+        "extinction_per_density": result.extinctions,
+        "notes": list(result.notes),
+    }
+
+
+_LINE_EVERY = 10.0  # seconds between two lines of a log
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """``usdsmoke report``; the exit code."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from usdsmoke.work_precision import make_report, report_as_dict
+
+    settings = given_settings(arguments)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        result = make_report(
+            arguments.stage,
+            arguments.style,
+            arguments.output,
+            settings,
+            arguments.budget,
+            _Teller(console, bar),
+        )
+    files = [str(file_path) for file_path in result.files]
+    show(
+        arguments,
+        lambda: {"page": str(result.page), "files": files, **report_as_dict(result.report)},
+        lambda: _report_text(result),
+    )
+    return 0
+
+
+class _Teller:
+    """A bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, console: "Console", bar: "Progress") -> None:
+        self._console, self._bar = console, bar
+        self._task: TaskID = bar.add_task("reading", total=1.0)
+        self._last = -_LINE_EVERY
+
+    def __call__(self, sweep: str, point: str, share: float) -> None:
+        text = f"{sweep}: {point}"
+        self._bar.update(self._task, description=text, completed=share)
+        now = time.monotonic()
+        if not self._console.is_terminal and now - self._last >= _LINE_EVERY:
+            self._last = now
+            self._console.print(f"{share:4.0%} {text}", markup=False, highlight=False)
+
+
+def _report_text(result: "ReportResult") -> str:
+    lines = [str(result.page)]
+    for sweep in result.report.sweeps:
+        lines.append(f"  {sweep.title}: {sweep.verdict}")
+    for item in result.report.omissions:
+        lines.append(f"  left out: {item.what}: {item.reason}")
+    return "\n".join(lines)
