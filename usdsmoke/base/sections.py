@@ -23,6 +23,9 @@ class StageConfig(Section):
     prims: list[str] = setting([], "Volume prim paths; empty: every Volume", distinct=True)
     frames: str = setting(
         "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
+    allow_missing: bool = setting(
+        False, "leave out timeCodes that frames names but that do not exist, and those whose file "
+        "is missing")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")

@@ -1,6 +1,7 @@
 """Selections of timeCodes: "1-24x2,30" into ranges, ranges into those that exist, and back."""
 
 import re
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -10,6 +11,7 @@ from usdsmoke.base.errors import ConfigError
 _Item = TypeVar("_Item")
 
 _TOLERANCE = 1e-6  # layer offsets with a scale leave rounding in timeCodes
+_MOST_STEPS = 100_000  # beyond that only the ends of a range are looked for
 _NUMBER = r"-?\d+(?:\.\d+)?"
 _PART = re.compile(rf"({_NUMBER})(?:\s*-\s*({_NUMBER})(?:\s*x\s*({_NUMBER}))?)?")
 
@@ -22,10 +24,12 @@ class FrameRange:
     last: float
     step: float | None = None  # None takes every timeCode in between, fractional ones too
 
-    @property
-    def is_single(self) -> bool:
-        """True for a single timeCode, which has to exist."""
-        return self.first == self.last
+    def requested(self) -> tuple[float, ...]:
+        """The timeCodes that have to exist: both ends, and all in between if there is a step."""
+        steps = 0 if self.step is None else (self.last - self.first + _TOLERANCE) / self.step
+        if self.step is None or steps > _MOST_STEPS:
+            return self.first, self.last
+        return tuple(self.first + n * self.step for n in range(int(steps) + 1))
 
     def holds(self, time_code: float) -> bool:
         """Whether ``time_code`` belongs to this range."""
@@ -57,25 +61,30 @@ def parse_frames(text: str) -> tuple[FrameRange, ...]:
 def select_frames(
     ranges: Sequence[FrameRange], time_codes: Iterable[float]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Which of the existing timeCodes are selected, and which single ones do not exist.
+    """Which of the existing timeCodes are selected, and which requested ones do not exist.
+
+    A range requests its ends. With a step it requests every timeCode of the step. Without a step,
+    it does not say which timeCodes lie in between.
 
     Args:
         ranges: from ``parse_frames``; none selects everything.
         time_codes: those that exist, in any order.
 
     Returns:
-        The selected timeCodes, ascending, and the single timeCodes that do not exist.
+        The selected timeCodes and the missing ones, both ascending.
     """
     existing = sorted(time_codes)
     if not ranges:
         return tuple(existing), ()
     selected = tuple(code for code in existing if any(part.holds(code) for part in ranges))
-    missing = tuple(
-        part.first
-        for part in ranges
-        if part.is_single and not any(part.holds(code) for code in existing)
-    )
+    requested = {code for part in ranges for code in part.requested()}
+    missing = tuple(sorted(code for code in requested if not _is_among(code, existing)))
     return selected, missing
+
+
+def _is_among(code: float, existing: Sequence[float]) -> bool:
+    place = bisect_left(existing, code - _TOLERANCE)
+    return place < len(existing) and existing[place] <= code + _TOLERANCE
 
 
 def format_time_code(time_code: float) -> str:

@@ -106,6 +106,7 @@ class StageSource:
     default_prim: str  # "" when there is none
     volumes: tuple[VolumeSource, ...] = ()
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
+    missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
 
     @property
     def grid_files(self) -> list[str]:

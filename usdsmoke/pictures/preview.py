@@ -28,6 +28,7 @@ from usdsmoke.pictures.preview_smoke import Smoke, find_smoke
 from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
+    from pxr import Usd
     from typing_extensions import Unpack
 
     from usdsmoke.core.views.cameras import View
@@ -73,6 +74,7 @@ def preview(
             - camera: prim path of a Camera; empty takes a front view that just holds the smoke of
               all frames.
             - frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last.
+            - allow_missing: leave out requested timeCodes that do not exist.
             - compare: draw the stage without its looks as well.
             - prims: Volume prim paths; None means all.
             - width: pixels; the height follows from the camera's film or the smoke.
@@ -119,11 +121,15 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
 
 def _open(request: PreviewRequest) -> dict[str, Smoke]:
     """By label, in the order of drawing."""
-    look = find_smoke(open_stage(request.stage), request.prims or (), request.frames)
+    look = _find(request, open_stage(request.stage))
     if not request.compare:
         return {_LOOK: look}
-    original = find_smoke(open_original(request.stage), request.prims or (), request.frames)
+    original = _find(request, open_original(request.stage))
     return {_ORIGINAL: original, _LOOK: look}
+
+
+def _find(request: PreviewRequest, stage: "Usd.Stage") -> Smoke:
+    return find_smoke(stage, request.prims or (), request.frames, request.allow_missing)
 
 
 def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]) -> _Views:

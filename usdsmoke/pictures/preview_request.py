@@ -24,6 +24,7 @@ class PreviewOptions(TypedDict, total=False):
 
     camera: str
     frames: str
+    allow_missing: bool
     compare: bool
     prims: Sequence[str] | None
     width: int | None
@@ -44,6 +45,7 @@ class PreviewRequest:
     output: Path  # .png or .exr
     camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
     frames: str = ""  # timeCodes such as 1-24; "" takes the first, the middle and the last
+    allow_missing: bool = False  # leave out requested timeCodes that do not exist
     compare: bool = False  # draw the stage without its looks as well
     prims: Sequence[str] | None = None  # Volume prim paths; None means all
     width: int | None = None  # pixels; the height follows from the camera's film or the smoke

@@ -225,19 +225,22 @@ class Smoke:
         return low, low + np.array(density.values.shape) - 1, matrix
 
 
-def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
+def find_smoke(
+    stage: Usd.Stage, prims: Iterable[str], frames: str, allow_missing: bool = False
+) -> Smoke:
     """The Volumes of a stage at the requested timeCodes.
 
     Args:
         stage: from ``open_stage``.
         prims: Volume prim paths; none means all.
         frames: a selection such as ``1-24``; empty means all there are.
+        allow_missing: leave out requested timeCodes that do not exist.
 
     Raises:
         StageError: no Volume, an unknown one, a timeCode or file that is not there; or a look
             layer without its source.
     """
-    everything = StageConfig(prims=list(prims))
+    everything = StageConfig(prims=list(prims), allow_missing=allow_missing)
     selected = _find(stage, everything.replace(frames=frames))
     try:
         whole = _find(stage, everything) if frames else selected
@@ -246,6 +249,7 @@ def find_smoke(stage: Usd.Stage, prims: Iterable[str], frames: str) -> Smoke:
     smoke = Smoke(stage, selected, whole)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
+    smoke.notes |= {f"left out: {sentence}": None for sentence in selected.missing}
     return smoke
 
 

@@ -55,6 +55,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
 def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple[Omission, ...]:
     """What is left out, and why. Sentences name the Volumes if settings differ."""
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
+    omitted += [Omission("requested frames", sentence) for sentence in source.missing]
     groups = _by_config(volumes) or [(config, [])]
     for own, members in groups:
         where = _where(members, " of ") if len(groups) > 1 else ""

@@ -68,7 +68,8 @@ def _notes(source: StageSource) -> list[str]:
         for volume in source.volumes
         if volume.request.ignored
     ]
-    return [*filter(None, [late_note()]), *ignored]
+    missing = [f"left out: {sentence}." for sentence in source.missing]
+    return [*filter(None, [late_note()]), *missing, *ignored]
 
 
 def _describe_stage(source: StageSource) -> dict[str, Any]:

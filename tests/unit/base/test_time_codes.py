@@ -20,11 +20,11 @@ from usdsmoke.base.time_codes import (
         ("", [3, 1, 2], (1, 2, 3)),
         ("1-24", [0, 1, 7.5, 24, 25], (1, 7.5, 24)),
         ("1,5,9", [1, 2, 5, 9], (1, 5, 9)),
-        ("1-24x2", [1, 2, 3, 4, 4.5, 5], (1, 3, 5)),
+        ("1-6x2", [1, 2, 3, 4, 4.5, 5], (1, 3, 5)),
         ("-3-5", [-4, -3, 0, 5, 6], (-3, 0, 5)),
         ("-5--3", [-6, -5, -4, -3, -2], (-5, -4, -3)),
         ("1.5", [1, 1.5, 2], (1.5,)),
-        ("0-1x0.25", [0.0, 0.1, 0.25, 0.5, 1.0], (0.0, 0.25, 0.5, 1.0)),
+        ("0-1x0.25", [0.0, 0.1, 0.25, 0.5, 0.75, 1.0], (0.0, 0.25, 0.5, 0.75, 1.0)),
         (" 1 - 3 , 8 ", [1, 3, 8], (1, 3, 8)),
         ("1-3,2-4", [1, 2, 3, 4], (1, 2, 3, 4)),
     ],
@@ -33,8 +33,18 @@ def test_a_selection_takes_the_existing_time_codes_it_names(text, existing, sele
     assert select_frames(parse_frames(text), existing) == (selected, ())
 
 
-def test_a_range_passes_over_what_does_not_exist_but_a_single_one_is_reported():
-    assert select_frames(parse_frames("1-9,30,31-31"), [2, 4]) == ((2, 4), (30.0, 31.0))
+@pytest.mark.parametrize(
+    ("text", "missing"),
+    [
+        ("1-9,30,31-31", (1, 9, 30, 31)),  # without a step, a range requests its ends
+        ("2-4", ()),
+        ("2-4x1", (3,)),
+        ("2-8x2", (6, 8)),
+        ("0-1000000000x0.001", (0, 1e9)),  # too many steps to look for each
+    ],
+)
+def test_requested_time_codes_that_do_not_exist_are_reported(text, missing):
+    assert select_frames(parse_frames(text), [2, 4])[1] == missing
 
 
 def test_rounding_of_a_layer_offset_does_not_lose_a_time_code():

@@ -72,7 +72,7 @@ def test_reading_leaves_every_file_as_it_was(tmp_path):
 
 def test_a_default_alone_is_one_frame_at_the_start_of_the_stage(tmp_path):
     write_sequence(tmp_path, [1])
-    volume = read_one(tmp_path, volume_prim(density_prim(DEFAULT)), frames="100-200")
+    volume = read_one(tmp_path, volume_prim(density_prim(DEFAULT)))
     assert not volume.animated
     assert codes_of(volume) == [1.0]
     without_range = HEADER.replace("    startTimeCode = 1\n", "").replace(" endTimeCode = 4", "")
@@ -130,12 +130,23 @@ def test_a_gap_in_another_field_is_a_gap_in_every_version_of_usd(tmp_path, monke
 
 @pytest.mark.parametrize(
     ("frames", "expected"),
-    [("", [1, 2, 3, 4]), ("2-9", [2, 3, 4]), ("1-4x2", [1, 3]), ("4,1", [1, 4])],
+    [("", [1, 2, 3, 4]), ("2-4", [2, 3, 4]), ("1-4x2", [1, 3]), ("4,1", [1, 4])],
 )
 def test_frames_select_among_the_existing_time_codes(tmp_path, frames, expected):
     source = find_volumes(open_stage(plume_stage(tmp_path)), StageConfig(frames=frames))
     assert codes_of(source.volumes[0]) == expected
     assert source.volumes[0].time_codes == (1.0, 2.0, 3.0, 4.0)
+
+
+def test_missing_time_codes_are_left_out_by_name_where_that_is_allowed(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    (tmp_path / "cache/smoke.0003.vdb").unlink()
+    config = StageConfig(frames="2-9", allow_missing=True)
+    source = find_volumes(open_stage(stage_file), config)
+    assert codes_of(source.volumes[0]) == [2, 4]
+    assert len(source.missing) == 2
+    assert "timeCode 9 (</World/smoke> has 1-4)" in source.missing[0]
+    assert "</World/smoke> has no file at timeCode 3" in source.missing[1]
 
 
 def test_files_outside_the_selection_may_be_missing(tmp_path):
@@ -277,9 +288,9 @@ def test_volumes_without_a_selected_time_code_are_left_out_with_a_reason(tmp_pat
         density_prim(sequence([3, 4])), name="late"
     )
     stage = open_stage(write_text(tmp_path / "shot.usda", world(body)))
-    source = find_volumes(stage, StageConfig(frames="3-9"))
+    source = find_volumes(stage, StageConfig(frames="3-4"))
     assert [item.prim_path for item in source.volumes] == ["/World/late"]
-    assert source.omitted == {"/World/early": "none of its timeCodes 1,2 is in '3-9'"}
+    assert source.omitted == {"/World/early": "none of its timeCodes 1,2 is in '3-4'"}
     assert len(find_volumes(stage, StageConfig(frames="2,3")).volumes) == 2
 
 

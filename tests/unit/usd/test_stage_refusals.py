@@ -183,6 +183,7 @@ def test_a_missing_velocity_file_is_refused_too(tmp_path):
         ("9", r"no density is authored at timeCode 9 .*</World/smoke> has 1-4"),
         ("0", "at timeCode 0 .*</World/smoke> has 1-4"),
         ("1,2.5", r"at timeCode 2\.5"),
+        ("2-9", r"at timeCode 9 .*--allow-missing"),  # a farm would deliver a short shot
         ("10-20", "at any timeCode in '10-20' .*</World/smoke> has 1-4"),
     ],
 )
@@ -198,6 +199,12 @@ def test_a_single_frame_inside_a_gap_is_refused(tmp_path):
     refuse(tmp_path, body, StageError, "at timeCode 2 .*</World/smoke> has 1,3", frames="2")
 
 
+def test_frames_of_a_still_volume_are_refused(tmp_path):
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim("asset filePath = @./cache/smoke.0001.vdb@"))
+    refuse(tmp_path, body, StageError, "has 1 and is not animated", frames="5")
+
+
 def test_a_named_volume_without_selected_frames_is_refused(tmp_path):
     write_sequence(tmp_path, [1, 2, 3])
     body = volume_prim(density_prim(sequence([1, 2])), name="early") + volume_prim(
@@ -206,6 +213,17 @@ def test_a_named_volume_without_selected_frames_is_refused(tmp_path):
     reason = r"</World/early>.* timeCodes 1,2, none .* '3'"
     names = ["/World/early", "/World/late"]
     refuse(tmp_path, body, StageError, reason, frames="3", prims=names)
+
+
+@pytest.mark.parametrize("frames", ["9", "7-9"])
+def test_no_frame_at_all_is_refused_even_where_frames_may_be_missing(tmp_path, frames):
+    config = StageConfig(frames=frames, allow_missing=True)
+    with pytest.raises(StageError, match="</World/smoke> has 1-4"):
+        find_volumes(open_stage(plume_stage(tmp_path)), config)
+    for file_path in (tmp_path / "cache").iterdir():
+        file_path.unlink()
+    with pytest.raises(StageError, match=r"no file at timeCode 1-4.*Choose other frames"):
+        find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig(allow_missing=True))
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

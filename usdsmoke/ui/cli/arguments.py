@@ -16,6 +16,7 @@ from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
 _OPTIONS = {  # that stand for a setting
     "--prim": "stage.prims",
     "--frames": "stage.frames",
+    "--allow-missing": "stage.allow_missing",
     "--restylize": "stage.restylize",
     "--half": "grids.half",
     "--repair": "grids.repair_nan",
@@ -118,6 +119,7 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         help="a Volume prim; may be repeated (default: all)",
     )
     _add_option(parser, "--frames", metavar="1-24")
+    _add_flag(parser, "--allow-missing")
 
 
 def _add_layer(parser: argparse.ArgumentParser) -> None:

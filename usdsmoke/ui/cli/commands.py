@@ -78,6 +78,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
             arguments.output,
             camera=arguments.camera,
             frames=arguments.frames or "",
+            allow_missing=bool(arguments.allow_missing),
             compare=arguments.compare,
             prims=arguments.prim,
             width=arguments.width,

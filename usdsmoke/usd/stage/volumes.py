@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdVol
 
@@ -58,7 +59,7 @@ def find_volumes(
 
     A Volume's timeCodes are those at which its density's file or grid changes; other fields are
     held in between, as USD holds them. What is not animated has one frame, at the stage's
-    startTimeCode, and is taken whatever timeCodes are asked for.
+    startTimeCode; beside an animated Volume it is taken whatever timeCodes are asked for.
 
     Args:
         with_styles: whether to look for the images that they request; not where others are given.
@@ -69,15 +70,19 @@ def find_volumes(
         FieldNotFound: the density's relationship or its field prim is missing, or the mask's
             relationship leads to no field prim.
         AssetNotResolved: a selected file cannot be read from disk, or the mask has none.
-        StageError: a Volume is an instance proxy, or a timeCode is asked for that does not exist.
+        StageError: a Volume is an instance proxy, or a timeCode is asked for that does not exist
+            and ``allow_missing`` is off.
     """
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
     outlines = [_outline_volume(*pair) for pair in zip(prims, own, strict=True)]
-    selections = _select_time_codes(outlines, ranges, config.frames)
+    selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
+        if config.allow_missing:
+            selected, absent = _split_by_file(outline, selected)
+            missing += absent
         if selected:
             volumes.append(_read_volume(outline, selected, with_requests, with_styles))
             continue
@@ -90,11 +95,16 @@ def find_volumes(
         omitted[str(outline.prim.GetPath())] = (
             f"none of its timeCodes {codes} is in {config.frames!r}"
         )
-    return _describe_stage(stage, tuple(volumes), omitted)
+    if not volumes:
+        raise StageError(f"nothing is left to do: {'; '.join(missing)}. Choose other frames.")
+    return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
 
 
 def _describe_stage(
-    stage: Usd.Stage, volumes: tuple[VolumeSource, ...], omitted: dict[str, str]
+    stage: Usd.Stage,
+    volumes: tuple[VolumeSource, ...],
+    omitted: dict[str, str],
+    missing: tuple[str, ...],
 ) -> StageSource:
     root = stage.GetRootLayer()
     return StageSource(
@@ -108,6 +118,7 @@ def _describe_stage(
         default_prim=root.defaultPrim,
         volumes=volumes,
         omitted=omitted,
+        missing=missing,
     )
 
 
@@ -188,30 +199,48 @@ def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
 
 
 def _select_time_codes(
-    outlines: Sequence[_Outline], ranges: Sequence[FrameRange], text: str
-) -> list[tuple[float, ...]]:
-    """The selected timeCodes of each Volume; a single one must exist on one Volume at least."""
-    if not all(outline.animated for outline in outlines):
-        everywhere_missing: set[float] = set()
-    else:
-        in_vain = [set(select_frames(ranges, outline.existing)[1]) for outline in outlines]
-        everywhere_missing = set.intersection(*in_vain)
+    outlines: Sequence[_Outline], ranges: Sequence[FrameRange], config: StageConfig
+) -> tuple[list[tuple[float, ...]], list[str]]:
+    """The selected timeCodes of each Volume, and a sentence if requested ones are left out.
+
+    A requested timeCode must exist on one Volume at least.
+    """
+    found = [select_frames(ranges, outline.existing) for outline in outlines]
+    animated = [pair for pair, outline in zip(found, outlines, strict=True) if outline.animated]
+    missing = set.intersection(*(set(codes) for _, codes in animated or found))
     selections = [
-        select_frames(ranges, outline.existing)[0] if outline.animated else outline.existing
-        for outline in outlines
+        selected if outline.animated else outline.existing
+        for (selected, _), outline in zip(found, outlines, strict=True)
     ]
-    if not everywhere_missing and any(selections):
-        return selections
-    missing = (
-        f"timeCode {', '.join(format_time_code(code) for code in sorted(everywhere_missing))}"
-        if everywhere_missing
-        else f"any timeCode in {text!r}"
-    )
+    any_selected = any(selected for selected, _ in animated or found)
+    if any_selected and not missing:
+        return selections, []
     there = "; ".join(
         f"<{outline.prim.GetPath()}> has {format_time_codes(outline.existing)}"
+        + ("" if outline.animated else " and is not animated")
         for outline in outlines
     )
-    raise StageError(f"no density is authored at {missing} ({there}). Choose frames among these.")
+    nothing = len(missing) > 1 and not any_selected
+    which = (
+        f"any timeCode in {config.frames!r}"
+        if nothing
+        else f"timeCode {format_time_codes(missing)}"
+    )
+    sentence = f"no density is authored at {which} ({there})"
+    if any_selected and config.allow_missing:
+        return selections, [sentence]
+    otherwise = ", or pass --allow-missing" if any_selected else ""
+    raise StageError(f"{sentence}. Choose frames among these{otherwise}.")
+
+
+def _split_by_file(
+    outline: _Outline, selected: Sequence[float]
+) -> tuple[tuple[float, ...], list[str]]:
+    """The timeCodes whose density file exists, and a sentence about the others."""
+    samples = FieldSamples(outline.fields.prims[outline.fields.density])
+    absent = [code for code in selected if not Path(samples.at(code).file_path or "/").is_file()]
+    sentence = f"<{outline.prim.GetPath()}> has no file at timeCode {format_time_codes(absent)}"
+    return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
 
 def _read_volume(
