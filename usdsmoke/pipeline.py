@@ -1,6 +1,7 @@
 """The steps of a run in order: a stage is planned, stylized window by window, and assembled."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,8 +114,9 @@ def stylize(
     # Plan: the stage and the headers of VDB files; refusals come with numbers.
     with clock.part("preparing"):
         job = _prepare(request, planned)
-    # The run: begun, continued, repeated in part, or refused.
-    with open_run(job) as opened:
+    with ExitStack() as stack:
+        # The run: begun, continued, repeated in part, or refused.
+        opened = clock.timed("preparing", stack.enter_context, open_run(job))  # loads torch
         to_do = opened.unfinished
         opened.check_disk(to_do, whole=True)
         # Damage and NaN show before an hour of work.

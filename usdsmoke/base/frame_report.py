@@ -6,7 +6,7 @@ the reports of its frames (``runs.budget``).
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from usdsmoke.base.json_records import from_json, to_json
@@ -109,6 +109,13 @@ class FrameReport:
     errors: FrameErrors = field(default_factory=FrameErrors)
     temporal: TemporalErrors | None = None  # None without a frame before it in the window
     overlap: OverlapReport | None = None  # None for a frame of one window
+    # Between the steps: the density is moved, and results are averaged and compared with those of
+    # neighbouring frames. Without the estimate of the error.
+    transport_seconds: float = 0.0
+
+    def with_transport_time(self, seconds: float) -> "FrameReport":
+        """The report with more seconds of transport."""
+        return replace(self, transport_seconds=self.transport_seconds + seconds)
 
     @property
     def steps(self) -> Mapping[str, StepReport]:

@@ -273,6 +273,48 @@ def test_pixels_larger_than_voxels_show_their_mean() -> None:
     assert one.alpha.max() <= 1.0 and (picture.alpha <= -np.expm1(-picture.depth) + 1e-6).all()
 
 
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (90.0, 0.0), (180.0, 0.0), (0.0, 90.0)])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_rays_along_an_axis_show_what_rays_beside_it_show(
+    angles: tuple[float, float], mirrored: bool
+) -> None:
+    density, light = (12.0 * values for values in lumps())
+    matrix = placed(density.shape)
+    if mirrored:
+        matrix = np.diag([-1.0, -1.0, -1.0, 1.0]) @ matrix
+        matrix[3, :3] *= -1
+    for media in (media_of(density, light, matrix), media_of(density, None, matrix)):
+        pictures = [
+            march(media, orbit_view(a, angles[1], "Y", np.zeros(3), 20, 20, 0.05))
+            for a in (angles[0], angles[0] + 1e-5)
+        ]
+        assert pictures[0].alpha.max() > 0.9
+        for name in ("depth", "emission", "grey", "alpha"):
+            along, beside = (getattr(picture, name) for picture in pictures)
+            assert np.abs(along - beside).max() <= 1e-5 * max(beside.max(), 1e-9)
+
+
+def test_clipping_cuts_rays_along_an_axis() -> None:
+    density, light = lumps()
+    media = media_of(density, light, placed(density.shape), 3.0)
+    whole = march(media, front())
+    assert np.allclose(march(media, front(), (-1e3, 1e3)).rgba, whole.rgba, rtol=0, atol=1e-6)
+    halves = [march(media, front(), clip).depth for clip in ((-9.0, 0.07), (0.07, 9.0))]
+    assert min(half.max() for half in halves) > 0.05 and np.allclose(sum(halves), whole.depth)
+
+
+def test_light_behind_much_smoke_is_hidden_and_its_depth_counts() -> None:
+    density = np.full(BOX, 1.0)
+    light = np.ones((*BOX, 3))
+    light[..., 0] = np.linspace(0, 1, BOX[2])  # nearer voxels have more of it
+    media = media_of(density, light, placed(BOX), 1e3)
+    for view in (front(), orbit_view(1e-5, 0.0, "Y", np.zeros(3), 6, 8, 0.05)):
+        picture = march(media, view)
+        assert np.allclose(picture.depth, 1e3 * 0.1 * BOX[2], rtol=1e-6)
+        assert np.allclose(picture.emission[..., 1], 1e-3, rtol=1e-6)
+        assert np.allclose(picture.emission[..., 0], 1e-3, rtol=1e-2)
+
+
 def test_nothing_gives_an_empty_picture_and_negative_density_counts_as_none() -> None:
     assert (march([], front()).rgba == 0).all()
     empty = field(np.zeros((0, 0, 0)), np.eye(4))

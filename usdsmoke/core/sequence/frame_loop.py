@@ -151,15 +151,17 @@ def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | No
     share = context.config.shape.smoothing
     if frame.unclamped is None or later is None or later.unclamped is None or not share:
         return frame
-    seconds = context.seconds(frame, later)
+    started, seconds = time.perf_counter(), context.seconds(frame, later)
     averaged = average_displacement(frame.unclamped, later.unclamped, frame.frame, seconds, share)
-    return replace(frame, unclamped=averaged)
+    report = frame.report.with_transport_time(time.perf_counter() - started)
+    return replace(frame, unclamped=averaged, report=report)
 
 
 def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
     """The frame with its displacement clamped and its density moved by that."""
     if frame.unclamped is None:
         return advance(frame, MovedFrame)
+    started = time.perf_counter()
     give_back_memory()
     lattice, source, config = frame.unclamped.lattice, frame.source, frame.config
     limit = max_displacement(source, config.shape.reach)
@@ -177,6 +179,8 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
     if frame.visibility is not None:
         smoke = frame.visibility.visible(smoke)
     report = replace(frame.report, transport=replace(transport, cap=limit))
+    estimated = transport.error.seconds if transport.error is not None else 0.0
+    report = report.with_transport_time(time.perf_counter() - started - estimated)
     return advance(
         frame, MovedFrame, displacement=displacement, density=density, smoke=smoke, report=report
     )
@@ -216,14 +220,18 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
 def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[PaintedFrame]:
     share, before = context.config.colour.smoothing, None
     for frame, later in _with_next(frames):
-        paint = frame.paint
+        started, paint = time.perf_counter(), frame.paint
         if later is not None and paint is not None and later.paint is not None and share:
             seconds = context.seconds(frame, later)
             colours = average_colours(*paint, later.paint, frame.frame, seconds, share)
             frame = replace(frame, colours=colours)
+        report = frame.report
         if before is not None and not frame.left_out:
             temporal = _temporal_errors(before, frame, context.seconds(before, frame))
-            frame = replace(frame, report=replace(frame.report, temporal=temporal))
+            report = replace(report, temporal=temporal)
+        if not frame.left_out and (before is not None or later is not None):
+            report = report.with_transport_time(time.perf_counter() - started)
+        frame = replace(frame, report=report)
         yield frame
         if not frame.left_out:
             before = frame

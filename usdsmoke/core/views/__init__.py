@@ -7,5 +7,6 @@
 - ``project``: voxels splatted on pixels, a sparse linear map
 - ``media``: fields as rays read them
 - ``march``: pictures by ray marching
+- ``segments``, ``cells``, ``columns``: rays cut at voxels, in any direction and along an axis
 - ``scene``: what all frames share: extinction, exposure, pixel size
 """

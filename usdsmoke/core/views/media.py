@@ -8,9 +8,10 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["EXTINCTION", "Medium", "make_media"]
+__all__ = ["EXTINCTION", "LIGHT", "Medium", "make_media"]
 
 EXTINCTION, _EMISSION, _GREY = 0, slice(1, 4), 4  # channels of a medium
+LIGHT = slice(1, 5)  # emission and grey
 
 _THICKEST = 1e30  # extinction; thicker smoke hides what is behind it no better
 

@@ -105,6 +105,7 @@ def run_seconds(
         "reading": own.get("reading", 0.0) + _of(windows, "reading"),
         "coarse step": coarse,
         **step_seconds(reports),
+        "transport": math.fsum(report.transport_seconds for report in reports),
         "estimates": math.fsum(report.estimate_seconds for report in reports),
         "writing": max(_of(windows, "writing") - storage, 0.0),  # storage errors are measured then
         "assembling": own.get("assembling", 0.0),
