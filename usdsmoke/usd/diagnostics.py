@@ -24,7 +24,7 @@ def captured_diagnostics() -> Iterator[list[str]]:
     try:
         yield messages
     finally:
-        messages.extend(str(item.commentary) for item in delegate.TakeUncoalescedDiagnostics())
+        messages.extend(_text(item) for item in delegate.TakeUncoalescedDiagnostics())
         del delegate  # its destruction gives stderr back to OpenUSD
 
 
@@ -47,8 +47,7 @@ def open_quietly(file_path: str) -> Usd.Stage:
 def short_reason(error: Tf.ErrorException) -> str:
     """What OpenUSD said first, without the places in its own source."""
     for item in error.args:
-        text = str(getattr(item, "commentary", item)).strip()
-        if text:
+        if text := _text(item).strip():
             return " ".join(text.split())
     return "no reason given"
 
@@ -78,6 +77,14 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     suffix = Sdf.FileFormat.GetFileExtension(file_path)
     what = f"a valid .{suffix} file{_line(refusal)}"
     return f"cannot open {file_path}: it is not {what}. Export it again."
+
+
+def _text(item: object) -> str:
+    """The words of a diagnostic. It may quote bytes of a damaged file, which are no UTF-8."""
+    try:
+        return str(getattr(item, "commentary", item))
+    except UnicodeDecodeError as error:  # USD's bindings decode strictly
+        return error.object.decode("utf-8", "replace")
 
 
 def _line(error: Tf.ErrorException | None) -> str:

@@ -1,0 +1,203 @@
+"""One damaged input: made from a seed and a number, read by one command, judged."""
+
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fuzz.seeds import KINDS
+
+__all__ = ["Case", "Outcome", "call_forked", "faults", "run_case"]
+
+WALL_S = 120.0  # a command that takes longer is stuck; the files are tiny
+MEMORY_MIB = 3072  # of a process; torch alone has 500
+_READ_ONLY = ("inspect", "validate", "provenance", "verify")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is damaged and what reads it; the same seed and number give the same case.
+
+    Attributes:
+        kind: a key of ``KINDS``.
+        number: of the case.
+        seed: of the study.
+    """
+
+    kind: str
+    number: int
+    seed: int
+
+    @classmethod
+    def drawn(cls, seed: int, number: int) -> "Case":
+        """The case of a number: the kinds take turns."""
+        return cls(list(KINDS)[number % len(KINDS)], number, seed)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did with a damaged input.
+
+    Attributes:
+        command: its arguments.
+        damaged: the file, relative to the case's folder.
+        exit_code: negative for a signal; None if it had to be stopped.
+        error: the type of the error that it named; "" if it named none.
+        output: stdout; stderr follows.
+        seconds: by the clock.
+        memory_mib: of the largest process.
+        changed: files that are new, gone or different afterwards.
+        left: files that are left in the folder for temporary files.
+    """
+
+    command: tuple[str, ...]
+    damaged: str
+    exit_code: int | None
+    error: str
+    output: str
+    seconds: float
+    memory_mib: float
+    changed: tuple[str, ...]
+    left: tuple[str, ...]
+
+
+def run_case(case: Case, seeds: Path, folder: Path) -> Outcome:
+    """Damage a copy of a seed folder and run a command in it, in a fork of this process.
+
+    Args:
+        case: what to do.
+        seeds: from ``make_seeds``.
+        folder: made here; stays.
+    """
+    draw = np.random.default_rng([case.seed, case.number])
+    kind = KINDS[case.kind]
+    place = shutil.copytree(seeds / kind.folder, folder, symlinks=True)
+    files = [item for item in sorted(place.glob(kind.pattern)) if item.is_file()]
+    target = files[int(draw.integers(len(files)))]
+    target.write_bytes(kind.damage(target.read_bytes(), draw))
+    command = kind.commands[int(draw.integers(len(kind.commands)))]
+    temporary = folder.with_name(folder.name + ".tmp")
+    temporary.mkdir()
+    before = _contents(place)
+    start = time.monotonic()
+    arguments = [*command, "--json"]
+    code, memory = call_forked(arguments, place, temporary, folder.with_name(folder.name + ".log"))
+    after = _contents(place)
+    output = folder.with_name(folder.name + ".log").read_text(errors="replace")
+    return Outcome(
+        command,
+        str(target.relative_to(place)),
+        code,
+        _error_type(output),
+        output,
+        time.monotonic() - start,
+        memory,
+        tuple(sorted(name for name, _ in before.items() ^ after.items())),
+        tuple(sorted(str(item.relative_to(temporary)) for item in temporary.rglob("*"))),
+    )
+
+
+def faults(outcome: Outcome) -> list[str]:
+    """What must not happen with any input and did, one sentence each."""
+    found = []
+    if outcome.exit_code is None:
+        found.append(f"no end after {WALL_S:.0f} s")
+    elif outcome.exit_code not in (0, 1, 2):
+        found.append(f"exit code {outcome.exit_code}")
+    for word in ("unexpected ", "Traceback (most", "report it"):
+        if word in outcome.output:
+            found.append(f"the output says {word.strip()!r}")
+    if outcome.exit_code == 1 and "{" not in outcome.output:
+        found.append("no JSON value on stdout")
+    if outcome.memory_mib > MEMORY_MIB:
+        found.append(f"{outcome.memory_mib:.0f} MiB of memory")
+    inputs = [name for name in outcome.changed if name.startswith("in/")]
+    if inputs:
+        found.append(f"inputs were changed: {', '.join(inputs)}")
+    reads = outcome.command[0] in _READ_ONLY or "--dry-run" in outcome.command
+    fails = outcome.exit_code != 0 and outcome.command[0] == "preview"
+    if outcome.changed and not inputs and (reads or fails):
+        found.append(f"files were changed: {', '.join(outcome.changed)}")
+    if outcome.left:
+        found.append(f"left behind: {', '.join(outcome.left[:3])}")
+    return found
+
+
+def call_forked(
+    arguments: Sequence[str], place: Path, temporary: Path, log: Path
+) -> tuple[int | None, float]:
+    """Exit code and peak memory in MiB of a command, run in a fork within a folder.
+
+    A fork need not import anything again. This process must have no other threads.
+    """
+    pid = os.fork()
+    if pid == 0:
+        _be_command(arguments, place, temporary, log)
+    end = time.monotonic() + WALL_S
+    while True:
+        found, status, usage = os.wait4(pid, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024
+        if time.monotonic() > end:
+            os.killpg(pid, signal.SIGKILL)
+            os.wait4(pid, 0)
+            return None, 0.0
+        time.sleep(0.002)
+
+
+def _be_command(arguments: Sequence[str], place: Path, temporary: Path, log: Path) -> None:
+    """The fork's whole life."""
+    code = 70
+    try:
+        os.setpgid(0, 0)
+        handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        os.dup2(handle, 1)
+        os.dup2(handle, 2)
+        os.chdir(place)
+        os.environ["TMPDIR"] = str(temporary)
+        import tempfile
+
+        from usdsmoke.ui.cli.main import main
+        from usdsmoke.vdb.child import end_worker
+
+        tempfile.tempdir = None
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        code = main(list(arguments))
+        end_worker()
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _contents(folder: Path) -> dict[str, str]:
+    return {
+        str(item.relative_to(folder)): hashlib.sha256(item.read_bytes()).hexdigest()
+        for item in folder.rglob("*")
+        if item.is_file() and not item.is_symlink()
+    }
+
+
+def _error_type(output: str) -> str:
+    """The type in the one JSON value that stdout holds after an error."""
+    for line in output.splitlines():
+        if line.startswith('{"error"'):
+            return str(json.loads(line)["error"]["type"])
+    begin = output.find('"error": {')
+    if begin < 0:
+        return ""
+    return str(output[begin:].split('"type": "')[-1].split('"')[0])
