@@ -158,6 +158,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "no density": (no_density, "FieldNotFound", "(found: field:heat)"),
     "wrong frames": (with_arguments("--frames", "7-9"), "StageError", "1-3"),
     "unread frames": (with_arguments("--frames", "1to4"), "ConfigError", "'1to4'"),
+    "deep settings": (with_arguments("--set", f"views.pool={'[' * 2000}"), "ConfigError", "pool"),
     "not a stage": (not_a_stage, "StageError", "shot.usda"),
     "not an image": (not_an_image, "ImageError", "style.png"),
     "no image": (no_image, "ImageError", "style.png: No such file"),

@@ -64,7 +64,7 @@ def _pick(choices: Sequence[Any], draw: np.random.Generator) -> Any:
 
 
 def _span(data: bytearray, draw: np.random.Generator) -> slice:
-    """A place in the data: near the beginning, where formats keep their tables, every other time."""
+    """A place in the data; half of all in the beginning, where formats keep their tables."""
     size = len(data) if draw.random() < 0.5 else min(len(data), 512)
     begin = int(draw.integers(size + 1))
     return slice(begin, begin + int(2 ** draw.uniform(0, 8)))
@@ -122,7 +122,9 @@ def _damage_words(text: str, draw: np.random.Generator) -> str:
     word = _pick(words, draw)
     if draw.random() < 0.7:  # by one of its kind, so that the file still parses
         kin = [item.group() for item in words if _kind(item.group()) == _kind(word.group())]
-        new = str(_pick(kin + [item for item in _WORDS if _kind(item) == _kind(word.group())], draw))
+        new = str(
+            _pick(kin + [item for item in _WORDS if _kind(item) == _kind(word.group())], draw)
+        )
     else:
         new = str(_pick(["", *_WORDS], draw))
     return text[: word.start()] + new + text[word.end() :]

@@ -253,4 +253,7 @@ def _yaml_problem(error: Exception) -> str:
 
 
 def _read_yaml(text: str) -> Any:
-    return cast(Any, yaml.load(text, Loader=_StrictLoader))
+    try:
+        return cast(Any, yaml.load(text, Loader=_StrictLoader))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None

@@ -37,6 +37,7 @@ from usdsmoke.base.record_format import hash_file, new_run_id, utc_now
 from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 
 _SCENES = "scenes.json"
+_DIGEST = "sha256"  # of the other values of a file
 _COARSE = "coarse.json"
 _KEY_LENGTH = 12
 
@@ -297,7 +298,7 @@ def find_runs(output: Path) -> Iterator[Run]:
             run = Run(folder=record_path.parent, **{"run_id": record["run_id"], **known})
             run.scenes = run.scenes or _read_scenes(run.folder, run.run_id)
             yield run
-        except (OSError, ValueError, TypeError, KeyError):
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
             continue  # not a record of ours
 
 
@@ -321,7 +322,7 @@ def _read_scenes(folder: Path, run_id: str) -> Sequence[Mapping[str, Any]]:
     try:
         kept = _read_json(folder / _SCENES)
         return list(kept["scenes"]) if kept["run_id"] == run_id else ()
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return ()
 
 
@@ -330,13 +331,24 @@ def _digest(description: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _read_json(file_path: Path) -> Any:
-    return json.loads(file_path.read_text(encoding="utf-8"))
+def _read_json(file_path: Path) -> dict[str, Any]:
+    """The values that ``_publish_json`` wrote.
+
+    Raises:
+        ValueError: the file was damaged or edited since.
+    """
+    values = json.loads(file_path.read_text(encoding="utf-8"))
+    digest = values.pop(_DIGEST)
+    if digest != _digest(values):
+        raise ValueError(f"{file_path} is damaged")
+    return dict(values)
 
 
-def _publish_json(target: Path, value: Any, new: bool = False) -> bool:
+def _publish_json(target: Path, values: Mapping[str, Any], new: bool = False) -> bool:
     """Put JSON values into a file in one step; with ``new`` only if it is not there: whether."""
-    text = json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False)
+    plain = json.loads(json.dumps(values))  # as they are read: keys are text, tuples are lists
+    signed = {**plain, _DIGEST: _digest(plain)}
+    text = json.dumps(signed, indent=1, sort_keys=True, ensure_ascii=False)
 
     def write(file_path: Path) -> None:
         file_path.write_text(text, encoding="utf-8")  # publishing syncs it

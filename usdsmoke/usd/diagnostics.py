@@ -28,6 +28,22 @@ def captured_diagnostics() -> Iterator[list[str]]:
         del delegate  # its destruction gives stderr back to OpenUSD
 
 
+@contextmanager
+def readable_values() -> Iterator[None]:
+    """Values that OpenUSD cannot read inside are an error of the stage; also a decorator.
+
+    Raises:
+        StageError: a layer is damaged, or a value has a type that does not fit its attribute.
+    """
+    try:
+        yield
+    except Tf.ErrorException as error:
+        raise StageError(
+            f"the stage has a value that cannot be read: {short_reason(error)}. "
+            "Repair the value, or export the layer again."
+        ) from None
+
+
 def open_quietly(file_path: str) -> Usd.Stage:
     """The stage at ``file_path`` with all payloads; one sentence instead of OpenUSD's trace.
 

@@ -11,6 +11,7 @@ from pxr import Usd
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
 from usdsmoke.usd.volume_settings import RunArguments, describe_requests
@@ -19,6 +20,7 @@ from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 from usdsmoke.vdb.velocity import find_velocity
 
 
+@readable_values()
 def inspect(
     stage: str | PathLike[str] | Usd.Stage,
     prims: list[str] | None = None,

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 from usdsmoke.runs.run import Run, find_runs
 
@@ -34,6 +36,19 @@ def test_numbers_of_a_scene_come_back_bit_for_bit(tmp_path: Path) -> None:
     (found,) = find_runs(tmp_path / "out")
     assert found.scenes[0]["gamma_w"].hex() == (0.1 + 0.2).hex()
     assert found.request == {"stage": "../shot.usda"}
+
+
+@pytest.mark.parametrize("name", ["run.json", "scenes.json"])
+def test_a_record_whose_values_were_changed_is_none(tmp_path: Path, name: str) -> None:
+    run = begin(make_run(tmp_path))
+    file_path = run.folder / name
+    text = file_path.read_text(encoding="utf-8")
+    file_path.write_text(text.replace("0.30000000000000004", '"x"').replace("kind", "sort"))
+    runs = list(find_runs(tmp_path / "out"))
+    assert not runs if name == "run.json" else not runs[0].scenes
+    file_path.write_text(text, encoding="utf-8")
+    (found,) = find_runs(tmp_path / "out")
+    assert list(found.scenes) == SCENES
 
 
 def window_of(run: Run, file_name: str, sha256: str) -> WindowRecord:

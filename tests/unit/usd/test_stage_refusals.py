@@ -66,6 +66,20 @@ def test_what_the_system_refuses_to_open_is_named_with_its_reason(tmp_path, monk
         open_stage(stage_file)
 
 
+def test_bytes_that_are_no_text_are_named_by_their_line(tmp_path):
+    file_path = tmp_path / "bad.usda"
+    file_path.write_bytes(b'#usda 1.0\ndef Volume "a\xff" {}')
+    with pytest.raises(StageError, match=r"bad\.usda.* valid \.usda file \(line 2\)"):
+        open_stage(file_path)
+
+
+def test_a_value_that_usd_cannot_read_is_a_problem_of_the_stage(tmp_path):
+    write_sequence(tmp_path, [1])
+    moved = 'token xformOp:translate = "far"\nuniform token[] xformOpOrder = ["xformOp:translate"]'
+    body = volume_prim(moved + density_prim(sequence([1])))
+    refuse(tmp_path, body, StageError, "a value that cannot be read.*Repair")
+
+
 def test_a_stage_without_volumes_is_refused(tmp_path):
     refuse(tmp_path, 'def Mesh "m" {}', VolumeNotFound, "no Volume on the stage .*meshes")
 

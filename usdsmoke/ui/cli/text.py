@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value on stdout. NaN and infinity raise ValueError: JSON has neither."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    """Print one JSON value on stdout. NaN and infinity raise ValueError: JSON has neither.
+
+    Values of other types, such as those of attributes that USD does not know, become text.
+    """
+    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=str))
 
 
 def show(arguments: argparse.Namespace, value: Callable[[], Any], text: Callable[[], str]) -> None:

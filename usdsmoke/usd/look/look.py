@@ -12,7 +12,7 @@ from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
-from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
+from usdsmoke.usd.diagnostics import captured_diagnostics, readable_values, short_reason
 from usdsmoke.usd.layer_record import add_digests, put_record, record_values
 from usdsmoke.usd.look.attributes import author_attributes
 from usdsmoke.usd.look.extent import author_extent
@@ -27,6 +27,7 @@ from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.usd.look.root import author_asset, author_root, copy_stage_metadata
 
 
+@readable_values()
 def author_look(
     stage: Usd.Stage,
     source: StageSource,

@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Usd
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly
+from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly, readable_values
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
 from usdsmoke.usd.rules.facts import Finding, Problem, Severity
 from usdsmoke.usd.schema import late_note, register_schema
@@ -101,6 +101,7 @@ def register_validators() -> list[str]:
     return [PREFIX + name for name in (*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES)]
 
 
+@readable_values()
 def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     """What all validators find on a stage or in a layer, worst first, each finding once.
 

@@ -10,6 +10,7 @@ from pxr import Usd, UsdGeom
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import CameraSource, StageSource
+from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.stage.opening import named_prim, type_words
 
 _NUMBERS = {
@@ -31,6 +32,7 @@ def list_cameras(stage: Usd.Stage) -> list[str]:
     ]
 
 
+@readable_values()
 def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSource:
     """A Camera's composed values at a timeCode; what is not authored is the schema's.
 

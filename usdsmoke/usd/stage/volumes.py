@@ -23,6 +23,7 @@ from usdsmoke.base.volume import (
     StyleRequest,
     VolumeSource,
 )
+from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.stage.fields import (
     VolumeFields,
@@ -49,6 +50,7 @@ class _Outline:
     animated: bool
 
 
+@readable_values()
 def find_volumes(
     stage: Usd.Stage,
     config: StageConfig,
