@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.shape_cost import make_plume, make_style
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame

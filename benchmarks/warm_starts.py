@@ -23,7 +23,7 @@ from benchmarks.circumstances import circumstances
 from benchmarks.coherence_measures import style_distances
 from benchmarks.coherence_runs import Outcome, Run, Shot, make_shot, simulate_plume
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice

@@ -22,8 +22,7 @@ from pxr import Usd, UsdVol
 from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
 from usdsmoke.base.errors import BindingMissing, GridTooLarge
-from usdsmoke.base.frame_report import FrameReport, TemporalErrors
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import FrameReport, Progress, TemporalErrors
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.pipeline import StylizeResult, stylize

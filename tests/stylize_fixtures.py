@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tests.smoke_fixtures import random_style
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame

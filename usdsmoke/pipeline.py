@@ -13,7 +13,7 @@ from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step, settle_scenes
-from usdsmoke.runs.machine import machine_of, processor_note
+from usdsmoke.runs.identity import machine_of, processor_note
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback

@@ -15,7 +15,7 @@ import torch
 from tests.counters import Elements
 from tests.smoke_fixtures import frame_of, random_style
 from tests.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame

@@ -1,15 +1,33 @@
 """The report of one frame: what its steps did, and what is known of its errors.
 
-The core makes it. The run's folder keeps it as JSON, and the error budget of a run is made from
-the reports of its frames (``runs.budget``).
+The core makes it, and tells how far it is meanwhile. The run's folder keeps it as JSON, and the
+error budget of a run is made from the reports of its frames (``runs.budget``).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from usdsmoke.base.json_records import from_json, to_json
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration of one step on one frame."""
+
+    step: str  # "shape" or "colour"
+    time_code: float
+    frame: int  # 0-based, within the window
+    n_frames: int  # of the window
+    octave: int  # 0-based, coarse to fine
+    n_octaves: int
+    iteration: int  # 0-based, over all octaves of this step and frame
+    n_iterations: int  # of this step and frame
+    loss: float
+
+
+ProgressCallback = Callable[[Progress], None]
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.pipeline import Request, StylizeResult, assemble, plan_request, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.machine import settle_threads
+from usdsmoke.runs.identity import settle_threads
 from usdsmoke.runs.opening import frames_again
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 

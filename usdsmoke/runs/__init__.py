@@ -7,7 +7,6 @@ The files are imported by name, because most of them load OpenUSD.
 - ``identity``: what decides a result, and what differs between two runs
 - ``opening``: which run a call belongs to: begun, continued, joined, repeated or refused
 - ``opened``: a run that this process works on: what is left to do, disk, how far
-- ``machine``: threads, device and processor that a run is bound to
 - ``coarse``: the measured scenes, and the coarse step that all windows start from
 - ``window``: frames are checked, stylized and written, window by window
 - ``outputs``: one frame's grids and the record of its file

@@ -17,7 +17,7 @@ from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
 from usdsmoke.runs.frame_records import frame_metadata, keep_record, make_record
-from usdsmoke.runs.machine import processor_warnings
+from usdsmoke.runs.identity import processor_warnings
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import (

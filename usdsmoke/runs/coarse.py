@@ -24,7 +24,7 @@ from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
-    from usdsmoke.base.progress import Progress
+    from usdsmoke.base.frame_report import Progress
     from usdsmoke.core.sequence.coarse import CoarseStart
     from usdsmoke.core.sequence.start import Carried
     from usdsmoke.core.smoke.device import Machine

@@ -24,7 +24,7 @@ from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import step_seconds, summarize_figures
-from usdsmoke.runs.machine import machine_record
+from usdsmoke.runs.identity import machine_record
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.run import Run
 from usdsmoke.vdb.header import read_header

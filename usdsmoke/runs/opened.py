@@ -10,7 +10,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.make_plan import check_disk
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
-from usdsmoke.runs.machine import machine_of
+from usdsmoke.runs.identity import machine_of
 from usdsmoke.runs.manifests import coarse_file_name
 from usdsmoke.runs.run import Run
 

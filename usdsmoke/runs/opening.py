@@ -10,8 +10,7 @@ from usdsmoke.base.publish import remove_empty
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
-from usdsmoke.runs.identity import Identity
-from usdsmoke.runs.machine import with_settled
+from usdsmoke.runs.identity import Identity, with_settled
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, find_runs, new_run

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 

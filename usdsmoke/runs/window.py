@@ -16,7 +16,7 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
 from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
-    from usdsmoke.base.progress import Progress
+    from usdsmoke.base.frame_report import Progress
 
 
 def check_frames(

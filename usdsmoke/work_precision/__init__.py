@@ -2,11 +2,10 @@
 
 - ``report``: the way through, from the arguments to the files
 - ``case``: the scene: one frame and a smaller copy of it for trials
-- ``sweeps``, ``windows``, ``networks``, ``files``: the questions, each a sweep over some settings
-- ``trial``, ``unseen_loss``, ``reference``: one step on the small copy, its error, what it is
-  measured against
+- ``sweeps``, ``windows``, ``files``: the questions, each a sweep over some settings
+- ``trial``, ``unseen_loss``: one step on the small copy, and its error
 - ``engine``: takes points while there is time
-- ``verdict``, ``page`` (with ``page.html.j2``), ``diagrams``: what is written
+- ``page`` (with ``page.html.j2``): what is written
 - ``records``: points, sweeps, the report
 """
 

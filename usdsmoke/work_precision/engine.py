@@ -12,6 +12,7 @@ from typing import Any
 
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.work_precision.case import Case
+from usdsmoke.work_precision.page import verdict_on
 from usdsmoke.work_precision.records import (
     CPU_TIME,
     WALL_TIME,
@@ -23,7 +24,6 @@ from usdsmoke.work_precision.records import (
     Task,
     spread_of,
 )
-from usdsmoke.work_precision.verdict import verdict_on
 
 _FEWEST = 3  # points of a sweep, where it has as many
 

@@ -23,13 +23,18 @@ from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
 from usdsmoke.usd.stage.opening import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
-from usdsmoke.work_precision.diagrams import draw_sweep
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
 from usdsmoke.work_precision.files import FILES
-from usdsmoke.work_precision.networks import NETWORK, check_network
-from usdsmoke.work_precision.page import make_page
+from usdsmoke.work_precision.page import draw_sweep, make_page
 from usdsmoke.work_precision.records import Omission, Report, SweepResult
-from usdsmoke.work_precision.sweeps import ITERATIONS, OCTAVES, VIEWS, VIEWS_COUNT
+from usdsmoke.work_precision.sweeps import (
+    ITERATIONS,
+    NETWORK,
+    OCTAVES,
+    VIEWS,
+    VIEWS_COUNT,
+    check_network,
+)
 from usdsmoke.work_precision.windows import WINDOWS
 
 PAGE, DATA = "report.html", "report.json"

@@ -13,13 +13,16 @@ from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
 from usdsmoke.work_precision.records import Plan, Task
-from usdsmoke.work_precision.reference import EXCESS, Reference, reference_of, reference_seconds
 from usdsmoke.work_precision.trial import (
+    EXCESS,
     N_RUNS,
+    Reference,
     base_iterations,
     copy_text,
     main_step,
     need_seconds,
+    reference_of,
+    reference_seconds,
     trial_seconds,
 )
 from usdsmoke.work_precision.unseen_loss import Outcome

@@ -6,8 +6,7 @@ import pytest
 from tests.smoke_fixtures import affine, frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError, NonFiniteError
-from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import FrameReport, Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps.targets import StyleTargets

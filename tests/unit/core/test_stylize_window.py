@@ -7,7 +7,7 @@ import pytest
 
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
-from usdsmoke.base.progress import Progress
+from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window
 

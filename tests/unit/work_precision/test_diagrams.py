@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from tests.report_fixtures import point, result_of
-from usdsmoke.work_precision.diagrams import draw_sweep
+from usdsmoke.work_precision.page import draw_sweep
 from usdsmoke.work_precision.records import Point, Spread
 
 EXACT = point("float", "0", 0.0, 100.0, configured=True)

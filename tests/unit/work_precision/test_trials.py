@@ -8,8 +8,7 @@ from tests.report_fixtures import case_of, make_scene
 from usdsmoke.work_precision import SWEEPS, Plan, Sweep
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut
-from usdsmoke.work_precision.reference import reference_of
-from usdsmoke.work_precision.trial import Setting, base_iterations, scaled
+from usdsmoke.work_precision.trial import Setting, base_iterations, reference_of, scaled
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
 

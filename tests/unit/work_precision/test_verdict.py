@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from tests.report_fixtures import point, result_of
+from usdsmoke.work_precision.page import costs_more, verdict_on
 from usdsmoke.work_precision.records import Point, Spread
-from usdsmoke.work_precision.verdict import costs_more, verdict_on
 
 CONFIGURED = point("ours", "8", 0.1, 1.3, configured=True)
 CHEAPER = point("other", "7", 0.1, 1.0)

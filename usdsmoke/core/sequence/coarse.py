@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from usdsmoke.base.progress import ProgressCallback
+from usdsmoke.base.frame_report import ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice

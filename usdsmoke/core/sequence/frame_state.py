@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
-from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.progress import Progress, ProgressCallback
+from usdsmoke.base.frame_report import FrameReport, Progress, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement

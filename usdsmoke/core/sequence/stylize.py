@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from torch import Tensor
 
-from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.progress import ProgressCallback
+from usdsmoke.base.frame_report import FrameReport, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.error_estimates import frame_errors
