@@ -40,44 +40,34 @@ _FOLDER_SYNC_UNSUPPORTED = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACC
 _LINK_UNSUPPORTED = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 
 
+Content = str | bytes | Callable[[Path], object]  # of a file, or what writes it to a path
+
+
 def publish_file(
-    target: Path,
-    write: Callable[[Path], None],
-    check: Callable[[Path], None] | None = None,
+    target: Path, content: Content, check: Callable[[Path], None] | None = None
 ) -> None:
     """Write a file so that ``target`` is either unchanged or complete and checked.
 
     Args:
         target: path of the file; its folder must exist. An old file is replaced.
-        write: called with the temporary's path, which has the target's suffix; makes the file.
+        content: text, written as UTF-8, or bytes; or a function that makes the file and is called
+            with the temporary's path, which has the target's suffix.
         check: called with the temporary's path after it was synced; re-opens and compares it, and
             raises if it is not as intended.
 
     Raises:
         WriteFailed: the operating system refused (full disk, read-only folder, no permission).
-        Exception: any error of ``write`` or ``check``; the temporary is removed first.
+        Exception: any error of ``content`` or ``check``; the temporary is removed first.
     """
-    target = Path(target)
-    temporary = _temporary_path(target)
-    try:
-        write(temporary)
-        _sync(temporary)
-        if check is not None:
-            check(temporary)
-        os.replace(temporary, target)
-        _sync_folder(target.parent)
-    except OSError as error:
-        raise WriteFailed(_refusal(target, error)) from error
-    finally:
-        _remove_quietly(temporary)
+    _publish(target, content, check, _replace)
 
 
-def publish_new(target: Path, write: Callable[[Path], None]) -> bool:
+def publish_new(target: Path, content: Content) -> bool:
     """Write a file unless it exists already; of several processes at once one succeeds.
 
     Args:
         target: path of the file; its folder must exist. An old file is kept.
-        write: called with the temporary's path; makes the file.
+        content: as in ``publish_file``.
 
     Returns:
         True if this call wrote the file.
@@ -85,25 +75,50 @@ def publish_new(target: Path, write: Callable[[Path], None]) -> bool:
     Raises:
         WriteFailed: the operating system refused.
     """
+    return _publish(target, content, None, _link)
+
+
+def _publish(
+    target: Path,
+    content: Content,
+    check: Callable[[Path], None] | None,
+    place: Callable[[Path, Path], bool],
+) -> bool:
     target = Path(target)
     temporary = _temporary_path(target)
     try:
-        write(temporary)
+        if callable(content):
+            content(temporary)
+        else:
+            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
         _sync(temporary)
-        try:
-            os.link(temporary, target)
-        except FileExistsError:
-            return False
-        except OSError as error:
-            if error.errno not in _LINK_UNSUPPORTED or target.exists():
-                raise
-            os.replace(temporary, target)
+        if check is not None:
+            check(temporary)
+        is_placed = place(temporary, target)
         _sync_folder(target.parent)
-        return True
+        return is_placed
     except OSError as error:
         raise WriteFailed(_refusal(target, error)) from error
     finally:
         _remove_quietly(temporary)
+
+
+def _replace(temporary: Path, target: Path) -> bool:
+    os.replace(temporary, target)
+    return True
+
+
+def _link(temporary: Path, target: Path) -> bool:
+    """Give the temporary the target's name unless that exists; whether it got it."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno not in _LINK_UNSUPPORTED or target.exists():
+            raise
+        os.replace(temporary, target)
+    return True
 
 
 def make_folders(folder: Path) -> list[Path]:

@@ -311,11 +311,4 @@ def _publish_texts(texts: Mapping[Path, str]) -> None:
         _refuse_foreign(file_path)
     for file_path, text in texts.items():
         make_folders(file_path.parent)
-        _publish_text(file_path, text)
-
-
-def _publish_text(target: Path, text: str) -> None:
-    def write(path: Path) -> None:
-        path.write_text(text, encoding="utf-8")
-
-    publish_file(target, write)
+        publish_file(file_path, text)

@@ -124,7 +124,7 @@ def written_bytes(
     return (
         sum(_frame_bytes(frame, config) for frame in frames)
         + sum(_frame_bytes(replace(frame, n_copied=0), plain) for frame in parts)
-        + sum(_coarse_bytes(frame, config, finest) for frame in coarse)
+        + sum(round(finest**3 * sum(_refined(f, config)) * COARSE_BYTES) for f in coarse)
     )
 
 
@@ -216,10 +216,6 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
         if step == "shape":
             work += (MAP_TIME * active + BOX_TIME * box) * scale**3
     return work
-
-
-def _coarse_bytes(frame: FrameSize, config: Config, finest: float) -> int:
-    return round(finest**3 * sum(_refined(frame, config)) * COARSE_BYTES)
 
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:

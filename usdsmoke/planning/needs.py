@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
@@ -26,12 +27,16 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         f"density of <{volume.source.prim_path}> at timeCodes {_time_codes(volume.frames)}"
         for volume in volumes
     ]
-    needed += [_request_text(volume) for volume in volumes if _requested(volume)]
+    needed += [
+        f"the request of <{volume.source.prim_path}>: {', '.join(names)}"
+        for volume in volumes
+        if (names := _requested(volume))
+    ]
     if n_velocity := sum(frame.velocity is not None for frame in _frames(volumes)):
-        needed.append(f"velocity of {_count(n_velocity, 'frame')}")
+        needed.append(f"velocity of {count_text(n_velocity, 'frame')}")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
         needed.append(
-            f"velocity copied into {_count(n_copied, 'file')}, so that each frame is one file"
+            f"velocity copied into {count_text(n_copied, 'file')}, so that each frame is one file"
         )
     # Computed.
     groups = _by_config(volumes)
@@ -41,7 +46,9 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
     if n_coarse := sum(len(volume.coarse_frames) for volume in volumes):
         needed.append(f"one coarse step over {n_coarse} frames, which all windows start from")
     if n_twice := sum(len(volume.overlap_frames) for volume in volumes):
-        needed.append(f"{_count(n_twice, 'frame')} in two windows each, blended (windows.overlap)")
+        needed.append(
+            f"{count_text(n_twice, 'frame')} in two windows each, blended (windows.overlap)"
+        )
     # Written.
     kind = "half" if config.grids.half else "float"
     coloured = next((own for own, _ in groups if "colour" in own.optimize.steps), config)
@@ -120,10 +127,6 @@ def _where(volumes: Volumes, link: str) -> str:
     return link + ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
 
 
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"
-
-
 def _requested(volume: VolumePlan) -> list[str]:
     """Names of the settings that the prim requests itself."""
     request = volume.source.request
@@ -131,16 +134,12 @@ def _requested(volume: VolumePlan) -> list[str]:
     return [*(["style images"] if request.styles else []), *names]
 
 
-def _request_text(volume: VolumePlan) -> str:
-    return f"the request of <{volume.source.prim_path}>: {', '.join(_requested(volume))}"
-
-
 def _needed_by(config: Config, volumes: Volumes) -> list[str]:
     """What Volumes with the same settings need."""
     needed, frames = [], _frames(volumes)
     if n_masked := sum(frame.mask is not None for frame in frames):
         needed.append(
-            f"mask {config.stage.mask} of {_count(n_masked, 'frame')}, which scales the effect"
+            f"mask {config.stage.mask} of {count_text(n_masked, 'frame')}, which scales the effect"
         )
     needed += _animated_settings(volumes)
     if takes_effect(config, volumes):
@@ -149,10 +148,10 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
         n_views = n_different_views(config.views)
-        count = _count(min(config.views.count, n_views), "view")
+        count = count_text(min(config.views.count, n_views), "view")
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
-            count = _count(len(frames), "timeCode")
+            count = count_text(len(frames), "timeCode")
             needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
         needed += [_step_text(step, config) for step in config.optimize.steps]
     has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
@@ -174,7 +173,7 @@ def _animated_settings(volumes: Volumes) -> list[str]:
         if found:
             span = "" if control == "style_weights" else f", {min(found):g} to {max(found):g}"
             sentences.append(
-                f"{name} per frame for {_count(len(found), 'frame')}{span}, from the stage"
+                f"{name} per frame for {count_text(len(found), 'frame')}{span}, from the stage"
             )
     return sentences
 

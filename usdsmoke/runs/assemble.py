@@ -113,7 +113,8 @@ def assemble_run(opened: OpenRun, tell: RunProgressCallback, clock: PartClock) -
     """
     run = opened.run
     windows = _collect_windows(run, opened.plan)
-    files, failures = clock.timed("assembling", _assemble, opened, windows, tell)
+    with clock.part("assembling"):
+        files, failures = _assemble(opened, windows, tell)
     reports = [report for window in windows for report in window.reports.values()]
     run.seconds = run_seconds(windows, reports, run.coarse().seconds, clock)
     run.finish([*files, *opened.job.sheets], opened.lock.excludes_others)
@@ -159,7 +160,7 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
     """What is in the output folder when a run is complete."""
     job, run = opened.job, opened.run
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
-    budget = ErrorBudget.from_json(run.error_budget)
+    budget, reports = ErrorBudget.from_json(run.error_budget), run.reports.values()
     broken = budget.tolerance.warnings if budget.tolerance is not None else ()
     return StylizeResult(
         root_stage=job.targets.root_stage,
@@ -168,8 +169,12 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
         contact_sheets=tuple(sheet for sheet in job.sheets if sheet.is_file()),
         plan=job.plan,
         warnings=(*job.earlier.notes, *_warnings(job.plan, run), *broken, *more),
-        temporal_error=_temporal_error(run),
-        overlap_difference=_overlap_difference(run),
+        temporal_error=mean_entries(
+            reports, lambda report: report.temporal, "colour", "displacement"
+        ),
+        overlap_difference=mean_entries(
+            reports, lambda report: report.overlap, "density", "emission"
+        ),
         error_budget=budget,
         seconds=dict(run.seconds),
     )
@@ -266,16 +271,6 @@ def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for
             warnings.append(f"no contact sheet: {error}")
     return tuple(warnings)
-
-
-def _temporal_error(run: Run) -> dict[str, float] | None:
-    reports = run.reports.values()
-    return mean_entries(reports, lambda report: report.temporal, "colour", "displacement")
-
-
-def _overlap_difference(run: Run) -> dict[str, float] | None:
-    reports = run.reports.values()
-    return mean_entries(reports, lambda report: report.overlap, "density", "emission")
 
 
 def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:

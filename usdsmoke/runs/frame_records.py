@@ -116,13 +116,7 @@ def keep_record(run: Run, record: RunRecord) -> None:
     Raises:
         WriteFailed: the operating system refused.
     """
-    text = record.to_text()
-    target = run.folder / RECORD_FILE
-    publish_file(target, lambda file_path: _write(file_path, text))
-
-
-def _write(file_path: Path, text: str) -> None:
-    file_path.write_text(text, encoding="utf-8")
+    publish_file(run.folder / RECORD_FILE, record.to_text())
 
 
 def _frame_record(run: Run, volume: VolumePlan, frame: FramePlan) -> FrameRecord:

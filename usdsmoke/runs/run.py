@@ -82,11 +82,6 @@ class Run:
         return {n: FrameReport.from_json(self.frames[n]["report"]) for n in sorted(self.frames)}
 
     @property
-    def settings_hash(self) -> str:
-        """SHA-256 of the settings that decide the result."""
-        return _digest(self.description["settings"])
-
-    @property
     def has_begun(self) -> bool:
         """Whether there is a record on disk."""
         return bool(self.request)
@@ -349,11 +344,7 @@ def _publish_json(target: Path, values: Mapping[str, Any], new: bool = False) ->
     plain = json.loads(json.dumps(values))  # as they are read: keys are text, tuples are lists
     signed = {**plain, _DIGEST: _digest(plain)}
     text = json.dumps(signed, indent=1, sort_keys=True, ensure_ascii=False)
-
-    def write(file_path: Path) -> None:
-        file_path.write_text(text, encoding="utf-8")  # publishing syncs it
-
     if new:
-        return publish_new(target, write)
-    publish_file(target, write)
+        return publish_new(target, text)
+    publish_file(target, text)
     return True

@@ -16,7 +16,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import Plan, VolumePlan
+from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.choice import choose_settings
 from usdsmoke.runs.identity import describe_run
 from usdsmoke.runs.outputs import plain_values
@@ -102,7 +102,7 @@ def _calibration(job: Job) -> dict[str, Any]:
         return found
     measured = json.dumps(plain_values(_measure(job)), indent=1)
     make_folders(target.parent)
-    publish_new(target, lambda file_path: _write(file_path, measured))
+    publish_new(target, measured)
     found = _read(target)
     return json.loads(measured) if found is None else found
 
@@ -110,7 +110,9 @@ def _calibration(job: Job) -> dict[str, Any]:
 def _measure(job: Job) -> dict[str, Any]:
     from usdsmoke.core.sequence.calibrate import calibrate
 
-    volume = max(job.plan.volumes, key=_most_voxels)
+    volume = max(
+        job.plan.volumes, key=lambda one: max(frame.size.active_voxels for frame in one.frames)
+    )
     frames = sample_frames(volume)
     if not frames:
         return {}
@@ -119,17 +121,9 @@ def _measure(job: Job) -> dict[str, Any]:
     return calibrate(read, job.pictures(volume), volume.config, job.plan.source.up_axis)
 
 
-def _most_voxels(volume: VolumePlan) -> int:
-    return max(frame.size.active_voxels for frame in volume.frames)
-
-
 def _read(file_path: Path) -> dict[str, Any] | None:
     try:
         found: dict[str, Any] = json.loads(file_path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return found
-
-
-def _write(file_path: Path, text: str) -> None:
-    file_path.write_text(text, encoding="utf-8")

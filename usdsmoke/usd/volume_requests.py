@@ -70,7 +70,8 @@ def read_request(
         return StyleRequest(ignored=ignored_attributes(volume)), (FrameControls(),) * len(
             time_codes
         )
-    _refuse_unknown(volume)
+    for name in _authored(volume):
+        _check_known(volume, name)
     settings: dict[str, dict[str, Any]] = {}
     controls = [FrameControls() for _ in time_codes]
     for row in _authored_rows(volume):
@@ -82,9 +83,9 @@ def read_request(
         section, _, key = row.setting.partition(".")
         settings.setdefault(section, {})[key] = chosen
         if any(value != values[0] for value in values):
-            changes = [tuple(v) if isinstance(v, list) else v for v in values]
+            changes: list[Any] = [tuple(v) if isinstance(v, list) else v for v in values]
             controls = [
-                _changed(control, row.control, change)
+                dataclasses.replace(control, **{row.control: change})
                 for control, change in zip(controls, changes, strict=True)
             ]
     if mask := requested_mask(volume):
@@ -93,10 +94,6 @@ def read_request(
         settings.setdefault("views", {})["camera"] = str(camera)
     styles = _read_styles(volume, time_codes) if with_styles else ()
     return StyleRequest(styles, settings), tuple(controls)
-
-
-def _changed(control: FrameControls, name: str, value: Any) -> FrameControls:
-    return dataclasses.replace(control, **{name: value})
 
 
 def requested_mask(volume: Usd.Prim) -> str:
@@ -186,11 +183,6 @@ def _says_something(item: Usd.Attribute) -> bool:
 
 def _authored_rows(volume: Usd.Prim) -> Iterable[RequestAttribute]:
     return [row for row in REQUEST_ATTRIBUTES if volume.GetAttribute(row.name).HasAuthoredValue()]
-
-
-def _refuse_unknown(volume: Usd.Prim) -> None:
-    for name in _authored(volume):
-        _check_known(volume, name)
 
 
 def _check_known(volume: Usd.Prim, name: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.boxes import union_box, values_in_box
 
 
 def tail_weights(n_frames: int) -> list[float]:
@@ -75,24 +76,10 @@ def _where_smoke_is(density: DenseField, emission: DenseField) -> DenseField:
     """The emission with zeros wherever the density is not above 0."""
     if density.is_empty or emission.is_empty:
         return emission
-    low = np.subtract(emission.ijk_min, density.ijk_min)
-    smoke = np.zeros(emission.values.shape[:3], bool)
-    ours, theirs = _overlap(density.values.shape, emission.values.shape, low)
-    smoke[theirs] = density.values[ours] > 0
+    density = dataclasses.replace(density, background=0.0)
+    smoke = values_in_box(density, emission.ijk_min, emission.values.shape[:3]) > 0
     values = np.where(smoke[..., None], emission.values, np.float32(0))
     return dataclasses.replace(emission, values=values)
-
-
-def _overlap(
-    shape: Sequence[int], other: Sequence[int], low: np.ndarray
-) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """The common part of a box at 0 and another at ``low``, in the indices of each."""
-    ours, theirs = [], []
-    for size, other_size, shift in zip(shape[:3], other[:3], low.tolist(), strict=True):
-        start, stop = max(0, shift), max(0, min(size, shift + other_size))
-        ours.append(slice(start, max(start, stop)))
-        theirs.append(slice(start - shift, max(start, stop) - shift))
-    return tuple(ours), tuple(theirs)
 
 
 def _on_union(
@@ -100,24 +87,12 @@ def _on_union(
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, int, int]]:
     """Both fields' values on the box that holds both, float64, and where it begins."""
     _check_alike(tail, head)
-    boxes = [field for field in (tail, head) if not field.is_empty]
-    if not boxes:
-        empty = head.values.astype(np.float64)
-        return empty, empty.copy(), head.ijk_min
-    low = np.min([field.ijk_min for field in boxes], axis=0)
-    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in boxes], axis=0)
-    shape = tuple((high - low).tolist()) + boxes[0].values.shape[3:]
-    both = []
-    for field in (tail, head):
-        values = np.empty(shape, np.float64)
-        values[...] = np.asarray(field.background, np.float64)
-        if not field.is_empty:
-            start = np.subtract(field.ijk_min, low)
-            stop = start + field.values.shape[:3]
-            values[tuple(map(slice, start.tolist(), stop.tolist()))] = field.values
-        both.append(values)
-    first, second, third = low.tolist()
-    return both[0], both[1], (first, second, third)
+    ijk_min, shape = union_box((tail, head))
+    components = (tail if head.is_empty else head).values.shape[3:]
+    one, other = (
+        values_in_box(field, ijk_min, (*shape, *components), np.float64) for field in (tail, head)
+    )
+    return one, other, ijk_min
 
 
 def _check_alike(tail: DenseField, head: DenseField) -> None:

@@ -78,7 +78,8 @@ def run_child(
             (Path(folder) / "request.json").write_text(text, encoding="utf-8")
             _run(folder, config)
             answer = _answer(folder)
-            return answer["answer"], _arrays(folder, answer["n_arrays"])
+            files = [Path(folder) / f"out{n}.npy" for n in range(answer["n_arrays"])]
+            return answer["answer"], [np.load(file, allow_pickle=False) for file in files]
     except OSError as error:
         raise errors.WriteFailed(
             f"cannot hand grids over in {tempfile.gettempdir()}: {error.strerror or error}. "
@@ -279,7 +280,3 @@ def _answer(folder: str) -> dict[str, Any]:
     if "error" in answer:
         raise getattr(errors, answer["error"])(answer["message"])
     return answer
-
-
-def _arrays(folder: str, count: int) -> list[np.ndarray]:
-    return [np.load(Path(folder) / f"out{n}.npy", allow_pickle=False) for n in range(count)]

@@ -17,6 +17,7 @@ import numpy as np
 from usdsmoke.base.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names, colour_names
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.boxes import values_in_box
 
 _PER_DENSITY = "perDensity"
 
@@ -55,7 +56,10 @@ def absolute_emission(density: DenseField, emission: DenseField, mode: str) -> D
     """
     if mode != _PER_DENSITY:
         return emission
-    values = emission.values * _density_there(density, emission)[..., None]
+    values = (
+        emission.values
+        * values_in_box(density, emission.ijk_min, emission.values.shape[:3])[..., None]
+    )
     return dataclasses.replace(emission, values=values)
 
 
@@ -81,7 +85,10 @@ def _divided(density: DenseField, emission: DenseField, gamma_w: float = 1.0) ->
     """emission / (gamma_w density) in double precision, 0 where that is not above 0."""
     if emission.is_empty:
         return dataclasses.replace(emission, values=emission.values.copy())
-    extinction = _density_there(density, emission).astype(np.float64) * gamma_w
+    extinction = (
+        values_in_box(density, emission.ijk_min, emission.values.shape[:3]).astype(np.float64)
+        * gamma_w
+    )
     values = np.zeros_like(emission.values)
     for channel in range(3):  # one at a time: doubles of all three would be six times the density
         part = emission.values[..., channel]
@@ -89,25 +96,6 @@ def _divided(density: DenseField, emission: DenseField, gamma_w: float = 1.0) ->
             part, extinction, out=values[..., channel], where=extinction > 0, casting="same_kind"
         )
     return dataclasses.replace(emission, values=values)
-
-
-def _density_there(density: DenseField, emission: DenseField) -> np.ndarray:
-    """The density in the emission's box, its background beyond its own: [i j k]."""
-    shape = emission.values.shape[:3]
-    if density.ijk_min == emission.ijk_min and density.values.shape == shape:
-        return density.values
-    there = np.full(shape, density.background, np.float32)
-    start = np.maximum(density.ijk_min, emission.ijk_min)
-    stop = np.minimum(
-        np.add(density.ijk_min, density.values.shape), np.add(emission.ijk_min, shape)
-    )
-    if np.all(start < stop):
-        ours, theirs = (
-            tuple(map(slice, (start - field.ijk_min).tolist(), (stop - field.ijk_min).tolist()))
-            for field in (density, emission)
-        )
-        there[theirs] = density.values[ours]
-    return there
 
 
 def _split(colour: DenseField) -> list[DenseField]:

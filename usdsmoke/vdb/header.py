@@ -309,15 +309,12 @@ def _read_metadata(reader: ByteReader) -> dict[str, Any]:
         name = reader.text("a metadata name")
         type_name = reader.text("a metadata type")
         (size,) = reader.unpack("<I", "a metadata size")
-        if size > _MAX_VALUE or not _is_known(type_name):
+        is_known = type_name in ("string", *_SCALAR_FORMATS, *_VECTOR_FORMATS)
+        if size > _MAX_VALUE or not is_known:
             reader.skip(size, f'the metadata "{name}"')
             continue
         metadata[name] = _metadata_value(reader, name, type_name, reader.take(size, "metadata"))
     return metadata
-
-
-def _is_known(type_name: str) -> bool:
-    return type_name == "string" or type_name in _SCALAR_FORMATS or type_name in _VECTOR_FORMATS
 
 
 def _metadata_value(reader: ByteReader, name: str, type_name: str, packed: bytes) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
+from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids
 
@@ -117,25 +118,13 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
                 "Merge the components of the velocity into one vector grid."
             )
     background = tuple(float(np.asarray(part.background)) for part in parts)
-    filled = [part for part in parts if not part.is_empty]
-    low = np.min([part.ijk_min for part in filled], axis=0) if filled else np.zeros(3, int)
-    high = (
-        np.max([np.add(part.ijk_min, part.values.shape) for part in filled], axis=0)
-        if filled
-        else low
-    )
-    values = np.empty((*(high - low), 3), np.float32)
-    for axis, part in enumerate(parts):
-        values[..., axis] = background[axis]
-        if not part.is_empty:
-            start = np.subtract(part.ijk_min, low)
-            box = tuple(slice(a, a + n) for a, n in zip(start, part.values.shape, strict=True))
-            values[..., axis][box] = part.values
+    ijk_min, shape = union_box(parts)
+    values = np.stack([values_in_box(part, ijk_min, shape) for part in parts], axis=-1)
     return dataclasses.replace(
         first,
         name=first.name[:-2],
         values=values,
-        ijk_min=(int(low[0]), int(low[1]), int(low[2])),
+        ijk_min=ijk_min,
         background=(background[0], background[1], background[2]),
         half=all(part.half for part in parts),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.boxes import values_in_box
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 from usdsmoke.work_precision.case import Case
@@ -83,11 +84,7 @@ def _written(case: Case, fields: list[DenseField], half: bool) -> tuple[int, lis
 
 def _relative(found: DenseField, exact: DenseField) -> float:
     """Root mean square of the differences, of the exact values' own; boxes may differ."""
-    values = np.zeros(exact.values.shape, np.float64)
-    if not found.is_empty:
-        start = np.subtract(found.ijk_min, exact.ijk_min)
-        i, j, k = (slice(a, a + n) for a, n in zip(start, found.values.shape, strict=False))
-        values[i, j, k] = found.values
+    values = values_in_box(found, exact.ijk_min, exact.values.shape, np.float64)
     truth = exact.values.astype(np.float64)
     return float(np.sqrt(np.mean((values - truth) ** 2) / np.mean(truth**2)))
 

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -324,12 +323,12 @@ def _write(report: Report, target: Path, old: Sequence[str]) -> ReportResult:
 
     def put_data(files: Sequence[str]) -> None:
         values = {**report_as_dict(report), "files": list(files)}
-        _put(target / DATA, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+        publish_file(target / DATA, json.dumps(values, indent=1, ensure_ascii=False) + "\n")
 
     try:
         put_data(list(dict.fromkeys([*names, *old])))
         for name, content in contents.items():
-            _put(target / name, content)
+            publish_file(target / name, content)
         for name in set(old) - set(names):
             (target / name).unlink(missing_ok=True)
         put_data(names)
@@ -339,11 +338,3 @@ def _write(report: Report, target: Path, old: Sequence[str]) -> ReportResult:
             "report replaces."
         ) from None
     return ReportResult(target / PAGE, tuple(target / name for name in names), report)
-
-
-def _put(target: Path, content: bytes) -> None:
-    publish_file(target, partial(_save, content))
-
-
-def _save(content: bytes, file_path: Path) -> None:
-    file_path.write_bytes(content)

@@ -10,6 +10,7 @@ import numpy as np
 
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
 from usdsmoke.work_precision.records import Plan, Task
@@ -267,16 +268,10 @@ def _painted(
 
 def _union(source: VolumeFrame, found: "StylizedFrame") -> Any:
     """A field that is above 0 wherever there is smoke before or after."""
-    low = np.minimum(source.density.ijk_min, found.density.ijk_min)
     fields = (source.density, found.density)
-    high = np.max([np.add(f.ijk_min, f.values.shape) for f in fields], axis=0)
-    values = np.zeros(tuple(high - low), np.float32)
-    for item in fields:
-        start = np.subtract(item.ijk_min, low)
-        i, j, k = (slice(a, a + n) for a, n in zip(start, item.values.shape, strict=True))
-        values[i, j, k] = np.maximum(values[i, j, k], item.values)
-    first = (int(low[0]), int(low[1]), int(low[2]))
-    return replace(found.density, values=values, ijk_min=first)
+    ijk_min, shape = union_box(fields)
+    both = [values_in_box(field, ijk_min, shape) for field in fields]
+    return replace(found.density, values=np.maximum(*both).clip(0), ijk_min=ijk_min)
 
 
 def _values_at(field: Any, smoke: "ActiveSmoke") -> np.ndarray:

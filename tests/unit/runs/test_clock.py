@@ -44,10 +44,10 @@ def window(seconds: float) -> WindowRecord:
 def test_the_parts_add_up_to_what_all_processes_took() -> None:
     time = FakeTime()
     clock = PartClock(time)
-    clock.timed("preparing", time.spend, 0.5)
-    clock.timed("reading", time.spend, 4.0)
-    clock.timed(ELSEWHERE, time.spend, 9.0)  # one of the windows
-    clock.timed("assembling", time.spend, 2.0)
+    # The time elsewhere is one of the windows'.
+    for part, seconds in (("preparing", 0.5), ("reading", 4), (ELSEWHERE, 9), ("assembling", 2)):
+        with clock.part(part):
+            time.spend(seconds)
     windows = [window(9.0), window(10.0)]
     reports = [report for one in windows for report in one.reports.values()]
     found = run_seconds(windows, reports, 6.0, clock)
@@ -73,12 +73,9 @@ def test_time_counts_where_work_fails() -> None:
     time = FakeTime()
     clock = PartClock(time)
 
-    def fail() -> None:
+    with pytest.raises(ValueError), clock.part("reading"):
         time.spend(2.0)
         raise ValueError
-
-    with pytest.raises(ValueError):
-        clock.timed("reading", fail)
     assert clock.parts == {"reading": 2.0}
 
 

@@ -8,14 +8,14 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import ParamSpec, Protocol, TypeVar
+from itertools import islice
+from typing import Protocol, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
 
 ELSEWHERE = "elsewhere"  # time that windows and the coarse step keep themselves
 
-_Arguments = ParamSpec("_Arguments")
-_Result = TypeVar("_Result")
+_Item = TypeVar("_Item")
 
 
 class TimedWindow(Protocol):
@@ -42,21 +42,6 @@ class PartClock:
         """Seconds since the beginning."""
         return self._clock() - self._began
 
-    def timed(
-        self,
-        part: str,
-        call: Callable[_Arguments, _Result],
-        *arguments: _Arguments.args,
-        **named: _Arguments.kwargs,
-    ) -> _Result:
-        """The result of a call. Its time is added to a part, also if it fails."""
-        started = self._clock()
-        try:
-            return call(*arguments, **named)
-        finally:
-            spent = self._clock() - started
-            self.parts[part] = self.parts.get(part, 0.0) + spent
-
     @contextmanager
     def part(self, part: str) -> Iterator[None]:
         """The time of a block goes to a part, also where it fails."""
@@ -67,15 +52,15 @@ class PartClock:
             self.parts[part] = self.parts.get(part, 0.0) + self._clock() - started
 
 
-def timed_items(clock: PartClock, part: str, items: Iterable[_Result]) -> Iterator[_Result]:
+def timed_items(clock: PartClock, part: str, items: Iterable[_Item]) -> Iterator[_Item]:
     """The same items. The time to get each is added to a part."""
     iterator = iter(items)
     while True:
-        try:
-            item = clock.timed(part, next, iterator)
-        except StopIteration:
+        with clock.part(part):
+            found = list(islice(iterator, 1))
+        if not found:
             return
-        yield item
+        yield found[0]
 
 
 def step_seconds(reports: Iterable[FrameReport]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.errors import count_text
 from usdsmoke.base.record_format import MachineRecord
 from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.text import columns
@@ -66,14 +67,14 @@ def verification_text(file: str, changes: Sequence["Change"]) -> str:
     ]
     n_changed = sum(change.severity != "note" for change in changes)
     n_notes = len(changes) - n_changed
-    notes = f", {n_notes} note{'' if n_notes == 1 else 's'}" if n_notes else ""
-    what = f"{n_changed} change{'' if n_changed == 1 else 's'}" if n_changed else "as recorded"
+    notes = f", {count_text(n_notes, 'note')}" if n_notes else ""
+    what = count_text(n_changed, "change") if n_changed else "as recorded"
     return "\n".join([*lines, f"{file}: {what}{notes}"])
 
 
 def rerun_text(again: "Rerun") -> str:
     """Whether a repetition is the same."""
-    frames = f"{again.n_frames} frame{'' if again.n_frames == 1 else 's'}"
+    frames = count_text(again.n_frames, "frame")
     if not again.differences:
         return f"the same content in {frames} as recorded in {again.record}"
     return "\n".join(

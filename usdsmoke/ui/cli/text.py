@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
@@ -62,7 +63,7 @@ def result_text(result: "StylizeResult") -> str:
     rows = [
         *opened,
         ("look layer", str(result.look_layer)),
-        (_count(len(result.frames), "VDB file"), ", ".join(folders)),
+        (count_text(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
         *_measured("temporal error", result.temporal_error),
         *_measured("overlap difference", result.overlap_difference),
@@ -96,7 +97,7 @@ def job_text(bundle: "JobBundle") -> str:
     run = shlex.join(["openjd", "run", str(bundle.template), *values])
     rows = [
         ("job template", str(bundle.template)),
-        (_count(bundle.n_windows, "window"), "one task each"),
+        (count_text(bundle.n_windows, "window"), "one task each"),
         (
             "Deadline Cloud",
             shlex.join(["deadline", "bundle", "submit", str(bundle.template.parent)]),
@@ -163,9 +164,9 @@ def _measured(title: str, values: Mapping[str, float] | None) -> list[tuple[str,
 def _volume_line(volume: "VolumePlan") -> str:
     largest = max(volume.frames, key=lambda frame: frame.size.active_voxels)
     return (
-        f"<{volume.source.prim_path}>: {_count(len(volume.frames), 'frame')} in "
-        f"{_count(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} voxels in "
-        f"{_box(largest.size.box)}, written to {volume.frames[0].file_name}"
+        f"<{volume.source.prim_path}>: {count_text(len(volume.frames), 'frame')} in "
+        f"{count_text(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} "
+        f"voxels in {_box(largest.size.box)}, written to {volume.frames[0].file_name}"
         f"{' ...' if len(volume.frames) > 1 else ''}"
     )
 
@@ -187,7 +188,7 @@ def _inspected_volume(volume: Mapping[str, Any]) -> str:
         f"; other fields: {', '.join(volume['other_fields'])}" if volume["other_fields"] else ""
     )
     span = f"{codes[0]:g} to {codes[-1]:g}" if volume["animated"] else "not animated"
-    return f"Volume <{volume['prim_path']}>: {_count(len(codes), 'frame')}, {span}{others}"
+    return f"Volume <{volume['prim_path']}>: {count_text(len(codes), 'frame')}, {span}{others}"
 
 
 def _inspected_field(
@@ -219,10 +220,6 @@ def _inspected_field(
 
 def _box(shape: Iterable[int]) -> str:
     return " x ".join(str(n) for n in shape)
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def _size(n_bytes: int) -> str:

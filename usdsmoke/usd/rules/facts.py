@@ -1,12 +1,9 @@
 """What rules look at, and what they find: a Volume's fields over time, file headers, problems."""
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
-from threading import Lock
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdVol
@@ -23,7 +20,7 @@ from usdsmoke.usd.field_samples import (
     usd_time,
 )
 from usdsmoke.usd.values import vdb_problem
-from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, find_grid
 
 
@@ -80,7 +77,6 @@ def grouped(
 
 DENSITY = StageConfig().density  # a stage is checked without a run's settings
 _VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
-_READING = Lock()  # UsdValidation runs validators at the same time, and all want the same headers
 
 
 @dataclass(frozen=True)
@@ -116,20 +112,6 @@ def is_velocity(relationship: str) -> bool:
     return _VELOCITY.fullmatch(relationship) is not None
 
 
-def header_of(file_path: str) -> FileHeader:
-    """The header of a VDB file, read once as long as the file stays as it is.
-
-    Raises:
-        GridError, StageError: see ``read_header``.
-    """
-    try:
-        state = os.stat(file_path)
-    except OSError:
-        return read_header(file_path)
-    with _READING:
-        return _read_once(file_path, state.st_mtime_ns, state.st_size)
-
-
 def file_trouble(sample: FieldSample) -> str:
     """Why the file of a field cannot be opened at all; empty when it can, or nothing is shown."""
     if sample.blocked:
@@ -144,8 +126,9 @@ def sample_grid(sample: FieldSample) -> GridHeader | None:
     if sample.blocked or file_trouble(sample):
         return None
     try:
-        header = header_of(sample.file_path)
-        return find_grid(header, GridRequest(sample.grid_name, sample.grid_index))
+        return find_grid(
+            read_header(sample.file_path), GridRequest(sample.grid_name, sample.grid_index)
+        )
     except (GridError, StageError):
         return None
 
@@ -153,8 +136,3 @@ def sample_grid(sample: FieldSample) -> GridHeader | None:
 def field_to_stage(prim: Usd.Prim, time_code: float | None) -> np.ndarray:
     """Row-vector matrix [4 4] from a field prim's local space to the stage's, at a time."""
     return np.array(UsdGeom.XformCache(usd_time(time_code)).GetLocalToWorldTransform(prim))
-
-
-@lru_cache(maxsize=4096)
-def _read_once(file_path: str, _modified: int, _size: int) -> FileHeader:
-    return read_header(file_path)

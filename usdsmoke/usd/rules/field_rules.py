@@ -18,12 +18,11 @@ from usdsmoke.usd.rules.facts import (
     collect_fields,
     file_trouble,
     grouped,
-    header_of,
     is_velocity,
     sample_grid,
 )
 from usdsmoke.usd.values import value_at
-from usdsmoke.vdb.header import GridHeader
+from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
 _DATA_TYPES = {  # of a grid's values: the fieldDataType tokens that describe them
@@ -123,7 +122,7 @@ def check_grids(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                 continue
             try:
                 request = GridRequest(sample.grid_name, sample.grid_index)
-                find_grid(header_of(sample.file_path), request)
+                find_grid(read_header(sample.file_path), request)
             except GridError as error:
                 troubles[sample.time_code] = str(error)
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
@@ -143,7 +142,7 @@ def check_density(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                 continue  # ``check_files`` or ``check_grids`` reports it
             request = GridRequest(sample.grid_name, sample.grid_index, components=1)
             try:
-                check_readable(header_of(sample.file_path), grid, request)
+                check_readable(read_header(sample.file_path), grid, request)
             except UnsupportedGrid as error:
                 troubles[sample.time_code] = str(error)
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
@@ -247,7 +246,7 @@ _FIELD_ASSET = getattr(UsdVol, "VolumeFieldAsset", UsdVol.FieldAsset)  # renamed
 
 def _header_trouble(file_path: str) -> str:
     try:
-        header_of(file_path)
+        read_header(file_path)
     except (GridError, StageError) as error:
         return str(error)
     return ""

@@ -10,8 +10,9 @@ from pxr import Gf, Sdf, Usd
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.layer_record import read_record, record_values
-from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped, header_of
+from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
+from usdsmoke.vdb.header import read_header
 
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
 _DIGITS = 12  # digits of a hash that people compare
@@ -68,7 +69,7 @@ def check_field_results(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem
 
 def _promised(file_path: str) -> str:
     try:
-        return str(header_of(file_path).metadata.get(CONTENT_KEY, ""))
+        return str(read_header(file_path).metadata.get(CONTENT_KEY, ""))
     except (GridError, StageError):
         return ""
 

@@ -262,7 +262,7 @@ def _read_volume(
         _check_mask(outline, fields, time_code)
         frames.append(FrameSource(time_code, fields, control))
     for name, prim in outline.fields.prims.items():
-        check_assets(prim, _of_field(frames, name))
+        check_assets(prim, [frame.fields[name] for frame in frames if name in frame.fields])
     return VolumeSource(
         prim_path=str(outline.prim.GetPath()),
         frames=tuple(frames),
@@ -286,7 +286,3 @@ def _check_mask(outline: _Outline, fields: Mapping[str, FieldSource], time_code:
             f"{format_time_code(time_code)}. Author a .vdb file wherever the density has one, "
             "or select other frames."
         )
-
-
-def _of_field(frames: Sequence[FrameSource], name: str) -> list[FieldSource]:
-    return [frame.fields[name] for frame in frames if name in frame.fields]
