@@ -116,7 +116,8 @@ def stylize(
         job = _prepare(request, planned)
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
-        opened = clock.timed("preparing", stack.enter_context, open_run(job))  # loads torch
+        with clock.part("preparing"):  # loads torch
+            opened = stack.enter_context(open_run(job))
         to_do = opened.unfinished
         opened.check_disk(to_do, whole=True)
         # Damage and NaN show before an hour of work.
