@@ -13,7 +13,7 @@ demo: env ## simulate a small plume, stylize it, and say where the result is
 	@sh examples/plume/demo.sh out/demo
 
 test: check ## everything that CI runs: the checks, then all tests
-	$(PYTHON_IN) -m pytest -n $(JOBS) --dist loadfile
+	$(PYTHON_IN) -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: env ## formatting, lint and types
 	$(PYTHON_IN) -m ruff format --check .

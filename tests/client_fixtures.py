@@ -22,6 +22,7 @@ __all__ = [
     "dense",
     "expected",
     "fields_of",
+    "make_plume",
     "plume",
 ]
 
@@ -36,8 +37,13 @@ PARTS = tuple(f"{name}_{part}" for name in VECTORS for part in "rgb")
 
 @pytest.fixture
 def plume(tmp_path: Path, core: FakeCore) -> Shot:
+    """``make_plume``, stylized by the stand-in for the core."""
+    return make_plume(tmp_path)
+
+
+def make_plume(folder: Path) -> Shot:
     """Seven frames of different smoke with holes in it, off the origin."""
-    shot = make_shot(tmp_path / "shot", n_frames=7)
+    shot = make_shot(folder / "shot", n_frames=7)
     for code in range(1, 8):
         values = make_field(seed=code).values * np.float32(3)
         values[:, 0] = 0  # the box begins elsewhere

@@ -2,18 +2,20 @@
 
 import os
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 
+# Set before torch is loaded, and for processes that tests start: tests run side by side, and their
+# arrays are too small to share among threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads crawl on shared machines
 
 from tests.client_fixtures import plume
-from tests.farm_fixtures import farm, whole
-from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here
+from tests.farm_fixtures import farm, farm_source, whole
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here, stand_in
 
-__all__ = ["core", "farm", "plume", "quick_grids", "shot", "whole"]
+__all__ = ["core", "farm", "farm_source", "plume", "quick_grids", "shot", "whole"]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -36,9 +38,6 @@ def quick_grids(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def core(monkeypatch: pytest.MonkeyPatch, quick_grids: None) -> FakeCore:
+def core(monkeypatch: pytest.MonkeyPatch) -> FakeCore:
     """A core that takes no time and leaves traces in what it writes."""
-    fake = FakeCore()
-    for name, module in fake.modules().items():
-        monkeypatch.setitem(sys.modules, name, module)
-    return fake
+    return stand_in(monkeypatch)

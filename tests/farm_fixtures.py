@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, make_shot, run
+from tests.pipeline_fixtures import FakeCore, Shot, contents, copied, make_shot, run, stand_in
 from usdsmoke.pipeline import Request, run_window
 
 __all__ = ["OPTIONS", "WINDOWS", "Outcome", "farm", "outcome", "run_folder", "whole", "windows_in"]
@@ -17,16 +17,24 @@ OPTIONS = [part for text in WINDOWS for part in ("--set", text)]
 Outcome = tuple[dict[float, object], str]
 
 
+@pytest.fixture(scope="session")
+def farm_source(tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """Seven frames; copies of one shot, because VDB files written again have other bytes."""
+    return make_shot(tmp_path_factory.mktemp("farm") / "source", n_frames=7)
+
+
 @pytest.fixture
-def farm(tmp_path: Path, core: FakeCore) -> Shot:
+def farm(tmp_path: Path, farm_source: Shot, core: FakeCore) -> Shot:
     """Seven frames, three windows."""
-    return make_shot(tmp_path / "shot", n_frames=7)
+    return copied(farm_source, tmp_path / "shot")
 
 
-@pytest.fixture
-def whole(farm: Shot) -> Outcome:
+@pytest.fixture(scope="session")
+def whole(farm_source: Shot) -> Outcome:
     """What one process makes of the same shot."""
-    return outcome(run(copied(farm, "whole"), *WINDOWS).root_stage)
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in(patch)
+        return outcome(run(copied(farm_source, "whole"), *WINDOWS).root_stage)
 
 
 def outcome(root_stage: Path) -> Outcome:

@@ -4,6 +4,7 @@ import ast
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 __all__ = ["PACKAGE", "PROJECT", "Module", "closure", "find_cycle", "read_modules"]
@@ -26,6 +27,7 @@ class Module:
     foreign_at_top: frozenset[str]
 
 
+@cache
 def read_modules() -> dict[str, Module]:
     """Every module of the package by name."""
     files = sorted(PACKAGE.rglob("*.py"))

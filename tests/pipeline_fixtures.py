@@ -6,19 +6,19 @@ that is only there to be killed starts without torch.
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 from pxr import Usd, UsdVol
 
+from tests.forks import run_forks
 from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
 from usdsmoke.base.errors import BindingMissing, GridTooLarge
@@ -30,6 +30,9 @@ from usdsmoke.vdb import worker
 from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
+
+if TYPE_CHECKING:  # the processes that are killed do without
+    import pytest
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -247,6 +250,15 @@ def run_here(
         return answer, [np.load(Path(folder) / f"out{n}.npy") for n in range(n_arrays)]
 
 
+def stand_in(patch: "pytest.MonkeyPatch") -> FakeCore:
+    """The stand-ins for the core and for OpenVDB's process, in place until the patch is undone."""
+    core = FakeCore()
+    patch.setattr("usdsmoke.vdb.child.run_child", run_here)
+    for name, module in core.modules().items():
+        patch.setitem(sys.modules, name, module)
+    return core
+
+
 def pose(core: FakeCore) -> None:
     """Put the stand-ins in place for the rest of this process."""
     import usdsmoke.vdb.child
@@ -279,17 +291,16 @@ def contents(root_stage: Path) -> dict[float, object]:
     }
 
 
-def copied(shot: Shot, name: str) -> Shot:
-    """The whole folder once more."""
-    folder = shutil.copytree(shot.folder, shot.folder.with_name(name))
+def copied(shot: Shot, name: str | Path) -> Shot:
+    """The whole folder once more, beside it or elsewhere."""
+    folder = shutil.copytree(shot.folder, shot.folder.parent / name)
     return Shot(folder, folder / "in/shot.usda", folder / "in/style.png", folder / "out")
 
 
 def run_until(step: int, *arguments: str) -> tuple[int, list[str]]:
     """A command with stand-ins, killed at a step; its exit code and, when it lives, its steps."""
-    command = [sys.executable, "-m", "tests.run_to_be_killed", str(step), *arguments]
-    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=60)
-    return done.returncode, done.stderr.splitlines()[-1].split() if done.returncode == 0 else []
+    ((code, told),) = run_forks([(step, arguments)])
+    return code, told.splitlines()[-1].split() if code == 0 else []
 
 
 def values_of(file_path: str | Path, grid: str = "density") -> np.ndarray:

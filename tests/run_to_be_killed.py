@@ -35,9 +35,13 @@ def die_at(count: int) -> list[str]:
     return steps
 
 
+def do_run(steps: list[str], arguments: list[str]) -> int:
+    """The command; its exit code."""
+    code = main(arguments)
+    print(*steps, file=sys.stderr)
+    return code
+
+
 if __name__ == "__main__":
     pose(FakeCore())
-    taken = die_at(int(sys.argv[1]))
-    code = main(sys.argv[2:])
-    print(*taken, file=sys.stderr)
-    sys.exit(code)
+    sys.exit(do_run(die_at(int(sys.argv[1])), sys.argv[2:]))

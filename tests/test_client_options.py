@@ -20,13 +20,23 @@ from tests.client_fixtures import (
     WINDOWS,
     dense,
     expected,
+    make_plume,
 )
 from tests.grids_fixtures import check_content, openvdb, raw_grid, write_raw
-from tests.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run
+from tests.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run, stand_in
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.pipeline import Request, assemble, run_window
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.content_hash import hash_vdb_file
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, np.ndarray]]:
+    """The grids of each frame without any option."""
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in(patch)
+        result = run(make_plume(tmp_path_factory.mktemp("plain")), *WINDOWS)
+    return {file_path.name: dense(file_path) for file_path in result.frames}
 
 
 @pytest.mark.parametrize(
@@ -35,13 +45,12 @@ from usdsmoke.vdb.content_hash import hash_vdb_file
     ids=["Cd", "color", "rgb", "per density", "all"],
 )
 def test_each_option_writes_what_follows_from_density_and_emission(
-    plume: Shot, settings: tuple[str, ...]
+    plume: Shot, plain: dict[str, dict[str, np.ndarray]], settings: tuple[str, ...]
 ) -> None:
-    plain = run(copied(plume, "plain"), *WINDOWS)
     result = run(plume, *WINDOWS, *settings)  # frames 4, 5 and 7 are blended
-    assert [frame.name for frame in result.frames] == [frame.name for frame in plain.frames]
-    for without, file_path in zip(plain.frames, result.frames, strict=True):
-        wanted, found = expected(dense(without), settings), dense(file_path)
+    assert [frame.name for frame in result.frames] == list(plain)
+    for without, file_path in zip(plain.values(), result.frames, strict=True):
+        wanted, found = expected(without, settings), dense(file_path)
         assert set(found) == set(wanted)
         assert (wanted["density"] > 0).any() and (wanted["density"] == 0).any()
         for name, values in wanted.items():

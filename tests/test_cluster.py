@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,16 +43,30 @@ class Cluster:
 
     @property
     def begun(self) -> list[tuple[int, float]]:
-        """Process and timeCode of every frame that a worker began, in order."""
+        """Process and timeCode of every frame that a worker began for this test, in order."""
         log = self.folder / "log"
         lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
         return [(int(pid), float(code)) for pid, code in map(str.split, lines)]
 
-    def start_worker(self) -> None:
-        """Add a worker process of one thread."""
+    def make_ready(self) -> None:
+        """Forget the frames of other tests, and replace the workers that they killed."""
+        (self.folder / "log").unlink(missing_ok=True)
+        self.workers[:] = [worker for worker in self.workers if worker.poll() is None]
+        self.add_workers(2 - len(self.workers))
+
+    def add_workers(self, number: int) -> None:
+        """Start worker processes of one thread, and wait until the scheduler knows them."""
+        messages = self.folder / "dask_worker.txt"
+        messages.touch()
+        wanted = messages.read_text(encoding="utf-8").count("Registered to") + number
         options = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
         options += ["--preload", "tests.cluster_worker", "--local-directory", str(self.folder)]
-        self.workers.append(start(self.folder, "dask_worker", self.address, *options))
+        for _ in range(number):
+            self.workers.append(start(self.folder, "dask_worker", self.address, *options))
+        until = time.monotonic() + PATIENCE_S
+        while messages.read_text(encoding="utf-8").count("Registered to") < wanted:
+            assert time.monotonic() < until
+            time.sleep(0.05)
 
 
 def start(folder: Path, program: str, *arguments: str) -> subprocess.Popen[bytes]:
@@ -71,11 +86,9 @@ def start(folder: Path, program: str, *arguments: str) -> subprocess.Popen[bytes
         )
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """A scheduler with two workers."""
-    folder = tmp_path / "cluster"
-    folder.mkdir()
+@contextmanager
+def running(folder: Path) -> Iterator[Cluster]:
+    """A scheduler, and the workers that are started, until the end."""
     contact = folder / "scheduler.json"
     options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     scheduler = start(folder, "dask_scheduler", *options, "--scheduler-file", str(contact))
@@ -86,14 +99,35 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             assert time.monotonic() < until and scheduler.poll() is None
             time.sleep(0.05)
         address = json.loads(contact.read_text(encoding="utf-8"))["address"]
-        cluster = Cluster(address, folder, scheduler, workers)
-        cluster.start_worker()
-        cluster.start_worker()
-        yield cluster
+        yield Cluster(address, folder, scheduler, workers)
     finally:
         for process in (*workers, scheduler):
             process.kill()
             process.wait()
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """The scheduler that tests use which do not kill it."""
+    with running(tmp_path_factory.mktemp("cluster")) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def cluster(shared: Cluster) -> Cluster:
+    """A scheduler with two workers."""
+    shared.make_ready()
+    return shared
+
+
+@pytest.fixture
+def mortal(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler with a worker, for one test alone."""
+    folder = tmp_path / "cluster"
+    folder.mkdir()
+    with running(folder) as cluster:
+        cluster.add_workers(1)
+        yield cluster
 
 
 @pytest.mark.usefixtures("core")
@@ -179,7 +213,7 @@ def test_a_cluster_that_loses_all_workers_is_given_up(
 @pytest.mark.usefixtures("core")
 def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
     tmp_path: Path,
-    cluster: Cluster,
+    mortal: Cluster,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     moment: str,
@@ -187,17 +221,17 @@ def test_a_scheduler_that_dies_ends_the_run_and_keeps_its_windows(
     shot = make_shot(tmp_path, N_FRAMES)
 
     def write_and_kill(*arguments: object) -> None:
-        cluster.scheduler.kill()
+        mortal.scheduler.kill()
 
     def kill_scheduler(report: RunProgress) -> None:
         if report.step == moment:
-            cluster.scheduler.kill()
+            mortal.scheduler.kill()
 
     if moment == "look_around":
         monkeypatch.setattr("usdsmoke.farm.dask.publish_file", write_and_kill)
     with pytest.raises(ClusterError, match=r"scheduler .*[Ff]inished windows are kept"):
         request = Request(shot.stage, shot.style, shot.output, SETTINGS)
-        stylize_on_cluster(cluster.address, request, kill_scheduler)
+        stylize_on_cluster(mortal.address, request, kill_scheduler)
     gc.collect()
     assert capfd.readouterr().err == ""
     assert bool(list(shot.output.glob("vdb/*/windows/*.json"))) == (moment == "window")

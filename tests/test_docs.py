@@ -1,5 +1,7 @@
 """The documents: their links lead somewhere, and what they name exists."""
 
+import contextlib
+import io
 import re
 import subprocess
 import sys
@@ -8,6 +10,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[1]
 FOLDERS = (".", "docs", "docs/decisions", "benchmarks", "examples", "examples/plume")
@@ -23,14 +27,22 @@ def run(*arguments: str) -> str:
     return done.stdout
 
 
+def printed_by(*arguments: str) -> str:
+    """What ``usdsmoke`` prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):  # --help exits
+        assert main(list(arguments)) == 0
+    return printed.getvalue()
+
+
 @cache
 def help_of(command: str) -> str:
-    return run("-m", "usdsmoke", *([command] if command else []), "--help")
+    return printed_by(*([command] if command else []), "--help")
 
 
 @cache
 def settings() -> dict[str, dict[str, object]]:
-    return yaml.safe_load(run("-m", "usdsmoke", "settings"))
+    return yaml.safe_load(printed_by("settings"))
 
 
 def prose(document: Path) -> str:

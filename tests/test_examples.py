@@ -1,8 +1,12 @@
 """The examples run, and the plume's solver does what its docstrings say."""
 
+import contextlib
 import importlib
+import io
+import runpy
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,16 +17,26 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.resolve import read_settings, resolve_config
+from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[1]
 PLUME, STYLES = PROJECT / "examples" / "plume", PROJECT / "examples" / "styles"
 
 
-def run_script(*command: str | Path) -> str:
-    """Run a script and return what it prints."""
+def run_script(script: Path, *arguments: str | Path) -> str:
+    """Run a script as ``python SCRIPT`` does, but in this process; what it prints."""
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.syspath_prepend(str(script.parent))
+        patch.setattr(sys, "argv", [str(script), *map(str, arguments)])
+        runpy.run_path(str(script), run_name="__main__")
+    return printed.getvalue()
+
+
+def run_in_process(*command: str | Path) -> None:
+    """Run a script in a process of its own."""
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -152,18 +166,6 @@ def test_plume_is_the_same_every_time(solver: ModuleType) -> None:
     np.testing.assert_array_equal(first, density())
 
 
-def test_styles_are_painted_the_same_every_time_in_many_colours(tmp_path: Path) -> None:
-    for folder in ("first", "second"):
-        run_script(STYLES / "paint.py", tmp_path / folder, "--size", "64")
-    names = {p.name for p in (tmp_path / "first").iterdir()}
-    assert names == {"strokes.png", "waves.png", "petals.png"}
-    for name in names:
-        pixels = np.asarray(Image.open(tmp_path / "first" / name))
-        assert pixels.shape == (64, 64, 3)
-        assert pixels.std(axis=(0, 1)).min() > 15.0  # no channel is flat
-        np.testing.assert_array_equal(pixels, np.asarray(Image.open(tmp_path / "second" / name)))
-
-
 def test_demo_settings_are_known_to_the_configuration() -> None:
     assert resolve_config(read_settings(PLUME / "config.yaml")).optimize.seed == 7
 
@@ -181,7 +183,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[str | Path, ...]:
 
 
 def test_request_on_stage_fades_in(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
-    run_script(EXAMPLES / "request_on_stage/author_request.py", *inputs, "--output", tmp_path)
+    # USD has to know the schema before the first stage is opened, hence the process
+    run_in_process(EXAMPLES / "request_on_stage/author_request.py", *inputs, "--output", tmp_path)
     look = Usd.Stage.Open(str(tmp_path / "look/request_look.usda"))
     volume = UsdVol.Volume.Get(look, "/plume/smoke")
     field = UsdVol.OpenVDBAsset.Get(look, volume.GetFieldPath("density"))
@@ -206,8 +209,23 @@ def test_shot_camera_is_seen_through(inputs: tuple[str | Path, ...], tmp_path: P
     assert UsdGeom.Camera.Get(stage, "/cameras/orbit")
 
 
-@pytest.mark.slow
-def test_farm_assembles_its_windows(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+def call_here(command: list[str], **options: Any) -> subprocess.CompletedProcess[str]:
+    """``python -m usdsmoke`` without its process; one at a time, because stdout is caught."""
+    assert command[:3] == [sys.executable, "-m", "usdsmoke"]
+    printed = io.StringIO()
+    with CALLS, contextlib.redirect_stdout(printed):
+        code = main(command[3:])
+    return subprocess.CompletedProcess(command, code, printed.getvalue())
+
+
+CALLS = threading.Lock()
+
+
+def test_farm_assembles_its_windows(
+    inputs: tuple[str | Path, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands' own processes are those of the test of the job template."""
+    monkeypatch.setattr(subprocess, "run", call_here)
     run_script(EXAMPLES / "farm/run_windows.py", *inputs, "--output", tmp_path)
     assert len(list(tmp_path.glob("vdb/*/windows/*.json"))) == 2
     assert (tmp_path / "plume_look.usda").exists()
@@ -218,3 +236,17 @@ def test_preview_writes_pictures(inputs: tuple[str | Path, ...], tmp_path: Path)
     run_script(EXAMPLES / "preview/draw_stage.py", *stage, "--output", tmp_path, "--width", "32")
     assert np.asarray(Image.open(tmp_path / "frame.png")).shape[1:] == (32, 4)
     assert (tmp_path / "sheet.png").exists() and (tmp_path / "layers.exr").exists()
+
+
+def test_styles_are_painted_the_same_every_time_in_many_colours(
+    inputs: tuple[str | Path, ...], tmp_path: Path
+) -> None:
+    first = Path(inputs[3]).parent
+    run_script(STYLES / "paint.py", tmp_path, "--size", "48")
+    names = {p.name for p in tmp_path.iterdir()}
+    assert names == {"strokes.png", "waves.png", "petals.png"}
+    for name in names:
+        pixels = np.asarray(Image.open(tmp_path / name))
+        assert pixels.shape == (48, 48, 3)
+        assert pixels.std(axis=(0, 1)).min() > 15.0  # no channel is flat
+        np.testing.assert_array_equal(pixels, np.asarray(Image.open(first / name)))

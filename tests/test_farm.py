@@ -2,25 +2,15 @@
 
 import json
 import random
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from tests.farm_fixtures import OPTIONS, WINDOWS, Outcome, outcome, run_folder, windows_in
-from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, copied, run, run_until, values_of
+from tests.forks import run_forks
+from tests.pipeline_fixtures import FakeCore, Shot, copied, run, run_until, values_of
 from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
-
-
-def start(shot: Shot, *more: str) -> subprocess.Popen[str]:
-    """A process of its own."""
-    command = [sys.executable, "-m", "tests.run_to_be_killed", "0"]
-    return subprocess.Popen(
-        [*command, *shot.arguments(*OPTIONS, *more)],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
 
 
 def manifest(shot: Shot, window: int) -> dict[str, object]:
@@ -45,10 +35,9 @@ def test_windows_in_any_order_give_what_one_process_gives(
 def test_processes_at_once_give_what_one_process_gives(
     farm: Shot, whole: Outcome, windows: list[int], core: FakeCore
 ) -> None:
-    at_once = [start(farm, "--window", str(window)) for window in windows]
-    for process in at_once:
-        _, err = process.communicate(timeout=60)
-        assert process.returncode == 0, err
+    parts = [farm.arguments(*OPTIONS, "--window", str(window)) for window in windows]
+    for code, told in run_forks([(0, part) for part in parts]):
+        assert code == 0, told
     assert len(list(farm.output.glob("vdb/*/run.json"))) == 1
     core.coarse.clear()
     windows_in(farm, sorted({0, 1, 2} - set(windows)))

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from pxr import Sdf
 
-from tests.farm_fixtures import WINDOWS, outcome, run_folder, windows_in
+from tests.farm_fixtures import OPTIONS, WINDOWS, outcome, run_folder, windows_in
+from tests.forks import run_forks
 from tests.grids_fixtures import raw_grid, write_raw
 from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, copied, make_shot, run
-from tests.test_farm import start
 from usdsmoke.audit import provenance, rerun
 from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.volume import VolumeFrame
@@ -118,10 +118,10 @@ def test_a_run_of_other_settings_is_refused_as_soon_as_another_one_reads_its_fir
 
 
 def test_of_two_different_runs_begun_at_once_one_is_refused_by_name(farm: Shot) -> None:
-    seeds = [start(farm, "--window", "0", "--seed", seed) for seed in ("1", "5")]
-    messages = [process.communicate(timeout=60)[1] for process in seeds]
-    assert sorted(process.returncode for process in seeds) == [0, 1]
-    (refusal,) = (m for m, process in zip(messages, seeds, strict=True) if process.returncode)
+    seeds = [farm.arguments(*OPTIONS, "--window", "0", "--seed", seed) for seed in ("1", "5")]
+    ends = sorted(run_forks([(0, arguments) for arguments in seeds]))
+    assert [code for code, _ in ends] == [0, 1]
+    refusal = ends[1][1]
     assert re.search(r"settings\.optimize\.seed was [15], now [15]", " ".join(refusal.split()))
     assert len(list(farm.output.glob("vdb/*/run.json"))) == 1
 
@@ -198,7 +198,7 @@ def test_the_real_core_gives_the_bits_of_two_processors_on_one(tmp_path: Path) -
         write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(cloud(0.05 * code)))
     quick = [
         "features.layers=[oriented1, oriented2]", "optimize.iterations=3", "views.image_size=24",
-        "views.pool=2", "windows.size=2", "windows.overlap=1",
+        "views.pool=2", "windows.size=2", "windows.overlap=1", "optimize.error_budget=false",
     ]  # fmt: skip
     whole = run(copied(shot, "whole"), *quick)
     other = run(copied(shot, "other"), *quick, "optimize.threads=1")
@@ -206,5 +206,8 @@ def test_the_real_core_gives_the_bits_of_two_processors_on_one(tmp_path: Path) -
     settings = [part for text in quick for part in ("--set", text)]
     on_one_processor(*shot.arguments(*settings, "--window", "0"))
     run_window(Request(shot.stage, shot.style, shot.output, quick), 1)
-    assert outcome(assemble(shot.output).root_stage) == outcome(whole.root_stage)
+    result = assemble(shot.output)
+    assert outcome(result.root_stage) == outcome(whole.root_stage)
+    assert result.overlap_difference is not None
+    assert 0 < result.overlap_difference["density"] < 1
     assert contents(other.root_stage) != contents(whole.root_stage), "threads do not matter here"

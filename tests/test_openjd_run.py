@@ -21,6 +21,7 @@ SETTINGS = {
     "optimize.iterations": 2,
     "views.image_size": 16,
     "views.pool": 2,
+    "features.layers": "[oriented1]",
     "optimize.threads": 1,
     "windows.size": 2,
     "windows.overlap": 1,

@@ -80,8 +80,9 @@ def test_the_plan_and_the_settings_stay_with_the_result(shot: Shot) -> None:
     record = json.loads(text)
     assert record["description"]["settings"]["optimize"]["seed"] == 3
     assert [window["time_codes"] for window in record["plan"]["windows"]] == [[1, 2], [3]]
-    planned = [omission.what for omission in result.plan.omitted]
-    assert [item["what"] for item in record["plan"]["omitted"]] == planned
+    planned = [(omission.what, omission.reason) for omission in result.plan.omitted]
+    told = [(item["what"], item["reason"]) for item in record["plan"]["omitted"]]
+    assert told == planned and planned
     assert str(shot.folder) not in text
 
 

@@ -1,16 +1,13 @@
 """usdsmoke rerun: the same content from the record alone, refusals by name, an honest exit code."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.grids_fixtures import raw_grid, write_raw
-from tests.pipeline_fixtures import PROJECT, FakeCore, Shot, contents, make_shot, run
+from tests.pipeline_fixtures import FakeCore, Shot, contents, make_shot, run
 from tests.usd_fixtures import file_hashes, write_vdb
 from usdsmoke.audit import provenance, rerun
 from usdsmoke.base.errors import LayerError, OutputExists
@@ -137,8 +134,10 @@ def ball(shift: float) -> np.ndarray:
     return np.clip(1 - (place**2).sum(-1), 0, 1)
 
 
-@pytest.mark.slow
-def test_the_real_core_makes_the_same_content_again(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("quick_grids")
+def test_the_real_core_makes_the_same_content_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shot = make_shot(tmp_path, n_frames=2)
     for code in (1, 2):
         write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(ball(0.1 * code)))
@@ -148,15 +147,8 @@ def test_the_real_core_makes_the_same_content_again(tmp_path: Path) -> None:
         shot.arguments(*settings),
         ["rerun", str(shot.output / "shot_look.usda"), "-o", str(tmp_path / "again")],
     ):
-        done = subprocess.run(
-            [sys.executable, "-m", "usdsmoke", *arguments],
-            cwd=PROJECT,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )
-        assert done.returncode == 0, done.stderr
-    assert "the same content in 2 frames as recorded" in done.stdout
+        assert main(arguments) == 0
+    assert "the same content in 2 frames as recorded" in capsys.readouterr().out
     (record,) = provenance(tmp_path / "again")
     figures = record.record.figures.keys()
     assert {"shape seconds", "colour seconds", "shape loss", "colour loss"} <= figures

@@ -13,6 +13,7 @@ from benchmarks.warm_starts import Row, cheapest_equal, measure_step
 from benchmarks.window_cost import Cost, render_report, repeat_frames
 from tests.smoke_fixtures import frame_of, puff, random_style
 
+PLAIN = ["features.layers=[oriented1]", "optimize.error_budget=false"]
 QUICK = [
     "colour.iterations=[2]", "shape.iterations=[1]", "views.pool=2", "views.image_size=24",
     "features.layers=[oriented1]",
@@ -36,7 +37,7 @@ def test_half_of_the_smoke_is_half_of_the_work_and_each_camera_has_its_result(
 def test_fades_compute_no_frame_without_a_visible_neighbour(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    settings = ("optimize.iterations=3", "views.pool=2", "views.image_size=16")
+    settings = ("optimize.iterations=3", "views.pool=2", "views.image_size=16", *PLAIN)
     options = [word for setting in settings for word in ("--set", setting)]
     fades.main(["--resolution", "12", "--frames", "8", *options])
     rows = capsys.readouterr().out.splitlines()[2:]
@@ -77,7 +78,7 @@ def test_the_cheapest_warm_start_is_the_first_as_near_as_the_full_cold_one() -> 
 
 def test_warm_starts_do_the_finest_octave_alone_and_cold_ones_all() -> None:
     frames = [frame_of(puff(8, seed), float(seed), np.zeros(3)) for seed in (1, 2)]
-    settings = ["views.pool=1", "views.image_size=16", "colour.iterations=[2,2,4]"]
+    settings = [*QUICK, "views.pool=1", "views.image_size=16", "colour.iterations=[2,2,4]"]
     shot = make_shot(frames, "strokes", [*settings, "optimize.tolerance=0"], 64)
     rows = measure_step(shot, "colour", warm=(1, 4), cold=(1.0, 0.5))
     assert [(row.start, row.iterations) for row in rows] == [

@@ -97,10 +97,8 @@ def test_back_trace_is_second_order():
 
 def test_baselines_reach_the_figures_of_decision_006():
     """Schemes that the product does not use: MacCormack and other back-traces."""
-    errors = {
-        scheme: swirl_warp(64, scheme, True).l1 for scheme in ("linear", "maccormack", "cubic")
-    }
-    assert errors["cubic"] < 0.02 * errors["maccormack"]
+    errors = {scheme: swirl_warp(64, scheme).l1 for scheme in ("linear", "maccormack", "cubic")}
+    assert errors["cubic"] < 5e-3 * errors["maccormack"]
     assert errors["maccormack"] < errors["linear"]
     assert single_vortex(64, "maccormack", True).l1 == pytest.approx(4.01e-3, rel=0.02)
     for order in (1, 2, 4):
