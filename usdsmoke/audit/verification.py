@@ -7,7 +7,6 @@ forgotten edits. They are not signatures, and do not detect fraud.
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
@@ -29,14 +28,6 @@ from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
-
-
-@dataclass(frozen=True)
-class _Result:
-    """A file of the result and the hash of its content."""
-
-    file: Path
-    digest: str
 
 
 def verify(file: str | PathLike[str]) -> list[Change]:
@@ -87,31 +78,31 @@ def _check_layer(item: FoundRecord) -> Iterator[Change]:
 
 
 def _check_results(item: FoundRecord) -> list[Change]:
-    results = [_Result(item.place(n), digest) for n, digest in item.record.results.items()]
+    files = [item.place(name) for name in item.record.results]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
-        found = pool.map(_check_result, results)
+        found = pool.map(_check_result, files, item.record.results.values())
     return [change for change in found if change is not None]
 
 
-def _check_result(result: _Result) -> Change | None:
-    file, expected = str(result.file), f"grids {shown(result.digest)}"
-    if not result.file.is_file():
+def _check_result(path: Path, recorded: str) -> Change | None:
+    file, expected = str(path), f"grids {shown(recorded)}"
+    if not path.is_file():
         return Change("result-missing", file, expected, "no file")
     try:
-        promised = str(read_header(result.file).metadata.get(CONTENT_KEY, ""))
-        if promised != result.digest:
+        promised = str(read_header(path).metadata.get(CONTENT_KEY, ""))
+        if promised != recorded:
             what = (
                 f"a file of grids {shown(promised)}"
                 if promised
                 else "a file written by another program"
             )
             return Change("result-replaced", file, expected, what)
-        digest = hash_vdb_file(result.file, GridsConfig())
+        digest = hash_vdb_file(path, GridsConfig())
     except BindingMissing as error:
         return Change.note("unchecked", file, expected, str(error))
     except UsdSmokeError as error:
         return Change("result-edited", file, expected, f"a file that cannot be read: {error}")
-    if digest != result.digest:
+    if digest != recorded:
         return Change("result-edited", file, expected, f"grids {shown(digest)}")
     return None
 

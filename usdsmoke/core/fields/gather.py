@@ -14,8 +14,6 @@ from torch.autograd.function import once_differentiable
 
 from usdsmoke.core.smoke.memory import chunks
 
-__all__ = ["gather_sum", "planar"]
-
 GATHER_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
 
 

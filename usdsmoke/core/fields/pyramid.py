@@ -17,8 +17,6 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.core.fields.resample import interpolation_matrix, upsample
 from usdsmoke.core.fields.sparse_map import AxisMatrix, Nodes, SparseMap, map_along, nodes_read
 
-__all__ = ["LevelNodes", "SparsePyramid", "expand_levels", "pyramid_shapes"]
-
 
 @dataclass(frozen=True)
 class LevelNodes:

@@ -19,8 +19,6 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.sample import sample_linear
 
-__all__ = ["Method", "interpolation_matrix", "refine_field", "smooth", "upsample"]
-
 Method = Literal["linear", "cubic"]
 _SIGMAS = 4.0  # where the Gaussian is cut off; 6e-5 of it lies beyond
 

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from usdsmoke.core.fields.transport import Scheme, warp
 
-__all__ = ["StepError", "step_error", "warp_error"]
-
 WARP_ORDERS: dict[Scheme, float] = {"linear": 2.0, "cubic": 4.0}  # of a single warp
 
 

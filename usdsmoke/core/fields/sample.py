@@ -29,15 +29,6 @@ from usdsmoke.base.errors import NonFiniteError, ShapeError
 from usdsmoke.core.fields.gather import gather_sum, planar
 from usdsmoke.core.smoke.memory import chunks
 
-__all__ = [
-    "BOUNDARIES",
-    "Boundary",
-    "sample_cubic",
-    "sample_linear",
-    "spline_coefficients",
-    "voxel_positions",
-]
-
 Boundary = Literal["zero", "nearest"]
 BOUNDARIES: tuple[Boundary, ...] = ("zero", "nearest")
 CUBIC_CHUNK = 2**16  # positions that are sampled at once

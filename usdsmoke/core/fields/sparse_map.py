@@ -17,17 +17,6 @@ from torch import Tensor
 
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 
-__all__ = [
-    "AxisMatrix",
-    "Nodes",
-    "SparseMap",
-    "SparseSums",
-    "Table",
-    "map_along",
-    "nodes_read",
-    "read_along",
-]
-
 Table = tuple[Tensor, Tensor]
 
 

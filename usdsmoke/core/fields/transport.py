@@ -24,17 +24,6 @@ from torch import Tensor
 from usdsmoke.base.errors import NonFiniteError, PlanError, ShapeError
 from usdsmoke.core.fields.sample import sample_cubic, sample_linear, voxel_positions
 
-__all__ = [
-    "SCHEMES",
-    "Scheme",
-    "Velocity",
-    "backtrace",
-    "check_finite",
-    "choose_substeps",
-    "correct_mass",
-    "warp",
-]
-
 Scheme = Literal["linear", "cubic"]
 SCHEMES: tuple[Scheme, ...] = ("linear", "cubic")
 Velocity = Tensor | Callable[[Tensor], Tensor]

@@ -31,15 +31,6 @@ from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.scene import Scene
 
-__all__ = [
-    "CoarseStart",
-    "coarse_frames",
-    "coarsen_field",
-    "load_carried",
-    "load_start",
-    "save_start",
-]
-
 
 def coarse_frames(
     frames: Iterable[VolumeFrame],

@@ -24,18 +24,6 @@ from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.smoke.noise import white_noise
 
-__all__ = [
-    "average_colours",
-    "average_displacement",
-    "carry_colours",
-    "carry_displacement",
-    "colour_error",
-    "departure_points",
-    "displacement_error",
-    "fill_colours",
-    "trace_back",
-]
-
 FILL_LEVELS = 4  # halvings over which new smoke takes its neighbours' colour
 
 

@@ -11,15 +11,6 @@ from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
-__all__ = [
-    "SETTINGS",
-    "check_controls",
-    "coarse_factor",
-    "frame_config",
-    "in_effect",
-    "is_computed",
-]
-
 # The dotted name of a setting by the field of ``FrameControls`` that stands for it.
 SETTINGS = {
     extra["control"]: name

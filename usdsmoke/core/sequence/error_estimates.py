@@ -29,8 +29,6 @@ from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views
 
-__all__ = ["frame_errors", "painted_frame", "tail_figures"]
-
 N_VIEWS = 2  # that were not optimised, and as many that were
 OTHER_SEED = 0x0DD5EED  # of their angles
 

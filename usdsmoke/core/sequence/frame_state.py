@@ -28,19 +28,6 @@ from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
 from usdsmoke.core.views.scene import Scene, frame_scene
 from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, frame_visibility
 
-__all__ = [
-    "NO_STRENGTH",
-    "MovedFrame",
-    "OpenedFrame",
-    "PaintedFrame",
-    "ShapedFrame",
-    "Watch",
-    "WindowContext",
-    "advance",
-    "make_context",
-    "open_frame",
-]
-
 Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
 NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out

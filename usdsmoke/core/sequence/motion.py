@@ -31,8 +31,6 @@ from usdsmoke.core.fields.sample import sample_linear, voxel_positions
 from usdsmoke.core.fields.transport import backtrace, check_finite, choose_substeps
 from usdsmoke.core.sequence.motion_energy import PAIRS, Prior, central_difference, solve_increment
 
-__all__ = ["MotionOptions", "estimate_velocity"]
-
 SHORTEST = 12  # an axis is halved while this many voxels remain
 LATTICE = 2  # voxels of a density's level along an axis of one voxel of its motion
 REACH, REACH_SHARE = 16, 0.25  # how far around the later box the earlier smoke is looked at

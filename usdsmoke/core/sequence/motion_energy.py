@@ -17,14 +17,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = [
-    "PAIRS",
-    "Prior",
-    "apply_prior",
-    "central_difference",
-    "solve_increment",
-]
-
 # Rows and columns of the ten different entries of a symmetric 4 x 4 matrix.
 PAIRS = tuple((row, column) for row in range(4) for column in range(row, 4))
 

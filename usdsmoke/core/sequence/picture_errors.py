@@ -12,8 +12,6 @@ from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import colour_map, column_map
 
-__all__ = ["Painted", "fit_blocks", "quadrature_error", "resolution_error"]
-
 
 @dataclass(frozen=True)
 class Painted:

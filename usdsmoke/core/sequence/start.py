@@ -17,8 +17,6 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import carry_colours, carry_displacement, fill_colours
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
-__all__ = ["Carried", "CoarseStart", "start_colours", "start_displacement"]
-
 # Share of the difference to the coarse result by which a carried result is corrected. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
 PULL_DISPLACEMENT = 0.35

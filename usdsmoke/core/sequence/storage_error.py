@@ -10,8 +10,6 @@ from usdsmoke.base.frame_report import Estimate, FrameErrors
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["pruned", "storage_errors"]
-
 _LARGEST_HALF = 65504.0
 
 

@@ -17,8 +17,6 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.views.scene import Scene
 
-__all__ = ["StylizedFrame", "stylize_window", "stylized_frame"]
-
 
 @dataclass(frozen=True)
 class StylizedFrame:

@@ -9,8 +9,6 @@ import torch
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.sections import OptimizeConfig
 
-__all__ = ["Machine", "choose_device", "describe_machine"]
-
 # Variables by which libraries under torch take other instructions than the processor offers.
 _LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR")
 

@@ -6,8 +6,6 @@ from typing import Any, Generic, TypeVar, cast, overload
 import torch
 from torch import Tensor
 
-__all__ = ["CHUNK_ROWS", "LazyList", "accumulate", "chunks"]
-
 CHUNK_ROWS = 2**14  # voxels or sums in a chunk, unless a module has measured a better size
 GPU_CHUNK_FACTOR = 256  # times as many on a GPU, where every chunk costs time
 

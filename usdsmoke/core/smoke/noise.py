@@ -12,8 +12,6 @@ from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
 
-__all__ = ["white_noise"]
-
 # Odd, about half of the bits set; i, j, k and channel.
 _STEPS = (
     -0x61C8864680B583EB,

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-__all__ = ["OCTAVE_SCALE", "octave_iterations", "warm_iterations"]
-
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 

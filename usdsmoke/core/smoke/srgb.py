@@ -7,8 +7,6 @@ from torch import Tensor
 
 from usdsmoke.base.sections import StyleConfig
 
-__all__ = ["decode_srgb", "encode_srgb", "luminance", "match_grey", "scale_style"]
-
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
 

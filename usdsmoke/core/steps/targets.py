@@ -18,8 +18,6 @@ from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
-__all__ = ["StepProblem", "StyleImage", "StyleTargets", "make_targets"]
-
 
 class StyleImage:
     """A style image and what is measured on it, once, whatever its share.

@@ -19,8 +19,6 @@ from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
 
-__all__ = ["content_distance", "laplacian_distance", "photorealism_distance"]
-
 HALVES = (torch.float16, torch.bfloat16)
 LEAST_RMS = 5e-3  # of a content's features; flatter ones are compared as if they had it
 SMALL = 1e-8  # under the root, so that its slope at 0 is finite; 1e-4 of a relative distance

@@ -7,33 +7,6 @@ changes no number.
 import hashlib
 import json
 
-__all__ = [
-    "BINOMIAL",
-    "COLOUR_FLOOR",
-    "COLOUR_RELATIVE",
-    "DEVIATION_SHARE",
-    "ENERGY_FLOOR",
-    "ENVELOPE_SHARE",
-    "FREQUENCIES",
-    "LEAST_DEVIATION",
-    "LEAST_POWER",
-    "LEAST_VARIANCE",
-    "N_AXES",
-    "N_CLUSTERINGS",
-    "N_FILTERS",
-    "N_LEVELS",
-    "N_ORIENTATIONS",
-    "N_PATCHES",
-    "PATCH_SIZES",
-    "REVISION",
-    "SIZE",
-    "WHITENING_FLOOR",
-    "default_layers",
-    "embedded_hash",
-    "learned_layers",
-    "oriented_layers",
-]
-
 REVISION = 1
 
 # Oriented filters

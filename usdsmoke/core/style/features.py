@@ -55,15 +55,6 @@ from usdsmoke.core.style.definition import (
 )
 from usdsmoke.core.style.vgg19 import Vgg19Features
 
-__all__ = [
-    "EmbeddedFeatures",
-    "LearnedFeatures",
-    "Network",
-    "OrientedFeatures",
-    "build_network",
-    "colour_whitening",
-]
-
 _BINOMIAL = torch.tensor(BINOMIAL) / sum(BINOMIAL)
 
 

@@ -7,17 +7,6 @@ from usdsmoke.base.errors import ConfigError, FeatureError, count_text
 from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
-__all__ = [
-    "VGG19_BLOCKS",
-    "VGG19_FILE_NAME",
-    "content_layers",
-    "find_vgg19_file",
-    "layer_names",
-    "named_vgg19_file",
-    "style_layers",
-    "vgg19_layers",
-]
-
 VGG19_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
 VGG19_FILE_NAME = "vgg19-dcbb9e9d.pth"  # as torchvision names it
 VGG19_STYLE = ("relu2_1", "relu3_1")  # [Christen2020, section 4]

@@ -19,8 +19,6 @@ from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
 
-__all__ = ["quantile_distance", "quantile_table", "random_directions"]
-
 HALVES = (torch.float16, torch.bfloat16)
 
 

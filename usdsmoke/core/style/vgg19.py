@@ -18,8 +18,6 @@ from usdsmoke.base.errors import FeatureError
 from usdsmoke.base.record_format import hash_stream
 from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
 
-__all__ = ["Vgg19Features"]
-
 _MEAN = (0.485, 0.456, 0.406)
 _DEVIATION = (0.229, 0.224, 0.225)
 

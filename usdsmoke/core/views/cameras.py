@@ -10,18 +10,6 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
 
-__all__ = [
-    "View",
-    "camera_orbit",
-    "draw_views",
-    "frame_points",
-    "orbit_view",
-    "rigid_axes",
-    "sample_angles",
-    "view_of_camera",
-    "view_rays",
-]
-
 FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
 

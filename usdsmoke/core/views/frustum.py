@@ -10,8 +10,6 @@ import numpy as np
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import APERTURE_UNIT, rigid_axes
 
-__all__ = ["Frustum", "frustum_of", "pixel_footprint"]
-
 
 @dataclass(frozen=True)
 class Frustum:

@@ -8,8 +8,6 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 
-__all__ = ["EXTINCTION", "LIGHT", "Medium", "make_media"]
-
 EXTINCTION, _EMISSION, _GREY = 0, slice(1, 4), 4  # channels of a medium
 LIGHT = slice(1, 5)  # emission and grey
 

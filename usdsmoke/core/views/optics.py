@@ -17,8 +17,6 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-__all__ = ["attenuation_ratio", "opacity", "transmittance_before"]
-
 
 def opacity(optical_depth: Tensor) -> Tensor:
     """1 - exp(-t), accurate to round-off for every t >= 0; any shape, dimensionless.

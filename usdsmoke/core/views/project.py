@@ -22,9 +22,6 @@ from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
-__all__ = ["SparseImage", "colour_map", "column_map", "project_voxels"]
-
-
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32

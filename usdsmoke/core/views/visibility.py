@@ -9,15 +9,6 @@ from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.frustum import Frustum, frustum_of, pixel_footprint
 
-__all__ = [
-    "EffectMask",
-    "Visibility",
-    "effect_mask",
-    "frame_visibility",
-    "nearest_footprint",
-    "visible_part",
-]
-
 VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines and filters read it
 STEEPEST_SHARE = 1.125  # at the fraction t of the border the share is at most this times t
 
