@@ -7,9 +7,8 @@ error budget of a run is made from the reports of its frames (``runs.budget``).
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from usdsmoke.base.json_records import from_json, to_json
+from usdsmoke.base.json_records import JsonRecord
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,10 @@ class OverlapReport:
 
 
 @dataclass(frozen=True)
-class FrameReport:
+class FrameReport(JsonRecord):
     """Everything that is known of one frame when it is finished."""
+
+    keeps_defaults = False
 
     voxels: int = 0  # with smoke
     voxels_outside_camera: int | None = None  # of these; None where the camera does not matter
@@ -159,16 +160,3 @@ class FrameReport:
         """Seconds that it took to measure what the file loses."""
         found = (self.errors.storage_density, self.errors.storage_emission)
         return math.fsum(estimate.seconds for estimate in found if estimate is not None)
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON values, without those that are the defaults."""
-        return to_json(self)
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> "FrameReport":
-        """The report that ``to_json`` gave.
-
-        Raises:
-            ValueError: the values are no report.
-        """
-        return from_json(cls, values)

@@ -1,35 +1,35 @@
 """Frozen dataclasses as JSON values and back, checked by their type hints."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import TypeAdapter
 
-_Record = TypeVar("_Record")
+_Record = TypeVar("_Record", bound="JsonRecord")
 _ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
 
 
-def to_json(record: Any, defaults: bool = False) -> dict[str, Any]:
-    """A dataclass as JSON values, by the names of its fields.
+class JsonRecord:
+    """Base of dataclasses whose fields JSON can hold, dataclasses and tuples among them."""
 
-    Args:
-        record: of fields that JSON can hold, dataclasses, tuples and mappings among them.
-        defaults: whether fields at their default are there too.
-    """
-    values: dict[str, Any] = _adapter(type(record)).dump_python(
-        record, mode="json", exclude_defaults=not defaults
-    )
-    return values
+    keeps_defaults: ClassVar[bool] = True  # whether fields at their default are written
 
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values, by the names of the fields."""
+        values: dict[str, Any] = _adapter(type(self)).dump_python(
+            self, mode="json", exclude_defaults=not self.keeps_defaults
+        )
+        return values
 
-def from_json(kind: type[_Record], values: Mapping[str, Any]) -> _Record:
-    """The dataclass that ``to_json`` gave the values of; names that it does not know are ignored.
+    @classmethod
+    def from_json(cls: type[_Record], values: Mapping[str, Any]) -> _Record:
+        """What ``to_json`` gave the values of; names that are not known are ignored.
 
-    Raises:
-        ValueError: a field is missing or has a value of another type.
-    """
-    record: _Record = _adapter(kind).validate_python(dict(values))
-    return record
+        Raises:
+            ValueError: a field is missing or has a value of another type.
+        """
+        record: _Record = _adapter(cls).validate_python(dict(values))
+        return record
 
 
 def _adapter(kind: Any) -> TypeAdapter[Any]:

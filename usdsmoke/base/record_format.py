@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from usdsmoke.base.errors import FileUnreadable, LayerError
-from usdsmoke.base.json_records import from_json, to_json
+from usdsmoke.base.json_records import JsonRecord
 
 RECORD_FORMAT = 1  # rises when a field changes its meaning
 RECORD_FILE = "provenance.json"  # in the folder of a run
@@ -84,7 +84,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class RunRecord:
+class RunRecord(JsonRecord):
     """How a result was made. Files are relative to the folder of the look layer."""
 
     format: int
@@ -125,10 +125,6 @@ class RunRecord:
             "explicit": list(self.explicit),
         }
 
-    def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return to_json(self, defaults=True)
-
     def to_text(self) -> str:
         """As JSON text. Equal records have equal texts."""
         return json.dumps(self.to_json(), sort_keys=True, ensure_ascii=False)
@@ -144,7 +140,7 @@ class RunRecord:
             values = json.loads(text)
             found = values["format"]
             if found == RECORD_FORMAT:
-                return from_json(cls, values)
+                return cls.from_json(values)
         except (ValueError, TypeError, KeyError) as error:
             reason = " ".join(str(error).split())[:120]
             raise LayerError(

@@ -46,7 +46,10 @@ _Manifest = TypeVar("_Manifest", WindowRecord, CoarseRecord)
 
 @dataclass
 class Run:
-    """One run's folder and record; nothing is on disk before ``begin``."""
+    """One run's folder and record; nothing is on disk before ``begin``.
+
+    Methods that write raise WriteFailed where the operating system refuses.
+    """
 
     folder: Path
     description: Mapping[str, Any]  # settings and inputs, JSON values
@@ -94,9 +97,6 @@ class Run:
         """Make the folders that are missing and the record, all in JSON values.
 
         If another process has begun the same run meanwhile, its record is used.
-
-        Raises:
-            WriteFailed: the operating system refused.
         """
         self.plan, self.request, self.processor = plan, request, processor
         self._made = make_folders(self.folder)
@@ -113,19 +113,11 @@ class Run:
         return False
 
     def save(self) -> None:
-        """Write the record; only a process that is alone in the output folder may.
-
-        Raises:
-            WriteFailed: the operating system refused.
-        """
+        """Write the record; only a process that is alone in the output folder may."""
         _publish_json(self.folder / RUN_RECORD, self._record())
 
     def keep_scenes(self, scenes: Sequence[Mapping[str, Any]]) -> None:
-        """Note what was measured, unless another process has noted it meanwhile.
-
-        Raises:
-            WriteFailed: the operating system refused.
-        """
+        """Note what was measured, unless another process has noted it meanwhile."""
         kept = {"run_id": self.run_id, "scenes": scenes}
         if not _publish_json(self.folder / _SCENES, kept, new=True):
             if not _read_scenes(self.folder, self.run_id):  # left by a run that was removed
@@ -209,11 +201,7 @@ class Run:
         return self.folder / (_COARSE if window is None else f"windows/{window:04d}.json")
 
     def keep(self, manifest: WindowRecord | CoarseRecord) -> None:
-        """Write a manifest, after its files.
-
-        Raises:
-            WriteFailed: the operating system refused.
-        """
+        """Write a manifest, after its files."""
         window = manifest.window if isinstance(manifest, WindowRecord) else None
         target = self.manifest_path(window)
         make_folders(target.parent)

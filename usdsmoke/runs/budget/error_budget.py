@@ -3,10 +3,9 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.json_records import from_json, to_json
+from usdsmoke.base.json_records import JsonRecord
 from usdsmoke.base.record_format import Figure
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.clock import step_seconds
@@ -122,7 +121,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class ErrorBudget:
+class ErrorBudget(JsonRecord):
     """The errors of a run, why it has no figure for others, and the time of its parts."""
 
     estimates: tuple[ErrorEstimate, ...]
@@ -134,19 +133,6 @@ class ErrorBudget:
     def __getitem__(self, name: str) -> ErrorEstimate:
         """The estimate of this name; KeyError if there is none."""
         return {estimate.name: estimate for estimate in self.estimates}[name]
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return to_json(self, defaults=True)
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> "ErrorBudget":
-        """The budget that ``to_json`` gave.
-
-        Raises:
-            ValueError: the values are no budget.
-        """
-        return from_json(cls, values)
 
 
 def run_budget(plan: Plan, reports: Mapping[str, FrameReport]) -> ErrorBudget:

@@ -25,11 +25,13 @@ from usdsmoke.ui.cli.commands import (
     run_inspect,
     run_plugin_path,
     run_preview,
+    run_provenance,
     run_report,
+    run_rerun,
     run_settings,
     run_validate,
+    run_verify,
 )
-from usdsmoke.ui.cli.record_commands import run_provenance, run_rerun, run_verify
 from usdsmoke.ui.cli.text import print_json
 from usdsmoke.ui.cli.values import empty_path
 from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit
