@@ -1,6 +1,7 @@
 """What a run needs and what it leaves out, in sentences; each omission has a reason."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import colour_names
@@ -27,11 +28,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         f"density of <{volume.source.prim_path}> at timeCodes {_time_codes(volume.frames)}"
         for volume in volumes
     ]
-    needed += [
-        f"the request of <{volume.source.prim_path}>: {', '.join(names)}"
-        for volume in volumes
-        if (names := _requested(volume))
-    ]
+    needed += [volume.request_text for volume in volumes if volume.request_text]
     if n_velocity := sum(frame.velocity is not None for frame in _frames(volumes)):
         needed.append(f"velocity of {count_text(n_velocity, 'frame')}")
     if n_copied := sum(frame.copied is not None for frame in _frames(volumes)):
@@ -73,7 +70,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
             *_omitted_views(own, members),
             *_omitted_inputs(own, members),
         ]
-        omitted += [Omission(f"{item.what}{where}", item.reason) for item in found]
+        omitted += [replace(item, what=f"{item.what}{where}") for item in found]
     for volume in volumes:
         omitted += _omitted_of_volume(volume)
     return tuple(omitted)
@@ -125,13 +122,6 @@ def _time_codes(frames: Iterable[FramePlan]) -> str:
 
 def _where(volumes: Volumes, link: str) -> str:
     return link + ", ".join(f"<{volume.source.prim_path}>" for volume in volumes)
-
-
-def _requested(volume: VolumePlan) -> list[str]:
-    """Names of the settings that the prim requests itself."""
-    request = volume.source.request
-    names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
-    return [*(["style images"] if request.styles else []), *names]
 
 
 def _needed_by(config: Config, volumes: Volumes) -> list[str]:
@@ -208,6 +198,7 @@ def _omitted_steps(config: Config) -> list[Omission]:
             Omission(
                 "transmittance along the rays of the shape step",
                 "a grey picture is the opacity, which needs column sums only",
+                expected=True,
             )
         )
     return omitted
@@ -218,25 +209,27 @@ def _omitted_losses(config: Config) -> list[Omission]:
     if losses.style == 0:
         omitted.append(Omission("style loss and features", "losses.style is 0"))
     omitted += [
-        Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0")
+        Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0", expected=True)
         for name in _OTHER_LOSSES
         if getattr(losses, name) == 0
     ]
     if config.features.network != "embedded":
-        omitted.append(Omission("network layers below the last style layer", "no loss uses them"))
+        reason = "no loss uses them"
+        omitted.append(Omission("network layers below the last style layer", reason, expected=True))
     else:
-        omitted.append(Omission("VGG-19 parameters", "the embedded features need no file"))
+        reason = "the embedded features need no file"
+        omitted.append(Omission("VGG-19 parameters", reason, expected=True))
         names = unneeded_layers(config)
         if names and losses.style:
-            omitted.append(
-                Omission(f"network layers {', '.join(names)}", "no layer in use is as deep")
-            )
+            what = f"network layers {', '.join(names)}"
+            omitted.append(Omission(what, "no layer in use is as deep", expected=True))
     if config.optimize.tolerance > 0:
         omitted.append(
             Omission(
                 "iterations after convergence",
                 "an octave ends when its loss hardly decreases "
                 f"(optimize.tolerance={config.optimize.tolerance:g})",
+                expected=True,
             )
         )
     return omitted
@@ -272,7 +265,7 @@ def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
         return omitted
     if not config.views.camera:
         reason = "views.camera is not set; views are around the up axis"
-        return [*omitted, Omission("the shot's camera", reason)]
+        return [*omitted, Omission("the shot's camera", reason, expected=True)]
     for volume in volumes:
         omitted += _invisible(config, volume)
     return omitted
@@ -313,9 +306,12 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
 def _omitted_inputs(config: Config, volumes: Volumes) -> list[Omission]:
     omitted, frames = [], _frames(volumes)
     if all(frame.velocity is None for frame in frames):
-        omitted.append(Omission("velocity grids", _why_no_velocity(volumes, config)))
+        expected = len(frames) == 1 or config.windows.size == 1
+        reason = _why_no_velocity(volumes, config)
+        omitted.append(Omission("velocity grids", reason, expected))
     if all(frame.mask is None for frame in frames):
-        omitted.append(Omission("mask field", _why_no_mask(config, volumes)))
+        expected = not config.stage.mask
+        omitted.append(Omission("mask field", _why_no_mask(config, volumes), expected))
     return omitted
 
 
@@ -364,11 +360,13 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         found.append(("everything three-dimensional", "the volume is one voxel thick"))
     n_box = sum(frame.size.box[0] * frame.size.box[1] * frame.size.box[2] for frame in filled)
     n_active = sum(frame.size.active_voxels for frame in filled)
-    if n_box > n_active:
-        reason = "these voxels are empty; only active ones are projected and optimised"
-        found.append((f"{1 - n_active / n_box:.0%} of the bounding boxes", reason))
     where = f"of <{volume.source.prim_path}>"
-    return [Omission(f"{what} {where}", reason) for what, reason in found]
+    omitted = [Omission(f"{what} {where}", reason) for what, reason in found]
+    if n_box > n_active:
+        what = f"{1 - n_active / n_box:.0%} of the bounding boxes {where}"
+        reason = "these voxels are empty; only active ones are projected and optimised"
+        omitted.append(Omission(what, reason, expected=True))
+    return omitted
 
 
 def _cuts_text(cuts: Sequence[tuple[float, float]]) -> str:

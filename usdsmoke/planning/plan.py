@@ -21,6 +21,7 @@ class Omission:
 
     what: str
     reason: str
+    expected: bool = False  # nothing that somebody asked for or has to know
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,14 @@ class VolumePlan:
     styles: tuple[int, ...]  # indices of its images among the run's
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes that share a coarse step
     cuts: tuple[tuple[float, float], ...] = ()  # pairs of timeCodes with a cut between them
+
+    @property
+    def request_text(self) -> str:
+        """What the prim requests itself, as a sentence; "" for nothing."""
+        request = self.source.request
+        names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
+        found = [*(["style images"] if request.styles else []), *names]
+        return f"the request of <{self.source.prim_path}>: {', '.join(found)}" if found else ""
 
     @property
     def coarse_frames(self) -> tuple[FramePlan, ...]:

@@ -294,6 +294,25 @@ def test_volumes_without_a_selected_time_code_are_left_out_with_a_reason(tmp_pat
     assert len(find_volumes(stage, StageConfig(frames="2,3")).volumes) == 2
 
 
+def test_volumes_that_nobody_sees_are_left_out_unless_they_are_named(tmp_path):
+    write_sequence(tmp_path, [1])
+    hidden = 'token visibility = "invisible"\n'
+    blinking = 'token visibility.timeSamples = { 1: "invisible", 2: "inherited" }\n'
+    guide = 'uniform token purpose = "guide"\n'
+    parts = {"seen": "", "hidden": hidden, "blinking": blinking, "guide": guide}
+    prims = [volume_prim(text + density_prim(DEFAULT), name) for name, text in parts.items()]
+    group = f'def Xform "off" {{ {hidden} {volume_prim(density_prim(DEFAULT), "inside")} }}'
+    group = group.replace("/World/inside", "/World/off/inside")
+    stage = open_stage(write_text(tmp_path / "shot.usda", world("".join([*prims, group]))))
+    source = find_volumes(stage, StageConfig())
+    assert [item.prim_path for item in source.volumes] == ["/World/seen", "/World/blinking"]
+    assert "</World/hidden> is invisible" in source.omitted["/World/hidden"]
+    assert "guide" in source.omitted["/World/guide"]
+    assert "</World/off> is invisible" in source.omitted["/World/off/inside"]
+    named = find_volumes(stage, StageConfig(prims=["/World/hidden", "/World/guide"]))
+    assert len(named.volumes) == 2 and not named.omitted
+
+
 def test_volumes_inside_instances_are_left_out_with_a_reason(tmp_path):
     write_sequence(tmp_path, [1])
     body = f"""

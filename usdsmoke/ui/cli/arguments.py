@@ -94,7 +94,8 @@ def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPar
         epilog=_EXIT_CODES,
     )
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
-    parser.add_argument("--verbose", action="store_true", help="show the traceback of an error")
+    what = "list everything in a plan; show the traceback of an error"
+    parser.add_argument("--verbose", action="store_true", help=what)
     return parser
 
 

@@ -224,7 +224,7 @@ def run_rerun(arguments: argparse.Namespace) -> int:
             arguments.output,
             arguments.force,
             progress,
-            lambda plan: progress.say(plan_text(plan)),
+            lambda plan: progress.say(plan_text(plan, arguments.verbose)),
         )
         for warning in again.result.warnings:
             progress.say(f"note: {warning}")

@@ -36,24 +36,33 @@ def show(arguments: argparse.Namespace, value: Callable[[], Any], text: Callable
         print(text())
 
 
-def plan_text(plan: "Plan") -> str:
-    """A plan: Volumes, what is needed, what is left out and why, what it costs."""
+def plan_text(plan: "Plan", everything: bool = False) -> str:
+    """A plan: the Volumes, what is unusual, what it costs.
+
+    Args:
+        everything: also list all that is needed, and what every run of this kind leaves out.
+    """
     estimate = plan.estimate
-    return "\n".join(
-        [
-            f"plan for {plan.source.file_path}",
-            *(f"  {_volume_line(volume)}" for volume in plan.volumes),
-            *_window_lines(plan),
-            "needed",
-            *(f"  {sentence}" for sentence in plan.needed),
-            "left out",
-            *(f"  {omission.what}: {omission.reason}" for omission in plan.omitted),
-            "estimate",
-            f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
-            f"{_size(estimate.bytes_written)} on disk, up to {_size(estimate.bytes_temporary)} of "
-            "temporary files",
-        ]
-    )
+    omitted = [item for item in plan.omitted if everything or not item.expected]
+    lines = [
+        f"plan for {plan.source.file_path}",
+        *(f"  {_volume_line(volume)}" for volume in plan.volumes),
+        *_window_lines(plan),
+        *(f"  {volume.request_text}" for volume in plan.volumes if volume.request_text),
+    ]
+    if everything:
+        lines += ["needed", *(f"  {sentence}" for sentence in plan.needed)]
+    if omitted:
+        lines += ["left out", *(f"  {item.what}: {item.reason}" for item in omitted)]
+    lines += [
+        "estimate",
+        f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
+        f"{_size(estimate.bytes_written)} on disk, up to {_size(estimate.bytes_temporary)} of "
+        "temporary files",
+    ]
+    if not everything:
+        lines.append("--verbose lists what is needed and all that is left out")
+    return "\n".join(lines)
 
 
 def result_text(result: "StylizeResult") -> str:
@@ -260,7 +269,8 @@ def budget_text(
     whole = parts.pop("all", None)
     took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())
     time = f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
-    rest = [_left_out(omitted)] if omitted else []
+    unusual = [item for item in omitted if not item.expected]
+    rest = [_left_out(unusual)] if unusual else []
     return "\n".join([*columns(rows), *notes, *left_out, *rest, time, *verdict])
 
 

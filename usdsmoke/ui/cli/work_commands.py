@@ -31,7 +31,7 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         show(
             arguments,
             lambda: plan.to_dict() | {"config": plan.config.model_dump()},
-            lambda: plan_text(plan),
+            lambda: plan_text(plan, arguments.verbose),
         )
         return 0
     if arguments.coarse or arguments.window is not None:
@@ -116,7 +116,11 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
     with ConsoleProgress(Console(stderr=True)) as progress:
-        result = call(arguments, progress, lambda plan: progress.say(plan_text(plan)))
+
+        def say_plan(plan: "Plan") -> None:
+            progress.say(plan_text(plan, arguments.verbose))
+
+        result = call(arguments, progress, say_plan)
         for warning in getattr(result, "warnings", ()):
             progress.say(f"note: {warning}")
     return result

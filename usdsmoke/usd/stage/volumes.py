@@ -34,6 +34,7 @@ from usdsmoke.usd.stage.fields import (
 )
 from usdsmoke.usd.stage.opening import named_prim, type_words
 from usdsmoke.usd.stage.originals import is_look_layer
+from usdsmoke.usd.values import value_at
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
@@ -136,14 +137,13 @@ def _choose_volumes(
     there = [prim for prim in Usd.PrimRange.Stage(stage, predicate) if prim.IsA(UsdVol.Volume)]
     if named:
         return [_named_volume(stage, path, there) for path in named], {}
-    volumes = [prim for prim in there if not prim.IsInstanceProxy()]
-    inside = {
-        str(prim.GetPath()): describe_instance(prim) for prim in there if prim.IsInstanceProxy()
-    }
+    reasons = {prim: _why_not_chosen(prim) for prim in there}
+    volumes = [prim for prim, reason in reasons.items() if not reason]
+    omitted = {str(prim.GetPath()): reason for prim, reason in reasons.items() if reason}
     if volumes:
-        return volumes, inside
-    if inside:
-        path, reason = next(iter(inside.items()))
+        return volumes, omitted
+    if omitted:
+        path, reason = next(iter(omitted.items()))
         raise StageError(f"cannot use Volume <{path}>: {reason}")
     if is_look_layer(stage.GetRootLayer()):
         raise VolumeNotFound(
@@ -154,6 +154,37 @@ def _choose_volumes(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
         f"with a density field{_composition_hint(stage)}."
     )
+
+
+def _why_not_chosen(prim: Usd.Prim) -> str:
+    """Why a Volume is left out unless it is named; "" where it is not."""
+    if prim.IsInstanceProxy():
+        return describe_instance(prim)
+    shown = UsdGeom.Imageable(prim)
+    if shown.ComputePurpose() == UsdGeom.Tokens.guide:
+        return "its purpose is guide, which renderers do not draw. Name it with --prim to use it."
+    hidden = [part for part in _ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
+    if hidden:
+        return f"<{hidden[0].GetPath()}> is invisible. Name the Volume with --prim to use it."
+    return ""
+
+
+def _ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
+    """A prim and all above it."""
+    found = []
+    while prim and not prim.IsPseudoRoot():
+        found.append(prim)
+        prim = prim.GetParent()
+    return found
+
+
+def _is_hidden(item: UsdGeom.Imageable) -> bool:
+    """True if visibility is invisible at every time."""
+    attribute = item.GetVisibilityAttr() if item else None
+    if not attribute:
+        return False
+    times = attribute.GetTimeSamples() or [Usd.TimeCode.Default()]
+    return all(value_at(attribute, time) == UsdGeom.Tokens.invisible for time in times)
 
 
 def _composition_hint(stage: Usd.Stage) -> str:
