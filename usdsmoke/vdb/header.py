@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -102,6 +103,7 @@ _MASK_COMPRESSION = 222  # before it, one flag for the file; since then, flags f
 _MAX_VALUE = 1_048_576  # bytes of a metadata value that is kept; longer ones are passed over
 
 _SETTLED = 2.0  # seconds: file systems cannot distinguish changes in quick succession
+_TURN = Lock()  # UsdValidation runs validators at the same time, and all want the same headers
 
 _SUFFIX = "\x1e"  # OpenVDB distinguishes grids of one name by this and a number
 _TREE = re.compile(r"Tree_(?P<value>.+?)_(?P<levels>\d+(?:_\d+)*)(?P<half>_HalfFloat)?")
@@ -176,7 +178,8 @@ def read_header(file_path: str | os.PathLike[str]) -> FileHeader:
         status = os.stat(where)
         identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
         if time.time() - status.st_mtime > _SETTLED:
-            return _read_settled(where, identity)
+            with _TURN:
+                return _read_settled(where, identity)
         return _read_now(where)
     except FileNotFoundError:
         raise AssetNotResolved(
@@ -194,7 +197,7 @@ def _read_now(where: str) -> FileHeader:
         return _read_file_header(ByteReader(stream, size, where))
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=4096)
 def _read_settled(where: str, identity: tuple[int, ...]) -> FileHeader:
     """The header, cached while the file does not change."""
     return _read_now(where)

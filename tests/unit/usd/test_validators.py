@@ -1,6 +1,7 @@
 """The volume validators: each finds its own fault, names prim and timeCode, and is silent else."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -22,7 +23,8 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import StageError
-from usdsmoke.usd.rules import PREFIX, Severity, facts, register_validators, validate
+from usdsmoke.usd.rules import PREFIX, Severity, register_validators, validate
+from usdsmoke.vdb import header
 
 UsdValidation = pytest.importorskip("pxr.UsdValidation")
 pytestmark = needs_usd(26, 5)
@@ -347,11 +349,10 @@ def test_what_is_no_stage_is_refused(tmp_path):
 def test_a_long_sequence_reads_every_header_once(tmp_path, monkeypatch):
     codes = list(range(1, 61))
     write_sequence(tmp_path, codes)
-    read = []
-    monkeypatch.setattr(
-        facts, "read_header", lambda path, keep=facts.read_header: read.append(path) or keep(path)
-    )
-    facts._read_once.cache_clear()
+    for file_path in tmp_path.rglob("*.vdb"):
+        os.utime(file_path, (0, 0))  # a file that has just been written is read again
+    read, now = [], header._read_now
+    monkeypatch.setattr(header, "_read_now", lambda path: read.append(path) or now(path))
     assert findings(tmp_path, density_prim(sequence(codes))) == []
     assert len(read) == len(set(read)) == 60
 
