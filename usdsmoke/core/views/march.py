@@ -34,6 +34,7 @@ __all__ = ["Picture", "march"]
 _CHUNK = 1 << 20  # numbers of each kind in memory at once, over all rays of a chunk
 _THICK = 0.1  # optical depth above which a segment is cut once more
 _MOST_PARTS = 64
+_SAME = 1e-6  # relative difference of colours that are the same
 _MOST_RAYS = 4  # a pixel's rays along each side
 
 
@@ -127,16 +128,16 @@ def _rays_across(medium: Medium, view: View) -> int:
 def _shared_colour(media: Sequence[Medium]) -> np.ndarray | None:
     """Light over extinction [4] where it is the same in all smoke; None where it is not."""
     light, extinction = (
-        np.max([medium.values[..., part].max(axis=(0, 1, 2)) for medium in media], axis=0)
-        for part in (LIGHT, slice(EXTINCTION, EXTINCTION + 1))
+        np.max([medium.values[..., part].reshape(-1, n).max(axis=0) for medium in media], axis=0)
+        for part, n in ((LIGHT, 4), (slice(EXTINCTION, EXTINCTION + 1), 1))
     )
     if not extinction > 0:
         return None
-    colour = (light / extinction).astype(np.float32)
-    for medium in media:
-        values = medium.values
+    colour: np.ndarray = light / extinction
+    for values in (medium.values for medium in media):
         for channel, share in zip(range(values.shape[3])[LIGHT], colour, strict=True):
-            if not np.allclose(values[..., channel], share * values[..., EXTINCTION], 1e-6, 0):
+            wanted = share * values[..., EXTINCTION] if share else np.float32(0)
+            if (np.abs(values[..., channel] - wanted) > _SAME * np.abs(wanted)).any():
                 return None
     return colour
 
