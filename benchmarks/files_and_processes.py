@@ -21,7 +21,7 @@ __all__ = ["main", "measure"]
 HERE = Path(__file__).resolve().parents[1]
 SETTINGS = ("windows.size=8", "windows.overlap=4", "views.image_size=112", "views.pool=12")
 SHORT = ("optimize.iterations=1", "shape.iterations=1", "colour.iterations=1")
-_PARTS = ("reading", "writing", "assembling", "the rest", "all")
+_PARTS = ("preparing", "reading", "transport", "writing", "assembling", "the rest", "all")
 
 # Runs in a process of the checkout that is measured.
 _PROGRAM = """

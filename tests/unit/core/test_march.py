@@ -315,6 +315,16 @@ def test_light_behind_much_smoke_is_hidden_and_its_depth_counts() -> None:
         assert np.allclose(picture.emission[..., 0], 1e-3, rtol=1e-2)
 
 
+def test_a_glow_that_is_bright_enough_shines_through_much_smoke() -> None:
+    density = np.full(BOX, 30.0)  # an optical depth of 24
+    light = np.zeros((*BOX, 3))
+    light[:, :, 0] = 1e10  # at the far end
+    matrix, view = placed(BOX), front(1, 1)
+    picture = march(media_of(density, light, matrix), view, rays=1)
+    wanted = quadrature(density, light, matrix, view)[1]
+    assert wanted.min() > 1e-3 and np.allclose(picture.emission, wanted, rtol=0.01)
+
+
 def test_nothing_gives_an_empty_picture_and_negative_density_counts_as_none() -> None:
     assert (march([], front()).rgba == 0).all()
     empty = field(np.zeros((0, 0, 0)), np.eye(4))

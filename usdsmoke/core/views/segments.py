@@ -6,7 +6,7 @@ import numpy as np
 from torch import Tensor
 
 GAUSS = 0.5 / 3**0.5  # distance of the two points from a segment's middle, in its length
-OPAQUE = 20.0  # optical depth behind which nothing is visible in float32
+OPAQUE = 36.0  # optical depth; less than 3e-16 of the light behind it arrives
 PARALLEL = 1e-12  # share of a ray's direction below which it does not cross an axis' planes
 
 
