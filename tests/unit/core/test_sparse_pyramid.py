@@ -1,23 +1,18 @@
 """The potential on the voxels that count is the one on the whole box, and so are its gradients."""
 
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import affine, held_in_voxels, masked, puff, smoke_of
-from tests.stylize_fixtures import quick_config, run_core
+from tests.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core.fields.displacement import SparseDisplacement, slope_matrix
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
 from usdsmoke.core.fields.potential import border_mask, unclamped_displacement
 from usdsmoke.core.fields.pyramid import SparsePyramid, expand_levels, pyramid_shapes
 from usdsmoke.core.fields.resample import interpolation_matrix
 from usdsmoke.core.fields.sparse_map import AxisMatrix, Nodes, map_along, nodes_read
-from usdsmoke.core.fields.transport import warp
 
 CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}
 LEVELS = 5
@@ -186,32 +181,3 @@ def test_slopes_are_those_of_a_parabola_up_to_the_border() -> None:
     x = 0.5 * torch.arange(6, dtype=torch.float64)
     assert torch.allclose(slope_matrix(6, 0.5) @ (x * x - 3 * x), 2 * x - 3)
     assert not slope_matrix(1, 0.5).any()
-
-
-@pytest.mark.parametrize("kind", CHANNELS)
-def test_the_shape_step_moves_what_the_whole_box_would(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With a mask, and a displacement that the frame before has left."""
-    seen = []
-
-    def loss(octave: Any, potential: Tensor, _: int) -> Tensor:
-        moved = octave.moved(potential)
-        box = octave.density.new_zeros(*octave.lattice.shape, potential.shape[1])
-        box[octave.effect > 0] = potential.detach()
-        share, base = octave._share, octave.base
-        u = held_in_voxels(box, octave.effect, kind, octave.limit, octave.lattice, base, share)
-        wanted = warp(octave.density, u, scheme="linear")
-        torch.testing.assert_close(moved, wanted[tuple(octave.active.T)], rtol=0, atol=2e-6)
-        assert wanted.sum().item() == pytest.approx(moved.sum().item(), rel=1e-5)  # nothing is lost
-        seen.append(
-            (base is not None, (moved - octave.density[tuple(octave.active.T)]).abs().max())
-        )
-        return (moved * octave._arrivals[:, 0]).sum()
-
-    monkeypatch.setattr("usdsmoke.core.steps.shape._Octave.loss", loss)
-    half = np.broadcast_to(np.linspace(0, 1, 12)[:, None, None], (12, 12, 12))
-    frames = [masked(half), replace(masked(half), time_code=2.0)]
-    run_core(frames, quick_config(shape={"displacement": kind}, optimize={"steps": ["shape"]}))
-    assert {has_base for has_base, _ in seen} == {False, True}
-    assert max(change for _, change in seen) > 0.01

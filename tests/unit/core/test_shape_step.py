@@ -1,0 +1,153 @@
+"""The shape step from outside: what it moves in its pictures, and what it holds meanwhile."""
+
+import gc
+import weakref
+from collections.abc import Iterator, Sequence
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from tests.smoke_fixtures import frame_of, masked, puff, random_style, smoke_of
+from tests.stylize_fixtures import quick_config, run_core, scene_of
+from usdsmoke.core.fields.displacement import clamp_displacement
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.pyramid import SparsePyramid
+from usdsmoke.core.fields.transport import warp
+from usdsmoke.core.steps import optimize
+from usdsmoke.core.steps.pictures import ViewPool, grey_view
+from usdsmoke.core.steps.shape import max_displacement, run_shape_step
+from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
+from usdsmoke.core.views.project import column_map
+from usdsmoke.core.views.scene import frame_views
+from usdsmoke.core.views.visibility import EffectMask
+
+KEPT = 8  # the iteration whose state is the result: see Pictures
+
+
+class Pictures:
+    """Stands for the style: a loss that is linear in the picture, and falls until it rises.
+
+    The optimiser remembers its state in iterations 0, 8, ... and goes back to the best of them when
+    it ends much worse. So the picture seen in iteration 8 belongs to the result.
+    """
+
+    uses_content = False
+
+    def __init__(self) -> None:
+        self.seen: dict[int, Tensor] = {}
+
+    def at(self, factor: int, grey: bool = False) -> "Pictures":
+        return self
+
+    def __call__(self, picture: Tensor, guide: Tensor, content: Any, iteration: int) -> Tensor:
+        self.seen[iteration] = picture.detach().clone()
+        ramp = torch.linspace(-1, 1, picture.shape[1])[:, None]
+        slope = (picture * ramp).mean()
+        value = 1 - iteration / 20 if iteration <= KEPT else 5.0
+        return value + slope - slope.detach()
+
+
+def drift(lattice: Lattice) -> Tensor:
+    """A displacement that the frame before has left."""
+    return torch.tensor([0.4, -0.3, 0.2]).expand(*lattice.shape, 3)
+
+
+@pytest.mark.parametrize("start", [None, drift], ids=["at rest", "drifting"])
+@pytest.mark.parametrize("kind", ["stream", "potential", "mixed"])
+def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: Any) -> None:
+    """With a mask. Only voxels that count are moved while optimising; here all of them are."""
+    half = np.broadcast_to(np.linspace(0, 1, 12)[:, None, None], (12, 12, 12))
+    frame, smoke = masked(half), smoke_of(puff(12))
+    config = quick_config(
+        shape={"displacement": kind, "iterations": [KEPT + 2], "learning_rate": 0.05},
+        views={"azimuth": 0.0, "elevation": 0.0, "centre_azimuth": 30.0},
+        losses={"keep": 0.0},
+    )
+    scene, mask, pictures = scene_of([frame], config), EffectMask(frame), Pictures()
+    problem = StepProblem(smoke, cast(StyleTargets, pictures), scene, config, mask)
+    found, ends = run_shape_step(problem, config.shape.iterations, start)
+    assert ends[-1].restored
+
+    lattice = found.lattice
+    density, places = lattice.fill(smoke), lattice.positions()
+    share = mask.at(places).to(density).reshape(density.shape)
+    held = clamp_displacement(
+        lattice.from_stage(found.values), max_displacement(smoke, config.shape.reach), share
+    )
+    moved = warp(density, held / density.new_tensor(lattice.spacing), scheme="linear")
+    (view,) = frame_views(smoke, config.views, scene, 0)
+    image = column_map(places, smoke.voxel_volume, view)
+    gamma, exposure = scene.gamma_w_shape, scene.exposure_shape
+    whole = grey_view(image, density.flatten(), share.flatten(), gamma, exposure)
+    wanted = whole.over_grey(whole.picture(moved.flatten()), scene.grey_mean)
+    torch.testing.assert_close(pictures.seen[KEPT], wanted, rtol=0, atol=2e-6)
+    still = whole.over_grey(whole.grey, scene.grey_mean)
+    assert (wanted - still).abs().max() > 0.01
+
+
+class Alive(TorchDispatchMode):
+    """Whether any of some objects lived during the last operation of torch."""
+
+    def __init__(self, watched: Sequence["weakref.ref[Any]"]) -> None:
+        super().__init__()
+        self.watched, self.last = watched, False
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None
+    ) -> Any:
+        self.last = any(item() is not None for item in self.watched)
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.fixture
+def no_collection() -> Iterator[None]:
+    """What only the garbage collector would free stays."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def octaves() -> list[Any]:
+    """The views of octaves and what is optimised in them, most of a step's memory."""
+    return [item for item in gc.get_objects() if type(item) in (ViewPool, SparsePyramid)]
+
+
+@pytest.mark.usefixtures("no_collection")
+@pytest.mark.parametrize("iterations", [[2, 2, 2], [2, 2, 0]])
+def test_the_views_of_one_octave_are_held_while_it_is_optimised(iterations: list[int]) -> None:
+    smoke, config = smoke_of(puff(12)), quick_config()
+    scene = scene_of([masked(np.ones((12, 12, 12)))], config)
+    targets = make_targets([random_style()], scene, config, torch.device("cpu"))
+    problem = StepProblem(smoke, targets, scene, config)
+    before, begun, optimised = len(octaves()), [], []
+    latest: list[weakref.ref[Any]] = []
+
+    def start(lattice: Lattice) -> Tensor:
+        begun.append(len(octaves()) - before)
+        return drift(lattice)
+
+    def watch(octave: int, state: object) -> None:
+        held = octaves()
+        optimised.append((octave, len(held) - before))
+        latest[:] = map(weakref.ref, held)
+
+    with Alive(latest) as alive:
+        run_shape_step(problem, iterations, start, watch)
+    assert set(begun) == {0} and len(begun) >= 3
+    assert {n for _, n in optimised} == {2}
+    assert {octave for octave, _ in optimised} == {k for k, n in enumerate(iterations) if n}
+    assert latest and not alive.last  # dense boxes are made after them
+
+
+def test_what_is_left_in_pieces_is_given_back_before_an_octave_is_optimised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr(optimize, "give_back_memory", lambda: calls.append(1))
+    run_core([frame_of(puff(12))])
+    assert len(calls) == 4  # two octaves of two steps
