@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
+from tests.counters import Elements
 from tests.smoke_fixtures import affine, frame_of, puff
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress
 from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame
-from usdsmoke.core.steps.targets import StyleTargets
 from usdsmoke.core.views.scene import Scene
 
 DENSITY = puff(12)
@@ -82,31 +84,30 @@ def test_two_threads_agree_with_one_but_for_round_off(stylized):
         ({"losses": {"style": 0.0}}, "losses.style is 0"),
     ],
 )
-def test_no_strength_or_no_style_gives_the_source_back_and_asks_for_no_features(
-    sections, reason, monkeypatch
-):
-    refuse_targets(monkeypatch)
-    result = run_core([FRAME], quick_config(**sections))[0]
+def test_no_strength_or_no_style_gives_the_source_back_and_asks_for_no_features(sections, reason):
+    config = quick_config(**sections)
+    result = run_without_work(FRAME, config, scene_of([FRAME], config))
     assert result.density is FRAME.density
     assert result.emission.values.shape == (*DENSITY.shape, 3) and not result.emission.values.any()
     assert result.report.left_out == reason
 
 
-def refuse_targets(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("features or views were asked for without need")
-
-    monkeypatch.setattr(StyleTargets, "at", refuse)
-    monkeypatch.setattr("usdsmoke.core.steps.shape.frame_views", refuse)
-    monkeypatch.setattr("usdsmoke.core.steps.colour.frame_views", refuse)
+def run_without_work(frame: VolumeFrame, config: Config, scene: Scene) -> StylizedFrame:
+    """One frame whose run convolves no picture and computes next to nothing."""
+    with Elements() as full:
+        run_core([FRAME])
+    with Elements() as work:
+        (result,) = run_core([frame], config, scene)
+    assert work.convolved == 0 < full.convolved
+    assert work.made < 1e-3 * full.made
+    return result
 
 
 @pytest.mark.parametrize("values", [np.zeros((0, 0, 0)), np.zeros((4, 4, 4)), -np.ones((2, 2, 2))])
-def test_an_empty_frame_is_passed_through_without_renderer_or_network(values, monkeypatch):
-    refuse_targets(monkeypatch)
+def test_an_empty_frame_is_passed_through_without_renderer_or_network(values):
     frame = frame_of(values)
     scene = scene_of([FRAME], quick_config(), "Y")
-    result = run_core([frame], scene=scene)[0]
+    result = run_without_work(frame, quick_config(), scene)
     assert result.density is frame.density
     assert result.emission.values.shape == (*values.shape, 3)
     assert result.report == FrameReport(left_out="empty frame")
