@@ -23,6 +23,7 @@ SETTINGS = {
     "views.pool": 2,
     "features.layers": "[oriented1]",
     "optimize.threads": 1,
+    "optimize.error_budget": "false",
     "windows.size": 2,
     "windows.overlap": 1,
     "layer.look": "ember",

@@ -4,6 +4,7 @@ The scenes are sums of Gaussians, which are known at every departure point, so t
 displacement has an exact result, whatever it is.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -43,6 +44,7 @@ SCENES = {
         ((15.0, 13.0, 17.0), 3.0, 0.4),
     ],
 }
+COUNTED = "ball"  # the scene whose work is counted, which takes longer than the work
 SETTLED = [(name, target) for name in SCENES for target in TOLERANCES]
 
 
@@ -99,7 +101,7 @@ class Ran:
     link: PaintedFrame
     fields: list[DenseField]
     report: dict[str, Any]
-    elements: int  # that torch's operations made
+    elements: int  # that torch's operations made, if counted
 
 
 @lru_cache
@@ -107,7 +109,7 @@ def ran(name: str, target: float) -> Ran:
     frame, config = scene_frame(name), chosen(name, target)
     scene = scene_of([frame], config, "Y")
     counter = Elements(views=False)
-    with counter:
+    with counter if name == COUNTED else nullcontext():
         job = make_context([random_style()], scene, config, None, 24.0, None, 1)
         (link,) = run_frames([frame], job)
     done = stylized_frame(link, job)
@@ -223,11 +225,10 @@ def test_the_optimiser_leaves_less_than_the_tolerance(name: str, step: str, targ
     assert ends[0] - ends[1] < target * ends[0], ends
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_a_looser_tolerance_is_cheaper(name: str) -> None:
+def test_a_looser_tolerance_is_cheaper() -> None:
     """By the numbers that are computed in all of the run."""
-    loose, tight = (ran(name, target).elements for target in TOLERANCES)
-    assert loose < 0.8 * tight
+    loose, tight = (ran(COUNTED, target).elements for target in TOLERANCES)
+    assert 0 < loose < 0.8 * tight
 
 
 def test_a_pilot_tells_all_that_is_chosen_by() -> None:
