@@ -19,6 +19,7 @@ from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader, hash_sources
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
+from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
 from usdsmoke.usd.volume_settings import resolve_volumes
@@ -175,7 +176,7 @@ def _check_contents(
         for volume in job.plan.volumes
         for frame in volume.frames
     }
-    reader, changes = FrameReader(job.plan), dict[Path, Change]()
+    reader, changes, before = FrameReader(job.plan), dict[Path, Change](), list[FramePlan]()
     for frame in item.record.frames:
         sources = [(file, s) for s in frame.sources if (file := item.place(s.file)) in other]
         if not sources:
@@ -184,6 +185,8 @@ def _check_contents(
         if planned is None:  # the stage no longer has this frame: it cannot be read as before
             changes = {file: other[file] for file, _ in sources} | changes
             continue
+        reader.release(before, [planned[1]])  # neighbours may show the same file
+        before = [planned[1]]
         try:
             hashes, trouble = hash_sources(reader.read(*planned)), ""
         except BindingMissing as error:
