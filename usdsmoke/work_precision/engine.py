@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.planning.plan import Omission
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.page import verdict_on
 from usdsmoke.work_precision.records import (
     CPU_TIME,
     WALL_TIME,
     LeftOut,
-    Omission,
     Plan,
     Point,
     SweepResult,

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+from usdsmoke.planning.plan import Omission
+
 CPU_TIME, WALL_TIME = "CPU time [s]", "wall-clock time [s]"
 
 
@@ -103,14 +105,6 @@ class SweepResult:
         for point in sorted(self.points, key=lambda p: p.cost.median):
             found.setdefault(point.curve, []).append(point)
         return found
-
-
-@dataclass(frozen=True)
-class Omission:
-    """Something that the report does not hold, and why."""
-
-    what: str
-    reason: str
 
 
 @dataclass(frozen=True)

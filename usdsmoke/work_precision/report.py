@@ -19,13 +19,14 @@ from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.planning.job import Request, prepare_job
+from usdsmoke.planning.plan import Omission
 from usdsmoke.runs.tolerance import choice_notes, settle_tolerance
 from usdsmoke.usd.stage.opening import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
 from usdsmoke.work_precision.files import FILES
 from usdsmoke.work_precision.page import draw_sweep, make_page
-from usdsmoke.work_precision.records import Omission, Report, SweepResult
+from usdsmoke.work_precision.records import Report, SweepResult
 from usdsmoke.work_precision.sweeps import (
     ITERATIONS,
     NETWORK,
