@@ -28,11 +28,9 @@ from usdsmoke.base.errors import (
     WriteFailed,
 )
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
-from usdsmoke.pipeline import Request, StylizeResult, assemble, plan_request, run_coarse, run_window
-from usdsmoke.planning.job import prepare_job
+from usdsmoke.farm.tasks import Tasks, divide_run
+from usdsmoke.pipeline import Request, StylizeResult, assemble
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.identity import settle_threads
-from usdsmoke.runs.opening import frames_again
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
 if TYPE_CHECKING:
@@ -73,49 +71,26 @@ def stylize_on_cluster(
         UsdSmokeError: the errors of ``stylize``, also if they occur in a task.
         Interrupted: by Ctrl-C; workers finish their current windows.
     """
-    found = plan_request(request, fits=False)
-    if planned is not None:
-        planned(found)
-    request, whole, again = _whole_request(request.settled(), found)
+    tasks = divide_run(request, planned)
     with _connected(address) as client:
-        notes = _check_workers(client, request, whole)
-        _compute(client, request, whole, again, progress or (lambda report: None))
-    layer = whole.config.layer
-    result = assemble(request.output, progress, layer.look, layer.mode)
+        notes = _check_workers(client, tasks.request, tasks.plan)
+        _compute(client, tasks, progress or (lambda report: None))
+    layer = tasks.plan.config.layer
+    result = assemble(tasks.request.output, progress, layer.look, layer.mode)
     return replace(result, warnings=(*result.warnings, *notes))
 
 
-def _whole_request(request: Request, found: Plan) -> tuple[Request, Plan, frozenset[int]]:
-    """The tasks' request, with a fixed number of threads and, if some frames of a result are
-    selected, with all of its frames; the plan; and the windows to compute again."""
-    output, again = Path(request.output), frozenset[int]()
-    if not request.force and found.config.stage.frames:
-        repeated = frames_again(prepare_job(request.with_config(found.config), fits=False))
-        if repeated is not None:
-            job, _, numbers = repeated
-            return job.request.with_config(job.config), job.plan, frozenset(numbers)
-    config = settle_threads(output, request.config, request.force)
-    return request.with_config(config), found, again
-
-
-def _compute(
-    client: "Client",
-    request: Request,
-    found: Plan,
-    again: frozenset[int],
-    tell: RunProgressCallback,
-) -> None:
+def _compute(client: "Client", tasks: Tasks, tell: RunProgressCallback) -> None:
     """The coarse step, then all windows; the first error ends the run."""
-    windows = [window for volume in found.volumes for window in volume.windows]
-    starts = {window.index: min(window.time_codes) for window in windows}
-    to_do, n_done = sorted(again or starts), 0
+    starts = tasks.windows
+    to_do, n_done = list(starts), 0
     futures: list[Future] = []
 
     def begin(numbers: Sequence[int | None]) -> list["Future"]:
         with _asking():
             key = f"usdsmoke-{uuid.uuid4().hex}"
             submitted = client.map(
-                _run_task, numbers, request=request, again=again,
+                _run_task, numbers, tasks=tasks,
                 key=[f"{key}-{number}" for number in numbers], retries=_RETRIES,
             )  # fmt: skip
         futures.extend(submitted)
@@ -131,7 +106,7 @@ def _compute(
             tell(RunProgress("window", starts[to_do[place]], n_done - 1, len(to_do), share))
     except KeyboardInterrupt:
         raise Interrupted(
-            f"stopped with {n_done} of {len(to_do)} windows finished in {request.output}. "
+            f"stopped with {n_done} of {len(to_do)} windows finished in {tasks.request.output}. "
             "Run the same command again to continue."
         ) from None
     finally:
@@ -139,14 +114,11 @@ def _compute(
             client.cancel([future for future in futures if not future.done()])
 
 
-def _run_task(window: int | None, request: Request, again: frozenset[int]) -> UsdSmokeError | None:
+def _run_task(window: int | None, tasks: Tasks) -> UsdSmokeError | None:
     """On a worker: one window, or the coarse step; returns an error that a retry cannot avoid."""
     with _one_at_a_time:
         try:
-            if window is None:
-                run_coarse(request)
-            else:
-                run_window(replace(request, force=False), window, again=window in again)
+            tasks.run(window)
         except (WriteFailed, FileUnreadable):
             raise  # a retry may succeed: a full disk, a file server
         except UsdSmokeError as error:

@@ -43,12 +43,15 @@ def machine_of(job: Job) -> "Machine":
     return describe_machine(job.config.optimize)
 
 
-def settle_threads(output: Path, config: Config, force: bool) -> Config:
+def settle_threads(
+    output: Path, config: Config, force: bool, otherwise: int | None = None
+) -> Config:
     """Settings with a number of threads for processes elsewhere: that of the run which they
     continue, or, where there is none, what this process may use.
 
     Args:
         force: a result is replaced, and not continued.
+        otherwise: the number where there is no run; None: what this process may use.
     """
     threads = config.optimize.threads
     if threads == 0:
@@ -56,7 +59,9 @@ def settle_threads(output: Path, config: Config, force: bool) -> Config:
         runs = [run for run in runs if not (force and run.complete)]
         begun = min(runs, key=lambda run: run.complete, default=None)
         threads = _optimize(begun).get("threads", 0) if begun is not None else 0
-    return config.replace(optimize=config.optimize.replace(threads=threads or usable_cpus()))
+    return config.replace(
+        optimize=config.optimize.replace(threads=threads or otherwise or usable_cpus())
+    )
 
 
 def with_settled(job: Job, run: Run) -> Job:

@@ -11,7 +11,7 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import GivenSettings, read_settings
 from usdsmoke.base.setting_model import allowed_values
 from usdsmoke.base.settings import SECTIONS, declared_settings
-from usdsmoke.ui.cli.values import duration_value, repair_value, size_value
+from usdsmoke.ui.cli.values import count_value, duration_value, repair_value, size_value
 
 _OPTIONS = {  # that stand for a setting
     "--prim": "stage.prims",
@@ -156,6 +156,13 @@ def _add_stylize(commands: Any) -> None:
         "--cluster",
         metavar="tcp://HOST:PORT",
         help="run the windows on the workers of this Dask scheduler",
+    )
+    part.add_argument(
+        "--jobs",
+        type=count_value,
+        default=1,
+        metavar="N",
+        help="compute N windows at once, in processes of this machine (default: 1)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="print the plan and its cost; write nothing"

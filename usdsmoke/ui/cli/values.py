@@ -26,6 +26,17 @@ def empty_path(arguments: argparse.Namespace) -> str | None:
     return None
 
 
+def count_value(text: str) -> int:
+    """A whole number of at least 1.
+
+    Raises:
+        argparse.ArgumentTypeError: the text is something else.
+    """
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a count. Write a number such as 4.")
+    return int(text)
+
+
 def size_value(text: str) -> tuple[int, int]:
     """Width and height of ``960x540``.
 

@@ -89,6 +89,10 @@ def _run_whole(
         from usdsmoke.farm.dask import stylize_on_cluster
 
         return stylize_on_cluster(arguments.cluster, request, progress, planned)
+    if arguments.jobs > 1:
+        from usdsmoke.farm.processes import stylize_in_processes
+
+        return stylize_in_processes(arguments.jobs, request, progress, planned)
     from usdsmoke.pipeline import stylize
 
     return stylize(

@@ -1,0 +1,159 @@
+"""Windows of a run as processes of this machine, side by side.
+
+Windows do not depend on each other, and several processes with one thread each finish sooner than
+one process with several threads.
+"""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+
+from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
+from usdsmoke.base.machine import available_memory_gib, usable_cpus
+from usdsmoke.farm.tasks import Tasks, divide_run
+from usdsmoke.pipeline import Request, StylizeResult, assemble
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+
+_END_S = 20.0  # for a process to tidy up after it was stopped
+
+
+def stylize_in_processes(
+    jobs: int,
+    request: Request,
+    progress: RunProgressCallback | None = None,
+    planned: Callable[[Plan], None] | None = None,
+) -> StylizeResult:
+    """``stylize`` with its windows computed by several processes of this machine.
+
+    A new run divides the machine's processors among the processes. The result has the same bits
+    as that of one process with as many threads (``optimize.threads``).
+
+    Args:
+        jobs: processes; no more are started than there are windows.
+        progress: called often, with how far the run is.
+        planned: called once with the plan.
+
+    Raises:
+        PlanError: the processes together need more memory than is available.
+        ClusterError: a process ended without an answer.
+        UsdSmokeError: the errors of ``stylize``, also if they occur in a process.
+        Interrupted: by Ctrl-C.
+    """
+    tasks = divide_run(request, planned, max(usable_cpus() // jobs, 1))
+    n_processes = min(jobs, len(tasks.windows))
+    _check_memory(tasks.plan, n_processes)
+    tell = progress or (lambda report: None)
+    pool = _Pool(tasks, tell)
+    try:
+        pool.run([None], 1)
+        pool.run(list(tasks.windows), n_processes)
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"stopped with {pool.n_done} of {len(tasks.windows)} windows finished in "
+            f"{tasks.request.output}. Run the same command again to continue."
+        ) from None
+    finally:
+        pool.end()
+    layer = tasks.plan.config.layer
+    return assemble(tasks.request.output, progress, layer.look, layer.mode)
+
+
+def _check_memory(plan: Plan, n_processes: int) -> None:
+    needed, there = plan.estimate.memory_gib * n_processes, available_memory_gib()
+    if needed > there:
+        raise PlanError(
+            f"{n_processes} processes need about {needed:.1f} GiB of memory ({there:.1f} GiB "
+            f"available). Pass --jobs {max(int(there / plan.estimate.memory_gib), 1)}."
+        )
+
+
+class _Pool:
+    """Processes that each do one window after another."""
+
+    def __init__(self, tasks: Tasks, tell: RunProgressCallback) -> None:
+        self.n_done = 0  # windows
+        self._tasks, self._tell = tasks, tell
+        self._idle: list[tuple[Connection, SpawnProcess]] = []
+        self._busy: dict[Connection, tuple[int | None, SpawnProcess]] = {}
+        self._shares: dict[int, float] = {}
+
+    def run(self, windows: Sequence[int | None], n_processes: int) -> None:
+        """Do windows, or the coarse step (None), with some processes; returns at the end."""
+        waiting = list(windows)
+        while waiting or self._busy:
+            while waiting and len(self._busy) < n_processes:
+                connection, process = self._idle.pop() if self._idle else self._start()
+                connection.send(waiting[0])
+                self._busy[connection] = (waiting.pop(0), process)
+            for item in wait(list(self._busy)):
+                assert isinstance(item, Connection)
+                self._hear(item)
+
+    def end(self) -> None:
+        """Stop all processes, and wait until they have tidied up."""
+        for _, process in self._busy.values():
+            if process.pid is not None and process.is_alive():
+                os.kill(process.pid, signal.SIGINT)
+        everyone = [*self._idle, *((item, process) for item, (_, process) in self._busy.items())]
+        for connection, _ in everyone:
+            connection.close()
+        for _, process in everyone:
+            process.join(_END_S)
+            process.kill()
+        self._idle, self._busy = [], {}
+
+    def _start(self) -> tuple[Connection, SpawnProcess]:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, self._tasks), daemon=True)
+        process.start()
+        theirs.close()
+        return ours, process
+
+    def _hear(self, connection: Connection) -> None:
+        """Take one message of a process: its progress, its error, or the end of its task."""
+        window, process = self._busy[connection]
+        try:
+            message = connection.recv()
+        except (EOFError, ConnectionError):
+            process.join(_END_S)
+            name = "the coarse step" if window is None else f"window {window}"
+            raise ClusterError(
+                f"{name} failed: its process ended with exit code {process.exitcode}. If memory "
+                "ran out, pass fewer --jobs. Finished windows are kept: run the same command again."
+            ) from None
+        if isinstance(message, UsdSmokeError):
+            raise message
+        if isinstance(message, RunProgress):
+            self._report(window, message)
+            return
+        self._idle.append((connection, self._busy.pop(connection)[1]))
+        if window is not None:
+            self.n_done += 1
+            self._shares[window] = 1.0
+
+    def _report(self, window: int | None, report: RunProgress) -> None:
+        """Progress of one window as progress of the run."""
+        if window is None:
+            self._tell(replace(report, share=0.0))
+            return
+        self._shares[window] = max(report.share, self._shares.get(window, 0.0))
+        self._tell(replace(report, share=sum(self._shares.values()) / len(self._tasks.windows)))
+
+
+def _work(connection: Connection, tasks: Tasks) -> None:
+    """The life of a process: a window's number in, progress out, then None or an error."""
+    while True:
+        try:
+            window = connection.recv()
+            tasks.run(window, connection.send)
+            connection.send(None)
+        except UsdSmokeError as error:
+            connection.send(error)
+        except (EOFError, ConnectionError, KeyboardInterrupt):
+            return  # the run has ended

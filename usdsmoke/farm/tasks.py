@@ -1,0 +1,71 @@
+"""A run as tasks: the coarse step, then windows in any order, then the assembly."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from usdsmoke.pipeline import Request, plan_request, run_coarse, run_window
+from usdsmoke.planning.job import prepare_job
+from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.identity import settle_threads
+from usdsmoke.runs.opening import frames_again
+from usdsmoke.runs.progress import RunProgressCallback
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """What every task of a run is given.
+
+    Attributes:
+        request: with a fixed number of threads and, if some frames of a result are selected, with
+            all of its frames.
+        plan: of the whole run.
+        again: windows to compute once more though they are finished.
+    """
+
+    request: Request
+    plan: Plan
+    again: frozenset[int] = frozenset()
+
+    @property
+    def windows(self) -> dict[int, float]:
+        """The first timeCode of each window to do, by its number, in order."""
+        windows = [window for volume in self.plan.volumes for window in volume.windows]
+        starts = {window.index: min(window.time_codes) for window in windows}
+        return {number: starts[number] for number in sorted(self.again or starts)}
+
+    def run(self, window: int | None, progress: RunProgressCallback | None = None) -> None:
+        """Do a window, or the coarse step; in any process that sees the same files.
+
+        Raises:
+            UsdSmokeError: the errors of ``run_window``.
+        """
+        if window is None:
+            run_coarse(self.request, progress)
+        else:
+            request = replace(self.request, force=False)
+            run_window(request, window, progress, again=window in self.again)
+
+
+def divide_run(
+    request: Request, planned: Callable[[Plan], None] | None = None, threads: int | None = None
+) -> Tasks:
+    """The tasks of a run that begins, goes on or repeats frames of a result.
+
+    Args:
+        request: what is asked for.
+        planned: called once with the plan.
+        threads: of a task, where neither the settings nor a run that has begun say it; None takes
+            those of this machine.
+    """
+    found = plan_request(request, fits=False)
+    if planned is not None:
+        planned(found)
+    request = request.settled()
+    if not request.force and found.config.stage.frames:
+        repeated = frames_again(prepare_job(request.with_config(found.config), fits=False))
+        if repeated is not None:
+            job, _, numbers = repeated
+            return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
+    config = settle_threads(Path(request.output), request.config, request.force, threads)
+    return Tasks(request.with_config(config), found)
