@@ -54,6 +54,21 @@ def build_parser() -> argparse.ArgumentParser:
     _add_layer(assemble)
     validate = _add_command(commands, "validate", "check a stage or layer, and its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
+    validate.add_argument(
+        "--look",
+        action="store_true",
+        help="count only what the look is to blame for; list the findings of its source apart",
+    )
+    validate.add_argument(
+        "--ignore",
+        action="append",
+        default=[],
+        metavar="RULE",
+        help="leave out the findings of this rule; may be repeated",
+    )
+    validate.add_argument(
+        "--junit", metavar="FILE.xml", help="also write the findings as JUnit XML"
+    )
     _add_command(
         commands, "plugin-path", "print the folders of usdsmoke's USD and usdview plug-ins"
     )

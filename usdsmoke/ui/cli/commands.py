@@ -5,8 +5,10 @@ import os
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import settings_yaml
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from usdsmoke.pictures.preview import PreviewResult
+    from usdsmoke.usd.rules import Finding
     from usdsmoke.work_precision import ReportResult
 
 
@@ -42,15 +45,27 @@ def run_inspect(arguments: argparse.Namespace) -> int:
 
 
 def run_validate(arguments: argparse.Namespace) -> int:
-    """``usdsmoke validate``; the exit code, 1 where there are errors."""
+    """``usdsmoke validate``; the exit code, 1 where there are errors that count."""
+    from usdsmoke.usd.gate import junit_xml, validate_look
     from usdsmoke.usd.rules import Severity, validate
 
-    findings = validate(arguments.stage)
+    of_source: list[Finding] = []
+    if arguments.look:
+        findings, of_source = validate_look(arguments.stage)
+    else:
+        findings = validate(arguments.stage)
+    findings = [finding for finding in findings if finding.rule not in arguments.ignore]
+    if arguments.junit:
+        text = junit_xml(Path(arguments.stage).name, findings)
+        publish_file(Path(arguments.junit), lambda path: path.write_text(text, encoding="utf-8"))
     n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
+    result = {"errors": n_errors, "findings": [asdict(finding) for finding in findings]}
+    if arguments.look:
+        result["of_source"] = [asdict(finding) for finding in of_source]
     show(
         arguments,
-        lambda: {"errors": n_errors, "findings": [asdict(finding) for finding in findings]},
-        lambda: validation_text(arguments.stage, findings),
+        lambda: result,
+        lambda: validation_text(arguments.stage, findings, of_source),
     )
     return 1 if n_errors else 0
 

@@ -3,6 +3,7 @@
 import argparse
 import json
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,17 +143,23 @@ def inspection_text(found: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip()
 
 
-def validation_text(file_path: str, findings: Sequence["Finding"]) -> str:
-    """Findings, one line each, and their number."""
-    lines = []
-    counts: dict[str, int] = {}
-    for finding in findings:
-        counts[finding.severity] = counts.get(finding.severity, 0) + 1
-        where = f" <{finding.prim_path}>" if finding.prim_path else ""
-        when = f" timeCode {finding.time_code:g}" if finding.time_code is not None else ""
-        lines.append(f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}")
+def validation_text(
+    file_path: str, findings: Sequence["Finding"], of_source: Sequence["Finding"] = ()
+) -> str:
+    """Findings, one line each, and their number; those of the source behind them."""
+    counts = Counter(str(finding.severity) for finding in findings)
     summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "no findings"
-    return "\n".join([*lines, f"{file_path}: {summary}"])
+    lines = [*map(_finding_line, findings), f"{file_path}: {summary}"]
+    if of_source:
+        lines += ["in the source too, and not counted:"]
+        lines += [f"  {_finding_line(finding)}" for finding in of_source]
+    return "\n".join(lines)
+
+
+def _finding_line(finding: "Finding") -> str:
+    where = f" <{finding.prim_path}>" if finding.prim_path else ""
+    when = f" timeCode {finding.time_code:g}" if finding.time_code is not None else ""
+    return f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}"
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -83,8 +83,8 @@ def open_original(stage: StageOrFile) -> Usd.Stage:
         )
     if not _leave_looks_out(stage).layers:
         raise StageError(
-            f"no layer of the stage {root.identifier} was made by usdsmoke, so there is no look to "
-            "compare with. Use a root stage such as NAME_look.usda, or leave out --compare."
+            f"no layer of the stage {root.identifier} was made by usdsmoke, so it has no look. "
+            "Use a root stage such as NAME_look.usda, or leave out --compare or --look."
         )
     return stage
 

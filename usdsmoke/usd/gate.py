@@ -1,0 +1,64 @@
+"""Findings of a result as a gate needs them: the look's own apart from those of its source."""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+
+from pxr import Usd
+
+from usdsmoke.usd.rules import Finding, Severity, validate
+from usdsmoke.usd.stage import open_original
+
+
+def validate_look(
+    stage: str | os.PathLike[str] | Usd.Stage,
+) -> tuple[list[Finding], list[Finding]]:
+    """The findings that a look is to blame for, and those that its source has without it.
+
+    Rule, severity, prim and timeCode decide whether two findings are the same one.
+
+    Args:
+        stage: the root stage of a result, or any stage with looks.
+
+    Raises:
+        StageError: as of ``validate``; or the stage has no look.
+    """
+    source = open_original(stage)
+    known = {_what(finding) for finding in validate(source)}
+    findings = validate(stage)
+    own = [finding for finding in findings if _what(finding) not in known]
+    return own, [finding for finding in findings if _what(finding) in known]
+
+
+def junit_xml(name: str, findings: Sequence[Finding]) -> str:
+    """Findings as JUnit XML, which CI servers show: one test case for each rule.
+
+    Args:
+        name: of the test suite, such as the stage's file name.
+        findings: errors are failures; others are output of a case that passes.
+    """
+    rules = list(dict.fromkeys(finding.rule for finding in findings))
+    failed = {finding.rule for finding in findings if finding.severity == Severity.ERROR}
+    suite = ElementTree.Element(
+        "testsuite", name=name, tests=str(max(len(rules), 1)), failures=str(len(failed))
+    )
+    for rule in rules or ["validate"]:
+        case = ElementTree.SubElement(suite, "testcase", classname="usdsmoke.validate", name=rule)
+        text = "\n".join(_line(finding) for finding in findings if finding.rule == rule)
+        if rule in failed:
+            ElementTree.SubElement(case, "failure", message=text.partition("\n")[0]).text = text
+        elif text:
+            ElementTree.SubElement(case, "system-out").text = text
+    ElementTree.indent(suite)
+    return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _what(finding: Finding) -> tuple[object, ...]:
+    return finding.severity, finding.rule, finding.prim_path, finding.time_code
+
+
+def _line(finding: Finding) -> str:
+    where = f"<{finding.prim_path}> " if finding.prim_path else ""
+    when = f"timeCode {finding.time_code:g} " if finding.time_code is not None else ""
+    printable = "".join(c if c.isprintable() else " " for c in finding.message)  # XML 1.0
+    return f"{finding.severity} {where}{when}{printable}"
