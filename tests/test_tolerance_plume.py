@@ -18,7 +18,6 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.runs.budget import choose_settings
 from usdsmoke.runs.run import find_runs
-from usdsmoke.runs.tolerance import choice_notes
 
 SETTINGS = (
     "stage.frames=2",
@@ -111,7 +110,7 @@ def test_every_row_that_is_not_kept_is_named_everywhere(
     assert {"resolution", "transport", "optimiser, shape"} <= {item.name for item in broken}
     for item in broken:
         assert any(f"is not kept: {item.name} is" in text for text in result.warnings)
-    notes = choice_notes(result.plan)
+    notes = result.plan.notes
     for name in ("resolution", "transport"):
         assert any("cannot be kept" in note and name in note for note in notes)
     (run,) = find_runs(result.look_layer.parent)

@@ -15,7 +15,6 @@ from usdsmoke.pipeline import Request, assemble, run_window, stylize
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs import tolerance as pipeline_tolerance
-from usdsmoke.runs.tolerance import choice_notes
 from usdsmoke.ui.cli.main import main
 from usdsmoke.work_precision import make_report
 
@@ -47,14 +46,14 @@ def test_settings_are_chosen_and_the_plan_tells_why(shot: Shot, measurements: li
     plan = run(shot)
     assert (plan.config.views.image_size, plan.config.views.pool) == (80, 4)
     assert plan.config.grids.half and plan.config.shape.interpolation == "linear"
-    assert "settings for a tolerance of 0.3" in plan.needed
-    assert any(text.startswith("views.image_size=80: resolution 0.02") for text in plan.needed)
+    assert "settings for a tolerance of 0.3" in plan.notes
+    assert any(text.startswith("views.image_size=80: resolution 0.02") for text in plan.notes)
 
 
 def test_what_is_set_wins_and_is_named(shot: Shot, measurements: list[int]) -> None:
     plan = run(shot, 0.3, "views.image_size=192", "grids.half=false")
     assert plan.config.views.image_size == 192 and not plan.config.grids.half
-    assert any(text.startswith("views.image_size=192 as ") for text in plan.needed)
+    assert any(text.startswith("views.image_size=192 as ") for text in plan.notes)
 
 
 def test_a_frame_is_measured_once_for_all_tolerances(shot: Shot, measurements: list[int]) -> None:
@@ -98,7 +97,7 @@ def test_a_rerun_has_the_settings_that_were_chosen(shot: Shot, measurements: lis
 def dry_plan(shot: Shot, *more: str) -> str:
     settings = ["optimize.target_error=0.3", *more]
     return "\n".join(
-        pipeline.plan_request(Request(shot.stage, shot.style, shot.output, settings)).needed
+        pipeline.plan_request(Request(shot.stage, shot.style, shot.output, settings)).notes
     )
 
 
@@ -118,7 +117,7 @@ def test_a_plan_alone_takes_a_calibration_that_is_there(
     )
     optimize = found.config.optimize.replace(threads=ran.config.optimize.threads, device="cpu")
     assert found.config.replace(optimize=optimize) == ran.config
-    assert choice_notes(found) == choice_notes(ran)
+    assert found.notes == ran.notes
     assert len(measurements) == 1
     assert "settings are not final" in dry_plan(shot, "shape.reach=0.1")  # other inputs
 
@@ -136,7 +135,7 @@ def test_a_report_is_on_the_settings_that_were_chosen(
     with pytest.raises(PlanError, match="seen enough"):
         make_report(shot.stage, shot.style, shot.output, settings=["optimize.target_error=0.3"])
     assert opened[0].config.views.image_size == 80 and len(measurements) == 1
-    assert choice_notes(opened[0].plan)[0] == "settings for a tolerance of 0.3"
+    assert opened[0].plan.notes[0] == "settings for a tolerance of 0.3"
     assert not (shot.output / "vdb").exists()
 
 

@@ -105,6 +105,7 @@ class Plan:
     needed: tuple[str, ...]
     omitted: tuple[Omission, ...]
     estimate: Estimate
+    notes: tuple[str, ...] = ()  # how settings were chosen (optimize.target_error)
 
     @property
     def n_frames(self) -> int:
@@ -150,6 +151,7 @@ class Plan:
             ],
             "needed": list(self.needed),
             "omitted": [asdict(omission) for omission in self.omitted],
+            "notes": list(self.notes),
             "estimate": asdict(self.estimate),
         }
 

@@ -56,7 +56,9 @@ class OpenRun:
             return
         described = self.plan.to_dict()
         # What of the plan stays with the result: nothing that names folders of this machine.
-        plan = {key: described[key] for key in ("windows", "needed", "omitted", "estimate")}
+        plan = {
+            key: described[key] for key in ("windows", "needed", "omitted", "notes", "estimate")
+        }
         self.run.begin(plan, describe_request(self.job), machine_of(self.job).processor)
 
     def check_disk(self, tasks: Collection[WindowTask], whole: bool = False) -> None:

@@ -16,7 +16,6 @@ from usdsmoke.base.settings import Config
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.choice import choose_settings
 from usdsmoke.runs.identity import describe_run
 from usdsmoke.runs.outputs import plain_values
@@ -72,14 +71,8 @@ def _settled(job: Job, prepare: Callable[[Config], Job], measured: Mapping[str, 
     return _with_notes(settled, f"{_HEADING} {target:g}", *choice.notes)
 
 
-def choice_notes(plan: Plan) -> tuple[str, ...]:
-    """What a plan says of the choice; nothing without a tolerance."""
-    starts = [place for place, text in enumerate(plan.needed) if text.startswith(_HEADING)]
-    return plan.needed[starts[0] :] if starts else ()
-
-
 def _with_notes(job: Job, *notes: str) -> Job:
-    return replace(job, plan=replace(job.plan, needed=(*job.plan.needed, *notes)))
+    return replace(job, plan=replace(job.plan, notes=notes))
 
 
 def _file(job: Job) -> Path:

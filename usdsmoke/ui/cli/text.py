@@ -55,6 +55,8 @@ def plan_text(plan: "Plan", everything: bool = False) -> str:
         lines += ["needed", *(f"  {sentence}" for sentence in plan.needed)]
     if omitted:
         lines += ["left out", *(f"  {item.what}: {item.reason}" for item in omitted)]
+    lines += plan.notes[:1]
+    lines += [f"  {note}" for note in plan.notes[1:]]
     lines += [
         "estimate",
         f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
