@@ -1,7 +1,9 @@
 """Fixtures of the tests that run usdsmoke from end to end."""
 
+import gc
 import os
 import signal
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,17 @@ from tests.farm_fixtures import farm, farm_source, whole
 from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here, stand_in
 
 __all__ = ["core", "farm", "farm_source", "plume", "quick_grids", "shot", "whole"]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is loaded with the tests stays: the garbage collector need not look at it again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
