@@ -156,7 +156,7 @@ def test_a_wrong_camera_is_refused_before_anything_is_written(
         job_of(shot, "views.camera=/World/cam")
     assert main(shot.arguments("--camera", "/World/cam", "--dry-run")) == 1
     assert f"<{PATH}>" in capsys.readouterr().err
-    assert main(shot.arguments("--camera", PATH, "--dry-run")) == 0
+    assert main(shot.arguments("--camera", PATH, "--dry-run", "--verbose")) == 0
     assert f"the camera <{PATH}> at 3 timeCodes" in capsys.readouterr().out
     assert not shot.output.exists()
 
