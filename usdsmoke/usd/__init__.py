@@ -9,6 +9,7 @@
 - `volume_requests`, `request_values`: style requests on prims
 - `volume_settings`: the settings of each Volume, and where each comes from
 - `gate`: findings of a look apart from those of its source
+- `source_stage`: a stage made from bare VDB files
 - `inspect`: everything that a stage holds, as one report
 """
 

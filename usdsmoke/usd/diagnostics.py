@@ -88,6 +88,11 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
         return f"{file_path} cannot be read: {error.strerror}. Change its permissions."
     except OSError as error:
         return f"{file_path} cannot be read: {error.strerror or error}. Check the disk."
+    if file_path.lower().endswith(".vdb"):
+        return (
+            f"{file_path} is a VDB file, not a stage. Make a stage with: "
+            "usdsmoke stage FILES -o STAGE.usda --meters-per-unit 1"
+        )
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
     suffix = Sdf.FileFormat.GetFileExtension(file_path)

@@ -24,6 +24,8 @@ def authored_path(asset: Sdf.AssetPath) -> str:
     return str(getattr(asset, "authoredPath", asset.path))
 
 
+# how users of Houdini, Blender and Nuke write the number of a frame
+FRAME_PATTERN = re.compile(r"#+|\$F\d*|%0?\d*d|<F\d*>")
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is a drive
 
 
@@ -44,6 +46,11 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
         return (
             f"that is inside the package {package}, and OpenVDB reads plain files only. "
             "Unpack it (a .usdz is a zip), and use the stage inside."
+        )
+    if not file_path and FRAME_PATTERN.search(authored_path):
+        return (
+            "OpenUSD expands no frame patterns. Author a time sample for each file, as "
+            "'usdsmoke stage' does."
         )
     if not file_path:
         return "there is no such file. Check the path, and whether the files were copied too."

@@ -43,6 +43,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"usdsmoke {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_inspect(commands)
+    _add_stage(commands)
     _add_stylize(commands)
     _add_submit(commands)
     assemble = _add_command(
@@ -151,6 +152,29 @@ def _add_inspect(commands: Any) -> None:
     _add_selection(parser)
     _add_style(parser)
     _add_settings(parser)
+
+
+def _add_stage(commands: Any) -> None:
+    parser = _add_command(commands, "stage", "make a stage that shows bare VDB files")
+    parser.add_argument(
+        "pattern",
+        metavar="FILES",
+        help="a .vdb file, or a quoted pattern such as 'plume.####.vdb' or 'plume.$F4.vdb'",
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="STAGE", help="the USD file to write"
+    )
+    parser.add_argument(
+        "--meters-per-unit",
+        type=float,
+        required=True,
+        metavar="M",
+        help="metres in one unit of the VDB files, such as 1 or 0.01",
+    )
+    parser.add_argument("--up-axis", choices=("Y", "Z"), default="Y", help="(default: Y)")
+    parser.add_argument(
+        "--fps", type=float, default=24.0, metavar="N", help="frames per second (default: 24)"
+    )
 
 
 def _add_stylize(commands: Any) -> None:

@@ -20,6 +20,7 @@ from usdsmoke.ui.cli.text import (
     print_json,
     result_text,
     show,
+    source_stage_text,
     validation_text,
 )
 from usdsmoke.ui.cli.work_commands import result_as_dict
@@ -42,6 +43,22 @@ def run_inspect(arguments: argparse.Namespace) -> int:
     found = inspect(arguments.stage, prims, frames, arguments.style, settings)
     show(arguments, lambda: found, lambda: inspection_text(found))
     return 1 if found["problems"] else 0
+
+
+def run_stage(arguments: argparse.Namespace) -> int:
+    """``usdsmoke stage``; the exit code."""
+    from usdsmoke.usd.source_stage import write_source_stage
+
+    made = write_source_stage(
+        arguments.pattern,
+        arguments.output,
+        arguments.meters_per_unit,
+        arguments.up_axis,
+        arguments.fps,
+    )
+    result = {**asdict(made), "file": str(made.file)}
+    show(arguments, lambda: result, lambda: source_stage_text(made))
+    return 0
 
 
 def run_validate(arguments: argparse.Namespace) -> int:

@@ -29,6 +29,7 @@ from usdsmoke.ui.cli.commands import (
     run_report,
     run_rerun,
     run_settings,
+    run_stage,
     run_validate,
     run_verify,
 )
@@ -39,6 +40,7 @@ from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit
 _BROKEN_PIPE = 128 + 13
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "inspect": run_inspect,
+    "stage": run_stage,
     "stylize": run_stylize,
     "submit": run_submit,
     "assemble": run_assemble,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
     from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
     from usdsmoke.usd.rules import Finding
+    from usdsmoke.usd.source_stage import SourceStage
 
 
 def print_json(value: Any) -> None:
@@ -143,6 +144,19 @@ def inspection_text(found: Mapping[str, Any]) -> str:
     lines += ["", *(f"note: {note}" for note in found["notes"])]
     lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
     return "\n".join(lines).rstrip()
+
+
+def source_stage_text(made: "SourceStage") -> str:
+    """A stage made from VDB files, and what to do next."""
+    codes = f", timeCodes {format_time_codes(made.time_codes)}" if made.time_codes else ""
+    return "\n".join(
+        [
+            f"{made.file}",
+            f"  <{made.prim_path}>: {', '.join(made.fields)}{codes}",
+            *(f"  left out: {item}" for item in made.left_out),
+            f"next: usdsmoke inspect {shlex.quote(str(made.file))}",
+        ]
+    )
 
 
 def validation_text(

@@ -1,0 +1,86 @@
+"""A stage made from bare VDB files: fields, time samples, extents, and what is refused."""
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdVol
+
+from tests.usd_fixtures import needs_usd, write_vdb
+from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
+from usdsmoke.base.sections import StageConfig
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.rules import validate
+from usdsmoke.usd.source_stage import write_source_stage
+from usdsmoke.usd.stage import find_volumes, open_stage
+
+
+def make(folder, codes=(8, 9, 10), pattern="plume.####.vdb", **options):
+    for code in codes:
+        write_vdb(folder / f"cache/plume.{code:04d}.vdb", ("density", "vel"))
+    return write_source_stage(str(folder / "cache" / pattern), folder / "a.usda", 0.01, **options)
+
+
+@pytest.mark.parametrize("pattern", ["plume.####.vdb", "plume.$F4.vdb", "plume.%04d.vdb"])
+def test_a_sequence_can_be_stylized_as_it_is(tmp_path, pattern):
+    made = make(tmp_path, pattern=pattern, up_axis="Z", frames_per_second=25)
+    assert (made.time_codes, made.fields) == ((8, 9, 10), ("density", "vel"))
+    stage = open_stage(made.file)
+    source = find_volumes(stage, StageConfig())
+    (volume,) = source.volumes
+    assert [frame.time_code for frame in volume.frames] == [8, 9, 10]
+    assert volume.density == "density" and volume.velocity == ("vel",)
+    assert (source.up_axis, source.meters_per_unit) == ("Z", 0.01)
+    assert (source.time_codes_per_second, source.start_time_code) == (25, 8)
+    layer_text = made.file.read_text()
+    assert "@./cache/plume.0009.vdb@" in layer_text
+
+
+def test_the_extent_encloses_whole_voxels(tmp_path):
+    made = make(tmp_path)
+    stage = Usd.Stage.Open(str(made.file))
+    extent = UsdVol.Volume(stage.GetPrimAtPath(made.prim_path)).GetExtentAttr().Get(9)
+    # 4 x 3 x 2 voxels of edge 0.5, centres at whole multiples
+    assert np.allclose(extent, [(-0.25, -0.25, -0.25), (1.75, 1.25, 0.75)])
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+
+
+@needs_usd(26, 5)
+def test_nothing_is_wrong_with_it(tmp_path):
+    assert validate(make(tmp_path).file) == []
+
+
+def test_a_single_file_has_no_time(tmp_path):
+    write_vdb(tmp_path / "puff.vdb", ("density",))
+    made = write_source_stage(str(tmp_path / "puff.vdb"), tmp_path / "a.usdc", 1.0)
+    assert made.time_codes == ()
+    (volume,) = find_volumes(open_stage(made.file), StageConfig()).volumes
+    assert not volume.animated
+
+
+def test_what_cannot_be_made_is_refused_and_nothing_is_written(tmp_path):
+    write_vdb(tmp_path / "a.1.vdb")
+    (tmp_path / "a.01.vdb").write_bytes((tmp_path / "a.1.vdb").read_bytes())
+    for pattern, error, text in (
+        ("b.##.vdb", AssetNotResolved, "no file matches"),
+        ("b.vdb", AssetNotResolved, "there is no file"),
+        ("a.#.vdb", ConfigError, "both frame 1"),
+        ("#.#.vdb", ConfigError, "2 frame numbers"),
+    ):
+        with pytest.raises(error, match=text):
+            write_source_stage(str(tmp_path / pattern), tmp_path / "out.usda", 1.0)
+    for options, text in (((0.0,), "above 0"), ((1.0, "X"), "Y or Z"), ((1.0, "Y", -1), "above 0")):
+        with pytest.raises(ConfigError, match=text):
+            write_source_stage(str(tmp_path / "a.1.vdb"), tmp_path / "out.usda", *options)
+    assert not (tmp_path / "out.usda").exists()
+    (tmp_path / "out.usda").write_text("mine")
+    with pytest.raises(LayerError, match="exists already"):
+        write_source_stage(str(tmp_path / "a.1.vdb"), tmp_path / "out.usda", 1.0)
+
+
+def test_the_command_leads_from_a_file_to_a_plan(tmp_path, capsys):
+    write_vdb(tmp_path / "puff.vdb")
+    assert main(["inspect", str(tmp_path / "puff.vdb")]) == 1
+    assert "usdsmoke stage" in capsys.readouterr().err
+    stage_file = tmp_path / "puff.usda"
+    command = ["stage", str(tmp_path / "puff.vdb"), "-o", str(stage_file)]
+    assert main([*command, "--meters-per-unit", "1"]) == 0
+    assert main(["inspect", str(stage_file)]) == 0
