@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pxr import Usd
 
-from usdsmoke.base.errors import AssetNotResolved, PlanError, UsdSmokeError
+from usdsmoke.base.errors import (
+    AssetNotResolved,
+    FieldNotFound,
+    PlanError,
+    UsdSmokeError,
+)
 from usdsmoke.base.machine import GIB, available_memory_gib
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
@@ -241,21 +246,26 @@ def find_smoke(
             layer without its source.
     """
     everything = StageConfig(prims=list(prims), allow_missing=allow_missing)
-    selected = _find(stage, everything.replace(frames=frames))
+    problems: list[str] = []
+    if frames or everything.prims:  # what is named must be there
+        selected = _find(stage, everything.replace(frames=frames))
+    else:
+        selected = _find(stage, everything, problems)
     try:
         whole = _find(stage, everything) if frames else selected
-    except AssetNotResolved:
+    except (AssetNotResolved, FieldNotFound):
         whole = selected  # files of frames that are not requested may be missing
     smoke = Smoke(stage, selected, whole)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
-    smoke.notes |= {f"left out: {sentence}": None for sentence in selected.missing}
+    notes = [*selected.missing, *problems]
+    smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
     return smoke
 
 
-def _find(stage: Usd.Stage, config: StageConfig) -> StageSource:
+def _find(stage: Usd.Stage, config: StageConfig, problems: list[str] | None = None) -> StageSource:
     """Ignores the Volumes' requests: an invalid request hides no smoke."""
-    return find_volumes(stage, config, with_requests=False)
+    return find_volumes(stage, config, with_requests=False, problems=problems)
 
 
 def _time_codes(source: StageSource) -> list[float]:

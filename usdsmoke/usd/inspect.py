@@ -30,7 +30,8 @@ def inspect(
 ) -> dict[str, Any]:
     """What usdsmoke sees on a stage, as plain values; no voxel is read and torch is not loaded.
 
-    A file or grid that cannot be used is described by its ``problem`` and stops nothing.
+    A Volume, file or grid that cannot be used is described by a problem and stops nothing, as long
+    as one Volume is left.
 
     Args:
         stage: a USD file, or an open stage, which is described as it is composed now, with its
@@ -47,7 +48,8 @@ def inspect(
     given = RunArguments.of(style, settings)
     own = given.config.stage
     own = own.replace(prims=prims or own.prims, frames=frames or own.frames)
-    source = find_volumes(stage, own, with_styles=not given.styles)
+    problems: list[str] = []
+    source = find_volumes(stage, own, with_styles=not given.styles, problems=problems)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
     return {
@@ -58,7 +60,11 @@ def inspect(
         ],
         "notes": _notes(source),
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
-        "problems": [*_problems(source, headers), *_camera_problems(stage, source, requests)],
+        "problems": [
+            *problems,
+            *_problems(source, headers),
+            *_camera_problems(stage, source, requests),
+        ],
     }
 
 

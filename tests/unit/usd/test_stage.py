@@ -1,5 +1,7 @@
 """What a stage says about its volumes: timeCodes, files, grids, places, and which of them count."""
 
+import json
+
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
@@ -18,7 +20,9 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
+from usdsmoke.base.errors import FieldNotFound
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import find_volumes, open_stage
 
 DEFAULT = "asset filePath = @./cache/smoke.0001.vdb@"
@@ -311,6 +315,45 @@ def test_volumes_that_nobody_sees_are_left_out_unless_they_are_named(tmp_path):
     assert "</World/off> is invisible" in source.omitted["/World/off/inside"]
     named = find_volumes(stage, StageConfig(prims=["/World/hidden", "/World/guide"]))
     assert len(named.volumes) == 2 and not named.omitted
+
+
+def stage_with_faults(folder):
+    """One good Volume with a missing file, one without fields, one whose files are all missing."""
+    write_sequence(folder, [1, 2, 3, 4])
+    (folder / "cache/smoke.0003.vdb").unlink()
+    gone = density_prim("asset filePath = @./cache/gone.vdb@")
+    body = volume_prim(density_prim(sequence([1, 2, 3, 4]))) + volume_prim(gone, name="gone")
+    return write_text(
+        folder / "shot.usda", world(body + volume_prim("", name="bare", relations="int a"))
+    )
+
+
+def test_what_cannot_be_used_is_noted_and_the_rest_is_found(tmp_path):
+    stage, problems = open_stage(stage_with_faults(tmp_path)), []
+    source = find_volumes(stage, StageConfig(), problems=problems)
+    (volume,) = source.volumes
+    assert volume.prim_path == "/World/smoke" and codes_of(volume) == [1, 2, 4]
+    told = "; ".join(problems)
+    assert "</World/smoke> has no file at timeCode 3" in told
+    assert "/World/bare" in told and "</World/gone> has no file" in told
+
+
+def test_one_bad_volume_among_several_names_the_way_out(tmp_path):
+    with pytest.raises(FieldNotFound, match=r"/World/bare.*name the other Volumes with --prim"):
+        find_volumes(open_stage(stage_with_faults(tmp_path)), StageConfig())
+
+
+def test_inspect_and_preview_show_the_rest(tmp_path, capsys):
+    stage_file = stage_with_faults(tmp_path)
+    assert main(["inspect", str(stage_file), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [item["prim_path"] for item in found["volumes"]] == ["/World/smoke"]
+    assert len(found["problems"]) == 3
+    draw = ["preview", str(stage_file), "-o", str(tmp_path / "a.png"), "--width", "16"]
+    assert main(draw) == 0
+    assert "no file at timeCode 3" in capsys.readouterr().err
+    assert main([*draw, "--prim", "/World/smoke", "--frames", "3"]) == 1
+    assert "smoke.0003.vdb" in capsys.readouterr().err
 
 
 def test_volumes_inside_instances_are_left_out_with_a_reason(tmp_path):

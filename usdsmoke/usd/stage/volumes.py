@@ -1,12 +1,13 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.errors import AssetNotResolved, StageError, VolumeNotFound
+from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
@@ -57,6 +58,7 @@ def find_volumes(
     config: StageConfig,
     with_requests: bool = True,
     with_styles: bool = True,
+    problems: list[str] | None = None,
 ) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
@@ -66,6 +68,8 @@ def find_volumes(
 
     Args:
         with_styles: whether to look for the images that they request; not where others are given.
+        problems: gets a sentence for each Volume, field or timeCode that cannot be used and is left
+            out; None raises an error instead.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
@@ -79,15 +83,24 @@ def find_volumes(
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
-    outlines = [_outline_volume(*pair) for pair in zip(prims, own, strict=True)]
+    outlines = []
+    for prim, settings in zip(prims, own, strict=True):
+        with _left_out(problems, is_alone=len(prims) == 1):
+            outlines.append(_outline_volume(prim, settings))
+    if not outlines:
+        raise StageError("; ".join(problems or ()))
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
-        if config.allow_missing:
+        if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
-            missing += absent
+            (missing if config.allow_missing else problems or []).extend(absent)
+            if absent and not selected:
+                omitted[str(outline.prim.GetPath())] = absent[0]
+                continue
         if selected:
-            volumes.append(_read_volume(outline, selected, with_requests, with_styles))
+            with _left_out(problems, is_alone=len(prims) == 1):
+                volumes.append(_read_volume(outline, selected, with_requests, with_styles))
             continue
         codes = format_time_codes(outline.existing)
         if config.prims:
@@ -99,8 +112,23 @@ def find_volumes(
             f"none of its timeCodes {codes} is in {config.frames!r}"
         )
     if not volumes:
-        raise StageError(f"nothing is left to do: {'; '.join(missing)}. Choose other frames.")
+        reasons = "; ".join([*missing, *(problems or ())])
+        raise StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
+
+
+@contextmanager
+def _left_out(problems: list[str] | None, is_alone: bool) -> Iterator[None]:
+    """Note the error of one Volume; or raise it, with the way to leave that Volume out."""
+    try:
+        yield
+    except (FieldNotFound, AssetNotResolved, StageError) as error:
+        if problems is not None:
+            problems.append(str(error))
+        elif is_alone:
+            raise
+        else:
+            raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
 
 
 def _describe_stage(
