@@ -83,12 +83,7 @@ def find_volumes(
     ranges = parse_frames(config.frames)
     prims, omitted = _choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
-    outlines = []
-    for prim, settings in zip(prims, own, strict=True):
-        with _left_out(problems, is_alone=len(prims) == 1):
-            outlines.append(_outline_volume(prim, settings))
-    if not outlines:
-        raise StageError("; ".join(problems or ()))
+    outlines = _outline_volumes(list(zip(prims, own, strict=True)), problems)
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
@@ -115,6 +110,18 @@ def find_volumes(
         reasons = "; ".join([*missing, *(problems or ())])
         raise StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
+
+
+def _outline_volumes(
+    pairs: Sequence[tuple[Usd.Prim, StageConfig]], problems: list[str] | None
+) -> list[_Outline]:
+    outlines = []
+    for prim, config in pairs:
+        with _left_out(problems, is_alone=len(pairs) == 1):
+            outlines.append(_outline_volume(prim, config))
+    if not outlines:
+        raise StageError("; ".join(problems or ()))
+    return outlines
 
 
 @contextmanager
