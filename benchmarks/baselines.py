@@ -33,6 +33,7 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
+from usdsmoke.core.steps.move import FADE
 from usdsmoke.core.steps.optimize import minimize
 from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.cameras import draw_views, orbit_view, sample_angles
@@ -186,7 +187,10 @@ class _Pliable:
         sides = np.ptp(torch.nonzero(density > 0).numpy(), axis=0) + 1
         usual = density[density > 0].quantile(0.9)
         mask = (_blurred(density[None]) / usual).clamp(0, 1)
-        return cls(density, border_mask(density), mask, config.shape.reach * float(sides.max()))
+        longest = float(sides.max())
+        return cls(
+            density, border_mask(density, FADE * longest), mask, config.shape.reach * longest
+        )
 
     def moved(self, potential: Tensor) -> Tensor:
         """The density moved by the gradient of a potential [1 D H W], voxel^2."""

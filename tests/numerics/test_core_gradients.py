@@ -151,7 +151,7 @@ def shape_chain(
     """Potential -> displacement -> moved density -> columns -> opacity -> loss."""
     lattice = surround(smoke, 2)
     box = lattice.fill(smoke)
-    mask = border_mask(box)
+    mask = border_mask(box, 2.0)
     active = torch.nonzero(box > -1)
     image = column_map(lattice.positions(active), smoke.voxel_volume, view_of(smoke), DOUBLE)
 

@@ -64,6 +64,11 @@ class TransportReport:
     linear_difference: float | None = None  # of the linear scheme; None where it is the one used
     error: Estimate | None = None  # of the scheme used; None where nothing was moved
     mass_error: float | None = None  # gain of mass before it is corrected; negative is a loss
+    # How evenly smoke is read; None where nothing was moved.
+    folded: float | None = None  # of the voxels with smoke, those where space folds
+    unread: float | None = None  # of the mass, that of which less than a twentieth is read
+    read_twice: float | None = None  # of the mass, that which is read more than twice
+    motionless: float | None = None  # of the mass under the mask, that which cannot be moved
 
 
 @dataclass(frozen=True)

@@ -206,9 +206,7 @@ class Trial:
         self._smoke_of(setting)
 
     def _moved(self, setting: Setting, config: Config) -> Any:
-        from usdsmoke.core.fields.displacement import clamp_displacement
-        from usdsmoke.core.fields.potential import Displacement
-        from usdsmoke.core.steps.move import move_density
+        from usdsmoke.core.steps.move import displacement_of, move_density
         from usdsmoke.core.steps.shape import max_displacement, run_shape_step
         from usdsmoke.core.steps.targets import StepProblem
 
@@ -216,11 +214,10 @@ class Trial:
         scene = self._scene_of(setting)
         problem = StepProblem(smoke, targets, scene, config)
         unclamped, ends = run_shape_step(problem, setting.per_octave)
-        lattice, limit = unclamped.lattice, max_displacement(smoke, config.shape.reach)
-        values = clamp_displacement(lattice.from_stage(unclamped.values), limit, None)
-        displacement = Displacement(lattice.to_stage(values), lattice)
-        density, strength = self._field_of(setting), config.optimize.strength
-        return move_density(density, smoke, displacement, config.shape, strength)[0], ends
+        limit, strength = max_displacement(smoke, config.shape.reach), config.optimize.strength
+        displacement = displacement_of(unclamped, limit, strength=strength)
+        density = self._field_of(setting)
+        return move_density(density, smoke, displacement, config.shape)[0], ends
 
     def _scene_of(self, setting: Setting) -> "Scene":
         if setting.pixels == 1 and setting.refine == 1:

@@ -42,7 +42,7 @@ def test_only_voxels_with_smoke_are_active_at_their_absolute_indices():
 
 
 def test_denormal_density_counts_as_none_and_faint_density_as_smoke():
-    values = np.array([1e-40, 1e-36, 2 * LEAST_DENSITY, 1e-30], np.float32).reshape(4, 1, 1)
+    values = np.array([1e-45, 1e-40, 2 * LEAST_DENSITY, 1e-30], np.float32).reshape(4, 1, 1)
     assert activated(values).ijk[:, 0].tolist() == [2, 3]
 
 

@@ -91,7 +91,7 @@ def test_lumps_far_from_each_other_have_no_nodes_in_between() -> None:
         density[:10] = density[-10:] = torch.from_numpy(lump)
         smoke = smoke_of(density.numpy(), affine(2))
         lattice = surround(smoke, 2)
-        effect = border_mask(lattice.fill(smoke).double())
+        effect = border_mask(lattice.fill(smoke).double(), 2.0)
         shown = torch.linspace(0, 1, lattice.shape[1], dtype=torch.float64)[:, None]  # a mask
         masked = effect * shown
         active = (lattice.fill(smoke) > 0) | grow(effect > 0)

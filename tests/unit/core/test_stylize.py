@@ -211,7 +211,7 @@ def test_emptiness_around_the_smoke_changes_nothing():
 def test_a_slab_stays_one_voxel_thick_and_is_seen_from_one_side(axis):
     rng = np.random.default_rng(0)
     flat = np.expand_dims(rng.uniform(0.5, 1.0, (12, 14)), axis)
-    config = quick_config(shape={"iterations": [3, 3], "learning_rate": 1.0, "reach": 0.1})
+    config = quick_config(shape={"iterations": [3, 3], "reach": 0.1})
     result = run_core([frame_of(flat)], config)[0]
     assert result.density.values.shape[axis] == 1 and result.emission.values.shape[axis] == 1
     assert mass(result.density.values) == pytest.approx(mass(flat), rel=1e-5)

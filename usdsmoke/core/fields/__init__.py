@@ -9,5 +9,7 @@
 - ``sparse_map``: sparse linear maps between nodes of lattices
 - ``pyramid``: coefficient pyramids, on the nodes that have an effect
 - ``displacement``: displacements of potentials, on a box or at chosen voxels; clamped lengths
+- ``flow``: the displacement of a velocity that is followed for a unit of time
+- ``folding``: where a displacement folds space or reads smoke unevenly
 - ``potential``: a potential or displacement with its box, and the fade at the smoke's border
 """

@@ -35,6 +35,7 @@ from usdsmoke.core.fields.sparse_map import (
     Table,
     read_along,
 )
+from usdsmoke.core.smoke.levels import ranked
 
 __all__ = [
     "MIXED_SHARE",
@@ -166,8 +167,8 @@ def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
     """Where there is smoke, [I J K] in [0, 1], blurred: 1 inside, 0 a few sigma outside.
 
-    Before the blur the mask is 1 from ``share`` of the mass-weighted mean density on. It does not
-    depend on the density's unit and never exceeds 1, however dense the smoke.
+    Before the blur the mask is 1 from ``share`` of the median density on. It does not depend on the
+    density's unit, nor on how dense the denser half of the voxels is.
 
     Args:
         density: [I J K]; negative values are taken as 0.
@@ -187,12 +188,10 @@ def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 
             "the density given to the mask holds NaN or infinity. Pass finite numbers."
         )
     positive = density.detach().clamp(min=0)
-    largest = positive.amax() if positive.numel() else positive.sum()
-    if not largest > 0:
+    level = share * ranked(positive[positive > 0], 0.5)
+    if not level > 0:
         return torch.zeros_like(positive)
-    relative = positive / largest
-    level = share * relative.square().sum() / relative.sum()
-    return smooth((relative / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)
+    return smooth((positive / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)
 
 
 class SparseDisplacement:

@@ -104,8 +104,8 @@ class Lattice:
         return sample_linear(values, place.to(values.dtype), boundary=beyond)
 
 
-def surround(smoke: ActiveSmoke, padding: int) -> Lattice:
-    """The box of the smoke with ``padding`` empty voxels around.
+def surround(smoke: ActiveSmoke, padding: int | Sequence[int]) -> Lattice:
+    """The box of the smoke with ``padding`` empty voxels around, one number or one per axis.
 
     Axes one voxel thick get no padding: flat smoke moves in its plane.
 

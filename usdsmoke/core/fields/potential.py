@@ -1,7 +1,11 @@
-"""From a potential on a box to the displacement of its smoke."""
+"""From a potential on a box to the velocity of its smoke."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.fields.displacement import (
@@ -21,12 +25,10 @@ __all__ = [
     "unclamped_displacement",
 ]
 
-BORDER = 2.0  # voxels over which the displacement fades towards the border
-
 
 @dataclass(frozen=True)
 class Potential:
-    """The potential of a displacement, on the voxels of a box: stage unit^2."""
+    """The potential of a velocity, on the voxels of a box: stage unit^2."""
 
     values: Tensor  # [I J K C]: 3 stream, 1 potential, 4 both
     lattice: Lattice
@@ -58,13 +60,27 @@ class Displacement:
         return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(places)), self.values)
 
 
-def border_mask(density: Tensor) -> Tensor:
-    """1 inside the smoke, falling smoothly to 0 *at* its border, [I J K].
+def border_mask(density: Tensor, sigma: float | Sequence[float]) -> Tensor:
+    """1 inside the smoke, falling smoothly to 0 *at* the border of thick smoke, [I J K].
 
-    The blurred mask is one half at the border: the upper half of its range is taken, or smoke would
-    still move at the silhouette and pile up there as a bright rim.
+    The blurred mask is compared with its largest value nearby. At the border of thick smoke that is
+    one half: the upper half of the range is taken, or smoke would still move at the silhouette and
+    pile up there as a bright rim. A sheet or a filament thinner than the blur is as blurred inside
+    as everywhere nearby, and takes part.
+
+    Args:
+        density: [I J K].
+        sigma: of the blur, voxels; one number or one per axis.
     """
-    inside = (2 * smooth_mask(density, BORDER) - 1).clamp_min(0)
+    sigmas = [float(sigma)] * 3 if isinstance(sigma, (int, float)) else [float(s) for s in sigma]
+    blurred = smooth_mask(density, sigmas)
+    nearby = blurred[None, None]
+    for axis, n in enumerate(density.shape):
+        sizes = [1, 1, 1]
+        sizes[axis] = 2 * min(math.ceil(2 * sigmas[axis]), n - 1) + 1
+        nearby = F.max_pool3d(nearby, sizes, stride=1, padding=[size // 2 for size in sizes])
+    tiny = torch.finfo(blurred.dtype).tiny
+    inside = (2 * blurred / nearby[0, 0].clamp_min(tiny) - 1).clamp_min(0)
     return inside * inside * (3 - 2 * inside)
 
 

@@ -17,8 +17,6 @@ from typing import TypeVar
 from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.core.fields.displacement import clamp_displacement
-from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
@@ -42,7 +40,7 @@ from usdsmoke.core.sequence.start import Carried, start_colours, start_displacem
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 from usdsmoke.core.steps.colour import run_colour_step
-from usdsmoke.core.steps.move import move_density, shares_on
+from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
@@ -166,15 +164,15 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
     lattice, source, config = frame.unclamped.lattice, frame.source, frame.config
     limit = max_displacement(source, config.shape.reach)
     share = shares_on(lattice, frame.mask, source.density)
-    values = clamp_displacement(lattice.from_stage(frame.unclamped.values), limit, share)
-    displacement = Displacement(lattice.to_stage(values), lattice)
+    displacement = displacement_of(frame.unclamped, limit, share)
     if not frame.in_effect:
         report = replace(frame.report, transport=TransportReport(limit))
         return advance(frame, MovedFrame, displacement=displacement, report=report)
     strength, is_part = config.optimize.strength, frame.visibility is not None
-    density, transport = move_density(
-        frame.density, source, displacement, config.shape, strength, share, is_part
-    )
+    own = displacement
+    if strength < 1:
+        own = displacement_of(frame.unclamped, limit, share, strength)
+    density, transport = move_density(frame.density, source, own, config.shape, share, is_part)
     smoke = activate(density, frame.frame.density_to_stage, context.device)
     if frame.visibility is not None:
         smoke = frame.visibility.visible(smoke)

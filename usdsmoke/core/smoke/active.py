@@ -20,7 +20,7 @@ __all__ = [
     "sample_colours",
 ]
 
-LEAST_DENSITY = 1e-35  # an extinction per density that makes less visible does not fit float32
+LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,12 @@ class ActiveSmoke:
         """Voxel centres, [N 3] float64, stage space."""
         matrix = torch.as_tensor(self.index_to_stage, dtype=torch.float64, device=self.ijk.device)
         return self.ijk.double() @ matrix[:3, :3] + matrix[3, :3]
+
+    @property
+    def longest_side(self) -> float:
+        """Of the box of the active voxels, stage units."""
+        low, high = self.box
+        return float(max((high - low + 1) * np.linalg.norm(self.index_to_stage[:3, :3], axis=1)))
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

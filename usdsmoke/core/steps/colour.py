@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
+from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
@@ -63,7 +64,9 @@ def run_colour_step(
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
     colours, before = start, painted
     ends: list[Minimum] = []
-    for number, factor, octave, n_iterations in octaves_to_do(smoke, iterations):
+    # blocks of voxels: one opaque voxel would make all of its coarse one opaque
+    for number, factor, octave, n_iterations in octaves_to_do(bounded(smoke), iterations):
+        octave = smoke if factor == 1 else octave
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave

@@ -1,6 +1,7 @@
 """Density moved by a displacement: with which voxels, how accurately, and with what mass."""
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,27 +10,59 @@ from torch import Tensor
 from usdsmoke.base.frame_report import Estimate, TransportReport
 from usdsmoke.base.sections import ShapeConfig
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.fields.lattice import Lattice, field_from_box
+from usdsmoke.core.fields.displacement import clamp_displacement
+from usdsmoke.core.fields.flow import flow
+from usdsmoke.core.fields.folding import measure_evenness
+from usdsmoke.core.fields.lattice import Lattice, field_from_box, surround
 from usdsmoke.core.fields.potential import Displacement, border_mask
 from usdsmoke.core.fields.richardson import warp_error
-from usdsmoke.core.fields.transport import correct_mass, warp
+from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.views.visibility import EffectMask
 
-__all__ = ["PADDING", "effect_on", "move_density", "shares_on"]
+__all__ = [
+    "displacement_of",
+    "effect_on",
+    "fade_of",
+    "move_density",
+    "moves_along",
+    "shares_on",
+    "smoke_box",
+]
 
-PADDING = 2  # empty voxels around the smoke, whose displacement ends at its border
-LEAST_SHARE = 1e-6  # of the largest density: less is round-off
+FADE = 0.02  # of the smoke's longest side: sigma of the fade towards the border
+BEYOND = 1.2  # sigma; beyond a thin sheet the fade has ended there
+LEAST_PADDING = 2  # voxels: slopes reach one voxel beyond the effect
+LEAST_SHARE = 1e-7  # of the density of outliers: less, where there was none, is round-off
 
 
-def effect_on(density: Tensor, share: Tensor | None) -> Tensor:
-    """The share of the displacement that is kept, [I J K]: 0 at the smoke's border.
+def fade_of(source: ActiveSmoke) -> float:
+    """Sigma of the effect's fade towards the smoke's border, stage units."""
+    return FADE * source.longest_side
+
+
+def smoke_box(smoke: ActiveSmoke, fade: float) -> Lattice:
+    """The box in which smoke is moved: with as much room around as thin smoke's effect takes.
 
     Args:
-        density: [I J K].
+        smoke: of any octave.
+        fade: of the full resolution, see ``fade_of``.
+    """
+    sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
+    padding = np.maximum(np.ceil(BEYOND * fade / sides).astype(int) + 1, LEAST_PADDING)
+    return surround(smoke, padding.tolist())
+
+
+def effect_on(density: Tensor, lattice: Lattice, fade: float, share: Tensor | None) -> Tensor:
+    """The share of the motion that is kept, [I J K]: 0 at the border of thick smoke.
+
+    Args:
+        density: [I J K], on the lattice.
+        fade: see ``fade_of``.
         share: the mask's values there, from ``shares_on``.
     """
-    inside = border_mask(density)
+    inside = border_mask(density, [fade / side for side in lattice.spacing])
     return inside if share is None else inside * share
 
 
@@ -38,52 +71,71 @@ def shares_on(lattice: Lattice, mask: EffectMask | None, like: Tensor) -> Tensor
     return None if mask is None else lattice.on_voxels(mask.at, like).to(like)
 
 
+def displacement_of(
+    velocity: Displacement, limit: float, share: Tensor | None = None, strength: float = 1.0
+) -> Displacement:
+    """The displacement that smoke is moved by: the flow of the clamped velocity.
+
+    Args:
+        velocity: what the shape step found, per unit of time.
+        limit: of its length, stage units; no displacement is longer.
+        share: the mask's values on its box; 0 moves nothing.
+        strength: the share of the unit of time that it is followed for, in [0, 1].
+    """
+    lattice = velocity.lattice
+    values = clamp_displacement(lattice.from_stage(velocity.values), limit, share)
+    sides = values.new_tensor(lattice.spacing)
+    return Displacement(lattice.to_stage(flow(values * (strength / sides)) * sides), lattice)
+
+
 def move_density(
     density: DenseField,
     source: ActiveSmoke,
     displacement: Displacement,
     shape: ShapeConfig,
-    strength: float,
     share: Tensor | None = None,
     is_part: bool = False,
 ) -> tuple[DenseField, TransportReport]:
     """The full density moved by the accurate scheme, and the errors of that.
 
+    The excess of outliers over the dense smoke is moved by the linear scheme, with a mass of its
+    own: a spline through one voxel of 1e6 rings over a dozen voxels around, and one factor for the
+    mass of both would scale all other smoke. The errors are those of what is below.
+
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
-        displacement: on the box that ``lattice.surround(source, PADDING)`` gives.
+        displacement: on the box that ``smoke_box`` gives for the source.
         shape: scheme and correction of mass.
-        strength: factor of the displacement.
         share: the mask's values on that box; where it is 0 the source stays bit for bit.
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
     """
-    # move the box by its share of the displacement
+    # move the box
     lattice = displacement.lattice
-    box = lattice.fill(source)
-    u = lattice.from_stage(displacement.values).mul_(strength)
+    whole = lattice.fill(source)
+    level = dense_level(source.density)
+    box = whole.clamp(max=level)
+    u = lattice.from_stage(displacement.values)
     largest = float(u.norm(dim=-1).max())
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
     moved = warp(box, u, scheme=scheme).clamp_min(0)
     # round-off of the spline is not smoke: it would fill the box with active voxels
-    moved = torch.where(moved > LEAST_SHARE * box.max(), moved, torch.zeros_like(moved))
+    is_smoke = (moved > LEAST_SHARE * level) | (box > 0)
+    moved = torch.where(is_smoke, moved, torch.zeros_like(moved))
 
-    # measure the errors of the scheme
-    linear = None
-    if scheme != "linear":
-        active = torch.nonzero((box > 0) | (moved > 0))
-        cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
-        difference = (cheap - moved[tuple(active.T)]).abs().sum() / moved.sum().clamp_min(1e-30)
-        linear = float(difference)
-    started = time.perf_counter()
-    error = warp_error(box, u, moved, scheme)
-    # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
-    value = error.value if linear is None else min(error.value, linear)
-    estimate = Estimate(value, time.perf_counter() - started, error.order)
-    del u
+    linear, estimate = _scheme_errors(box, u, moved, scheme)
+    evenness = measure_evenness(u, box)
+    effect = effect_on(box, lattice, fade_of(source), share)
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
+    if bool((whole > level).any()):
+        excess = whole - box
+        carried = warp(excess, u, scheme="linear")
+        result = result + _with_mass(carried, excess, shape.mass_correction, share)[0]
+        if share is not None:  # a sum of two parts has round-off
+            result = torch.where(share > 0, result, whole)
+    del u
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
@@ -92,8 +144,48 @@ def move_density(
         linear_difference=linear,
         error=estimate,
         mass_error=mass_error,
+        folded=evenness.folded,
+        unread=evenness.unread,
+        read_twice=evenness.read_twice,
+        motionless=_motionless(box, effect, shape, share),
     )
     return field_from_box(density, values, low), report
+
+
+def _scheme_errors(
+    box: Tensor, u: Tensor, moved: Tensor, scheme: Scheme
+) -> tuple[float | None, Estimate]:
+    """The linear scheme's difference, None if it is the scheme itself, and the scheme's error."""
+    linear = None
+    if scheme != "linear":
+        active = torch.nonzero((box > 0) | (moved > 0))
+        cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
+        total = float(moved.double().sum())
+        differs = float((cheap - moved[tuple(active.T)]).double().abs().sum())
+        linear = differs / total if total > 0 else 0.0
+    started = time.perf_counter()
+    error = warp_error(box, u, moved, scheme)
+    # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
+    value = error.value if linear is None else min(error.value, linear)
+    return linear, Estimate(value, time.perf_counter() - started, error.order)
+
+
+def moves_along(lengths: Sequence[int], kind: str) -> bool:
+    """Whether potentials of a kind move anything in a box of some voxels along each axis.
+
+    >>> moves_along([6, 1, 1], "stream")
+    False
+    """
+    return sum(n > 1 for n in lengths) >= (2 if kind == "stream" else 1)
+
+
+def _motionless(box: Tensor, effect: Tensor, shape: ShapeConfig, share: Tensor | None) -> float:
+    """Share of the mass under the mask that no potential can move."""
+    if not moves_along(box.shape, shape.displacement):
+        return 1.0
+    mass = box.double() if share is None else box.double() * (share > 0)
+    total = float(mass.sum())
+    return float(mass[effect == 0].sum()) / total if total > 0 else 0.0
 
 
 def _with_mass(

@@ -1,12 +1,17 @@
 r"""The shape step: density moved by an optimised displacement. [Christen2020, eqs. 4-5; Kim2019]
 
-The grey picture is the opacity 1 - exp(-gamma * column). The unknown is a potential on the voxels;
-its curl (or gradient) is the displacement u, and the density becomes d(x - u(x)).
+The grey picture is the opacity 1 - exp(-gamma * column). The unknown is a potential on the voxels.
+Its curl (or gradient) is a velocity, whose flow over a unit of time is the displacement u, and the
+density becomes d(x - u(x)).
 
 Deviations from the reference, each against a fault seen there:
 
-- |u| is clamped smoothly to ``shape.reach`` of the smoke's longest side, and fades with the
-  smoothed density; otherwise a bright rim grows along the border of the moved smoke;
+- the velocity's length is clamped smoothly to ``shape.reach`` of the smoke's longest side, and
+  fades at the border of thick smoke; otherwise a bright rim grows along the border of the moved
+  smoke;
+- the smoke follows the velocity's flow, and folding is penalised: a displacement taken at once
+  folds a seventh of a plume of 64 voxels (decision 018);
+- outliers of density count as much as the dense smoke: one voxel would own every measure;
 - the guide T is the *source's* silhouette: the optimiser would exploit one that follows the moved
   smoke;
 - Adam on a pyramid of coefficients scaled to displacement in place of Laplacian-normalised ascent;
@@ -16,17 +21,18 @@ Deviations from the reference, each against a fault seen there:
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import truediv
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.core.fields.displacement import SparseDisplacement, clamp_displacement
-from usdsmoke.core.fields.lattice import Lattice, grow, surround
+from usdsmoke.core.fields.flow import flow, flow_at
+from usdsmoke.core.fields.folding import FoldingPenalty, softened
+from usdsmoke.core.fields.lattice import Lattice, grow
 from usdsmoke.core.fields.potential import (
     Displacement,
     Potential,
@@ -37,8 +43,9 @@ from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.fields.sparse_map import Nodes
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
+from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
-from usdsmoke.core.steps.move import PADDING, effect_on, shares_on
+from usdsmoke.core.steps.move import effect_on, fade_of, moves_along, shares_on, smoke_box
 from usdsmoke.core.steps.optimize import Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import GreyView, ViewPool, grey_view
 from usdsmoke.core.steps.targets import StepProblem
@@ -51,6 +58,18 @@ Start = Callable[[Lattice], Tensor]
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}  # of the potential
 N_LEVELS = 5  # of the coefficient pyramid
+# Weights of the penalties, relative to the style's (decision 018)
+FOLDING_WEIGHT = 10.0  # on folding
+MASS_WEIGHT = 0.75  # on the change of mass, of which LARGE_CHANGE is one: darkness is cheap style
+LARGE_CHANGE = 0.05  # of the mass
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """How far smoke is moved, stage units; of the full resolution."""
+
+    limit: float
+    fade: float  # see ``move.fade_of``
 
 
 class _Octave:
@@ -61,29 +80,34 @@ class _Octave:
         problem: StepProblem,
         factor: int,
         seed: int,
-        limit: float,
+        reach: _Reach,
         n_channels: int,
         start: Start | None,
     ) -> None:
         smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
-        self.lattice = surround(smoke, PADDING)
+        self.lattice = smoke_box(smoke, reach.fade)
         self.density = self.lattice.fill(smoke)
         self._share = shares_on(self.lattice, mask, self.density)
-        self.effect = effect_on(self.density, self._share)
+        self.effect = effect_on(self.density, self.lattice, reach.fade, self._share)
         self.base = None if start is None else start(self.lattice)
-        self.limit, self._keep = limit, config.losses.keep
+        self.limit, self._keep = reach.limit, config.losses.keep
+        self._kind = config.shape.displacement
         self._loss = loss = problem.targets.at(factor, grey=True)
         self._sides = self.density.new_tensor(self.lattice.spacing)
         reached, moving = self._reached(), Nodes.where(self.effect > 0)
         self.active = torch.nonzero(reached)
-        where = tuple(self.active.T)
+        where, active = tuple(self.active.T), Nodes.where(reached)
         # component by component, because that is how the look-up takes them
         self._arrivals = self.active.T.to(self.density, memory_format=torch.contiguous_format).T
         self.pyramid = SparsePyramid(moving, N_LEVELS, self.density)
         self._moves = SparseDisplacement(
-            Nodes.where(reached), moving, self.effect, config.shape.displacement,
-            self.lattice.spacing, n_channels,
+            active, moving, self.effect, self._kind, self.lattice.spacing, n_channels,
         )  # fmt: skip
+        self._folding = None
+        if self.density.numel() > 1:
+            self._folding = FoldingPenalty(Nodes.where(self.density > 0), active, self.density)
+        self._weight, self._active = config.losses.style, active
+        self._mass = self.density.sum()
         self._base_there = None if self.base is None else self.base[where]
         self._share_there = None if self._share is None else self._share[where]
         positions = self.lattice.positions(self.active)
@@ -110,12 +134,17 @@ class _Octave:
         """
         reached = (self.density > 0) | grow(self.effect > 0)
         if self.base is not None:
-            u = clamp_displacement(self.base, self.limit, self._share).div_(self._sides)
-            reached |= grow(warp(self.density, u, scheme="linear") > 0)
+            velocity = clamp_displacement(self.base, self.limit, self._share).div_(self._sides)
+            reached |= grow(warp(self.density, flow(velocity), scheme="linear") > 0)
         return reached
 
-    def moved(self, potential: Tensor) -> Tensor:
-        """Moved density at the active voxels, [N]; the linear scheme.
+    @property
+    def can_move(self) -> bool:
+        """Whether the potential has an effect on any voxel."""
+        return moves_along(self.lattice.shape, self._kind) and bool((self.effect > 0).any())
+
+    def displacement(self, potential: Tensor) -> Tensor:
+        """The displacement of the active voxels, [N 3] index units.
 
         Args:
             potential: [n C] at the pyramid's nodes of the finest level.
@@ -127,11 +156,11 @@ class _Octave:
         if self._base_there is not None:
             unclamped = unclamped + self._base_there
         clamped = clamp_displacement(unclamped, self.limit, self._share_there)
-        # not ``warp``: it would check the density, which never changes, in every iteration
-        return sample_linear(self.density, self._arrivals - clamped / self._sides)
+        return flow_at(clamped / self._sides, self._active, self._arrivals)
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
-        """Style loss of the moved smoke's pictures, and what leaves the source's silhouette."""
+        """Style loss of the moved smoke's pictures, and penalties: what leaves the source's
+        silhouette, what mass is gained or lost, and what folds."""
 
         def view_loss(view: GreyView, density: Tensor) -> Tensor:
             grey = view.picture(density)
@@ -139,7 +168,15 @@ class _Octave:
             loss = self._loss(picture, view.guide, view.content, iteration)
             return loss + self._keep * view.outside_change(grey) if self._keep else loss
 
-        return self._pool.mean_loss(self.moved(potential), iteration, view_loss)
+        u = self.displacement(potential)
+        # not ``warp``: it would check the density, which never changes, in every iteration
+        moved = sample_linear(self.density, self._arrivals - u)
+        loss = self._pool.mean_loss(moved, iteration, view_loss)
+        change = (moved.sum() / self._mass - 1) / LARGE_CHANGE
+        loss = loss + self._weight * MASS_WEIGHT * softened(change)
+        if self._folding is not None:
+            loss = loss + self._weight * FOLDING_WEIGHT * self._folding(u)
+        return loss
 
 
 def run_shape_step(
@@ -151,27 +188,29 @@ def run_shape_step(
 ) -> tuple[Displacement, list[Minimum]]:
     """What moves one frame's smoke so that its grey pictures take the style's structure.
 
+    An octave in which nothing can move, such as a row of voxels by a stream function, is left out.
+
     Args:
         problem: the smoke at full resolution; the mask scales the displacement in space.
         iterations: per octave, coarse to fine; an octave with 0 is skipped.
-        start: lattice -> displacement [I J K 3] along its axes, stage units, to start from; None
-            starts from rest.
+        start: lattice -> velocity [I J K 3] along its axes, stage units per unit of time, to start
+            from; None starts from rest.
         watch: called with the octave and the optimiser's state after every iteration.
         rate_share: share of the learning rate, in (0, 1].
 
     Returns:
-        The displacement, before it is clamped and before ``optimize.strength``, and how each octave
+        The velocity, before it is clamped and before ``optimize.strength``, and how each octave
         ended.
     """
-    source, config = problem.smoke, problem.config
-    limit = max_displacement(source, config.shape.reach)
+    source, config = bounded(problem.smoke), problem.config
+    reach = _Reach(max_displacement(source, config.shape.reach), fade_of(source))
     rate, tolerance = rate_share * config.shape.learning_rate, config.optimize.tolerance
     kind, potential, ends, box = config.shape.displacement, None, [], None
     # in a slab only a stream function's component across it moves anything
     n_channels = 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
-        octave = _Octave(here, factor, seed, limit, n_channels, start)
+        octave = _Octave(here, factor, seed, reach, n_channels, start)
         first = _potential_on(octave.lattice, potential, n_channels, octave.density)
         watch_octave = partial(watch, number) if watch is not None else None
         descent = Descent(rate, n_iterations, tolerance)
@@ -182,9 +221,9 @@ def run_shape_step(
         del octave  # with its views, which are most of a step's memory
     give_back_memory()  # fragments of the octaves, before dense boxes are made
     if box is None:
-        lattice = surround(source, PADDING)
+        lattice = smoke_box(source, reach.fade)
         density = lattice.fill(source)
-        effect = effect_on(density, shares_on(lattice, problem.mask, density))
+        effect = effect_on(density, lattice, reach.fade, shares_on(lattice, problem.mask, density))
         base = None if start is None else start(lattice)
     else:  # of the last octave, which is at full resolution
         lattice, effect, base = box
@@ -195,9 +234,7 @@ def run_shape_step(
 
 def max_displacement(source: ActiveSmoke, share: float) -> float:
     """What displacements are clamped to, stage units: ``share`` of the smoke's longest side."""
-    low, high = source.box
-    sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)
-    return share * float(max((high - low + 1) * sides))
+    return share * source.longest_side
 
 
 def _potential_on(
@@ -219,6 +256,8 @@ def _optimize_octave(
     Returns:
         The potential, and how the optimisation ended.
     """
+    if not octave.can_move:
+        return base, None
     pyramid, spacing = octave.pyramid, max(octave.lattice.spacing)
     # a coefficient of 1 moves smoke by about the limit on the finest level, and by less on coarser
     # ones, whose neighbours agree and add up: with as much on all levels frames end as near to the

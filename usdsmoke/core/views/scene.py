@@ -14,6 +14,7 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.visibility import nearest_footprint, visible_part
@@ -31,6 +32,8 @@ __all__ = [
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
+DENSE_COLUMNS = 0.95  # rank of the columns that are dense
+FRINGE = 1e-3  # of those: columns below are not counted as smoke
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -142,7 +145,8 @@ def frame_views(
 
 def _middle(smoke: ActiveSmoke) -> np.ndarray:
     """Centre of mass [3]: unlike a box's centre, it does not jump when a wisp becomes visible."""
-    weights = smoke.density.double() / smoke.density.double().sum()
+    density = bounded(smoke).density.double()
+    weights = density / density.sum()
     return (weights @ smoke.positions).cpu().numpy()
 
 
@@ -164,10 +168,14 @@ def _middle_view(
 
 
 def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
-    """Column integrals of density where there is smoke, [P], density x stage unit."""
+    """Column integrals of density where there is smoke, [P], density x stage unit.
+
+    Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
+    densest one may be that of one voxel.
+    """
     image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
-    columns = image.apply(smoke.density.double()[:, None])
-    return columns[columns > 1e-3 * columns.max()].numpy()
+    columns = image.apply(bounded(smoke).density.double()[:, None])
+    return columns[columns > FRINGE * ranked(columns[columns > 0], DENSE_COLUMNS)].numpy()
 
 
 def measure_scene(

@@ -197,6 +197,7 @@ def _remaining(step: StepReport | None) -> Estimate | None:
 
 
 _PICTURE, _DENSITY, _LOSS = "the picture", "the density", "the loss"
+_SMOKE = "the voxels with smoke"
 _NO_FRAME, _NO_SHAPE, _NO_COLOUR = "no frame is stylized", "no shape step", "no colour step"
 _TOO_FEW = "too few iterations in the last octave to fit a tail to"
 _BEFORE_BLENDING = "measured before they are blended"
@@ -251,6 +252,38 @@ MASS = ErrorRow(
     relative_to=_DENSITY,
     how="measured before it is corrected",
     of_frame=lambda report: _figure(report.transport, "mass_error"),
+    why_absent=lambda volume: volume.no_shape,
+    without=_NO_SHAPE,
+)
+FOLDED = ErrorRow(
+    name="folded smoke",
+    relative_to=_SMOKE,
+    how="voxels at which the displacement's determinant is below 0",
+    of_frame=lambda report: _figure(report.transport, "folded"),
+    why_absent=lambda volume: volume.no_shape,
+    without=_NO_SHAPE,
+)
+UNREAD = ErrorRow(
+    name="mass, unread",
+    relative_to=_DENSITY,
+    how="mass of which less than a twentieth is read",
+    of_frame=lambda report: _figure(report.transport, "unread"),
+    why_absent=lambda volume: volume.no_shape,
+    without=_NO_SHAPE,
+)
+READ_TWICE = ErrorRow(
+    name="mass, read twice",
+    relative_to=_DENSITY,
+    how="mass that is read more than twice",
+    of_frame=lambda report: _figure(report.transport, "read_twice"),
+    why_absent=lambda volume: volume.no_shape,
+    without=_NO_SHAPE,
+)
+MOTIONLESS = ErrorRow(
+    name="motionless mass",
+    relative_to=_DENSITY,
+    how="mass that the shape step cannot move",
+    of_frame=lambda report: _figure(report.transport, "motionless"),
     why_absent=lambda volume: volume.no_shape,
     without=_NO_SHAPE,
 )
@@ -355,6 +388,10 @@ ROWS = (
     TRANSPORT,
     LINEAR_TRANSPORT,
     MASS,
+    FOLDED,
+    UNREAD,
+    READ_TWICE,
+    MOTIONLESS,
     SHAPE_OPTIMISER,
     COLOUR_OPTIMISER,
     VIEW_SAMPLING,

@@ -1,0 +1,100 @@
+"""A few voxels a hundred or 10^30 times denser than the smoke change nothing around them."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from tests.smoke_fixtures import frame_of, puff, smoke_of
+from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.core.fields.displacement import smooth_mask
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.smoke.levels import bounded, dense_level, ranked
+
+DENSE = (12, 12, 12)
+LEVELS = [1e2, 1e4, 1e6, 1e30]
+CONFIG = quick_config(
+    shape={"iterations": [6, 6]}, colour={"iterations": [4, 4]}, views={"image_size": 32}
+)
+
+
+def spoiled(level: float) -> np.ndarray:
+    density = puff(20)
+    density[DENSE] = level
+    return density
+
+
+@cache
+def stylized(level: float) -> StylizedFrame:
+    return run_core([frame_of(spoiled(level))], CONFIG)[0]
+
+
+def around(found: dict[tuple[int, ...], tuple[float, ...]]) -> dict[tuple[int, ...], np.ndarray]:
+    """Without the voxels that the dense one reaches when it is moved."""
+    far = {v: np.array(x) for v, x in found.items() if max(abs(a - 12) for a in v) > 2}
+    assert len(far) > 1000
+    return far
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_one_dense_voxel_leaves_the_extinction_as_it_is(level):
+    plain, dense = (scene_of([frame_of(spoiled(x))], CONFIG) for x in (1.0, level))
+    assert dense.gamma_w == pytest.approx(plain.gamma_w, rel=0.02)
+    assert dense.gamma_w_shape == pytest.approx(plain.gamma_w_shape, rel=0.02)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_smoke_around_one_dense_voxel_moves_and_is_painted_as_ever(level):
+    """The same motion as around one ten times denser than the rest; colours see it in front."""
+    usual, dense = stylized(10.0), stylized(level)
+    transport = dense.report.transport
+    assert transport.largest_displacement > 0.9 * transport.cap
+    for name in ("density", "emission"):
+        wanted, found = (around(by_voxel(getattr(r, name))) for r in (usual, dense))
+        assert found.keys() == wanted.keys()
+        size = sum(np.abs(x).sum() for x in wanted.values())
+        missed = sum(np.abs(found[v] - wanted[v]).sum() for v in wanted)
+        assert missed < (1e-5 if name == "density" else 0.1) * size
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_one_dense_voxel_deletes_no_smoke_and_the_mass_of_both_is_kept(level):
+    found, source = stylized(level).density.values, spoiled(level)
+    assert (found > 0).sum() >= (source > 0).sum()
+    assert found.sum(dtype=float) == pytest.approx(source.sum(dtype=float), rel=1e-4)
+    smoke = np.sort(found, axis=None)[:-64].sum(dtype=float)
+    assert smoke == pytest.approx(puff(20).sum(dtype=float), rel=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_where_smoke_is_does_not_depend_on_its_densest_voxel(level):
+    plain, dense = (smooth_mask(torch.from_numpy(spoiled(x)), 1.5) for x in (1.0, level))
+    torch.testing.assert_close(plain, dense)
+
+
+def test_a_rank_is_never_the_largest_of_two_or_more():
+    assert ranked(torch.tensor([]), 0.99) == 0
+    assert ranked(torch.tensor([3.0]), 0.99) == 3
+    for n in (2, 5, 1000):
+        values = torch.arange(n, dtype=torch.float32)
+        assert ranked(values, 0.99) == int(0.99 * (n - 1)) < n - 1
+
+
+def test_ordinary_smoke_has_no_outliers():
+    smoke = smoke_of(puff(20))
+    assert bounded(smoke) is smoke
+    dense = smoke_of(spoiled(1e6))
+    assert bounded(dense).density.max() == pytest.approx(dense_level(dense.density))
+    assert dense_level(torch.zeros(3)) == 0
+
+
+@pytest.mark.parametrize("amount", [1e-34, 1e-36])
+def test_the_faintest_smoke_that_float32_holds_keeps_its_mass(amount):
+    density = puff(10) * np.float32(amount)
+    result = run_core([frame_of(density)])[0]
+    assert not result.report.left_out
+    assert result.density.values.sum(dtype=float) == pytest.approx(
+        density.sum(dtype=float), rel=1e-3
+    )
+    assert np.isfinite(result.emission.values).all() and result.emission.values.any()

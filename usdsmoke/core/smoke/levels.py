@@ -1,0 +1,42 @@
+"""What counts as ordinary density: ranks of voxels, of which one voxel or a few change nothing.
+
+A mean or a maximum is owned by the densest voxel: smoke around a fire a million times denser than
+itself would neither move nor be seen.
+"""
+
+from torch import Tensor
+
+from usdsmoke.core.smoke.active import ActiveSmoke
+
+__all__ = ["bounded", "dense_level", "ranked"]
+
+DENSE_RANK = 0.99  # of the voxels
+DENSE_TIMES = 10.0  # the density at that rank: denser voxels are outliers
+
+
+def ranked(values: Tensor, share: float) -> float:
+    """The value [N] below which a share of the values lies; 0 where there are none.
+
+    At least one value is larger wherever there are two, so the largest never counts for ``share``
+    < 1.
+    """
+    if not len(values):
+        return 0.0
+    return float(values.kthvalue(int(share * (len(values) - 1)) + 1).values)
+
+
+def dense_level(density: Tensor) -> float:
+    """The density from which voxels are outliers; 0 where there is no smoke.
+
+    Args:
+        density: any shape; voxels at 0 or below do not count.
+    """
+    return DENSE_TIMES * ranked(density[density > 0], DENSE_RANK)
+
+
+def bounded(smoke: ActiveSmoke) -> ActiveSmoke:
+    """The smoke without the excess of outliers; the smoke itself where there is none."""
+    level = dense_level(smoke.density)
+    if not bool((smoke.density > level).any()):
+        return smoke
+    return ActiveSmoke(smoke.ijk, smoke.density.clamp(max=level), smoke.index_to_stage)
