@@ -183,7 +183,8 @@ class ShapeConfig(Section):
     """The shape step, which moves density."""
 
     displacement: Literal["stream", "potential", "mixed"] = setting(
-        "stream", "how density moves: divergence-free (stream), irrotational (potential), or both",
+        "stream", "how density moves: turning, nearly without compression (stream), irrotational "
+        "(potential), or both",
         request="displacement")
     reach: float = setting(
         0.04, "largest displacement",

@@ -13,11 +13,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.smoke_fixtures import frame_of, masked, puff, random_style, smoke_of
 from tests.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.core.fields.displacement import clamp_displacement
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.pyramid import SparsePyramid
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.steps import optimize
+from usdsmoke.core.steps.move import displacement_of
 from usdsmoke.core.steps.pictures import ViewPool, grey_view
 from usdsmoke.core.steps.shape import max_displacement, run_shape_step
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
@@ -59,7 +59,10 @@ def drift(lattice: Lattice) -> Tensor:
 @pytest.mark.parametrize("start", [None, drift], ids=["at rest", "drifting"])
 @pytest.mark.parametrize("kind", ["stream", "potential", "mixed"])
 def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: Any) -> None:
-    """With a mask. Only voxels that count are moved while optimising; here all of them are."""
+    """With a mask. Only voxels that count are moved while optimising; here all of them are.
+
+    A drift beyond those voxels is left out of the flow, which reads it between the smoke's voxels.
+    """
     half = np.broadcast_to(np.linspace(0, 1, 12)[:, None, None], (12, 12, 12))
     frame, smoke = masked(half), smoke_of(puff(12))
     config = quick_config(
@@ -75,16 +78,15 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: 
     lattice = found.lattice
     density, places = lattice.fill(smoke), lattice.positions()
     share = mask.at(places).to(density).reshape(density.shape)
-    held = clamp_displacement(
-        lattice.from_stage(found.values), max_displacement(smoke, config.shape.reach), share
-    )
-    moved = warp(density, held / density.new_tensor(lattice.spacing), scheme="linear")
+    limit = max_displacement(smoke, config.shape.reach)
+    u = lattice.from_stage(displacement_of(found, limit, share).values)
+    moved = warp(density, u / density.new_tensor(lattice.spacing), scheme="linear")
     (view,) = frame_views(smoke, config.views, scene, 0)
     image = column_map(places, smoke.voxel_volume, view)
     gamma, exposure = scene.gamma_w_shape, scene.exposure_shape
     whole = grey_view(image, density.flatten(), share.flatten(), gamma, exposure)
     wanted = whole.over_grey(whole.picture(moved.flatten()), scene.grey_mean)
-    torch.testing.assert_close(pictures.seen[KEPT], wanted, rtol=0, atol=2e-6)
+    torch.testing.assert_close(pictures.seen[KEPT], wanted, rtol=0, atol=2e-5)
     still = whole.over_grey(whole.grey, scene.grey_mean)
     assert (wanted - still).abs().max() > 0.01
 

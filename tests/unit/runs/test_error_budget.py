@@ -76,7 +76,7 @@ def test_what_has_no_figure_is_named_with_the_reason() -> None:
     assert "opacity" in budget.left_out["quadrature"]
     assert "no frame follows another" in budget.left_out["temporal, displacement"]
     names = {estimate.name for estimate in budget.estimates}
-    assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == 15
+    assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == len(ROWS)
 
 
 def test_seconds_are_those_of_steps_and_estimates() -> None:

@@ -34,7 +34,7 @@ def test_an_error_without_a_share_has_no_bound() -> None:
 
 
 def test_every_bounded_error_has_advice_and_every_name_is_there_once() -> None:
-    assert len({row.name for row in ROWS}) == len(ROWS) == 15
+    assert len({row.name for row in ROWS}) == len(ROWS) == 19
     assert all(row.advice for row in BOUNDED.values())
 
 

@@ -89,8 +89,8 @@ def unclamped_displacement(
 ) -> Tensor:
     """The displacement before it is clamped to a length, [I J K 3] along the axes, stage units.
 
-    The potential is faded before it is derived, so that a stream function's displacement stays free
-    of divergence where the mask falls off; the cap alone disturbs it.
+    The potential is faded before it is derived, so that a stream function's velocity stays free of
+    divergence where the mask falls off. The cap does disturb it.
 
     Args:
         potential: [I J K C], stage unit^2.

@@ -129,13 +129,11 @@ def move_density(
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
-    if bool((whole > level).any()):
-        excess = whole - box
+    if bool((excess := whole - box).any()):
         carried = warp(excess, u, scheme="linear")
         result = result + _with_mass(carried, excess, shape.mass_correction, share)[0]
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
-    del u
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())

@@ -247,45 +247,32 @@ LINEAR_TRANSPORT = ErrorRow(
     why_absent=lambda volume: volume.no_shape or volume.one_scheme,
     without="no shape step, or the same scheme",
 )
-MASS = ErrorRow(
-    name="mass",
-    relative_to=_DENSITY,
-    how="measured before it is corrected",
-    of_frame=lambda report: _figure(report.transport, "mass_error"),
-    why_absent=lambda volume: volume.no_shape,
-    without=_NO_SHAPE,
+
+
+def _of_transport(name: str, relative_to: str, how: str, field: str) -> ErrorRow:
+    """A figure of the report of the transport that is measured where there is a shape step."""
+    return ErrorRow(
+        name=name,
+        relative_to=relative_to,
+        how=how,
+        of_frame=lambda report: _figure(report.transport, field),
+        why_absent=lambda volume: volume.no_shape,
+        without=_NO_SHAPE,
+    )
+
+
+MASS = _of_transport("mass", _DENSITY, "measured before it is corrected", "mass_error")
+FOLDED = _of_transport(
+    "folded smoke", _SMOKE, "voxels at which the determinant is not above 0", "folded"
 )
-FOLDED = ErrorRow(
-    name="folded smoke",
-    relative_to=_SMOKE,
-    how="voxels at which the displacement's determinant is below 0",
-    of_frame=lambda report: _figure(report.transport, "folded"),
-    why_absent=lambda volume: volume.no_shape,
-    without=_NO_SHAPE,
+UNREAD = _of_transport(
+    "mass, unread", _DENSITY, "mass of which less than a twentieth is read", "unread"
 )
-UNREAD = ErrorRow(
-    name="mass, unread",
-    relative_to=_DENSITY,
-    how="mass of which less than a twentieth is read",
-    of_frame=lambda report: _figure(report.transport, "unread"),
-    why_absent=lambda volume: volume.no_shape,
-    without=_NO_SHAPE,
+READ_TWICE = _of_transport(
+    "mass, read twice", _DENSITY, "mass that is read more than twice", "read_twice"
 )
-READ_TWICE = ErrorRow(
-    name="mass, read twice",
-    relative_to=_DENSITY,
-    how="mass that is read more than twice",
-    of_frame=lambda report: _figure(report.transport, "read_twice"),
-    why_absent=lambda volume: volume.no_shape,
-    without=_NO_SHAPE,
-)
-MOTIONLESS = ErrorRow(
-    name="motionless mass",
-    relative_to=_DENSITY,
-    how="mass that the shape step cannot move",
-    of_frame=lambda report: _figure(report.transport, "motionless"),
-    why_absent=lambda volume: volume.no_shape,
-    without=_NO_SHAPE,
+MOTIONLESS = _of_transport(
+    "motionless mass", _DENSITY, "mass that the shape step cannot move", "motionless"
 )
 SHAPE_OPTIMISER = ErrorRow(
     name="optimiser, shape",
