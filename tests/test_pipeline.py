@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from pxr import Usd, UsdVol
 
 import usdsmoke
@@ -23,7 +22,6 @@ from tests.pipeline_fixtures import (
 )
 from tests.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
 from usdsmoke.audit import provenance
-from usdsmoke.base.errors import ImageError
 from usdsmoke.base.record_format import Extinction
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
@@ -179,16 +177,6 @@ def test_velocity_is_copied_as_it_is_when_asked_for(tmp_path: Path) -> None:
     np.testing.assert_array_equal(values_of(result.frames[0], "vel"), 0.625)
 
 
-@pytest.mark.usefixtures("core")
-def test_the_contact_sheet_shows_source_result_and_style(shot: Shot) -> None:
-    result = run(shot)
-    (sheet,) = result.contact_sheets
-    pixels = np.asarray(Image.open(sheet).convert("RGB"))
-    assert sheet.name == "contact_sheet.png"
-    assert pixels.shape[1] > 4 * 256 and pixels.shape[0] > 3 * 256
-    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100  # the style's ramp is in it
-
-
 def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) -> None:
     reports: list[RunProgress] = []
     run(shot, progress=reports.append)
@@ -221,20 +209,6 @@ def test_every_source_frame_is_read_once(
     run(shot, "windows.size=2", "windows.overlap=1")
     sources = [name for name, _ in reads.grids if (shot.stage.parent / name).is_file()]
     assert len(sources) == len(set(sources)) == 3
-
-
-@pytest.mark.usefixtures("core")
-def test_a_contact_sheet_that_fails_is_a_warning(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*arguments: object) -> None:
-        raise ImageError("the picture cannot be drawn")
-
-    monkeypatch.setattr("usdsmoke.runs.assemble.write_contact_sheet", fail)
-    result = run(shot)
-    assert result.contact_sheets == ()
-    assert any("the picture cannot be drawn" in warning for warning in result.warnings)
-    assert result.root_stage.is_file() and result.look_layer.is_file()
 
 
 @pytest.mark.usefixtures("core")

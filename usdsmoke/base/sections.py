@@ -271,6 +271,9 @@ class LayerConfig(Section):
         [], "names under which the colour is also written as a scattering colour", distinct=True)
     split_rgb: bool = setting(
         False, "also write the red, green and blue of each colour as separate float grids")
+    contact_sheet: int = setting(
+        512, "height of the contact sheet's pictures, at most four pixels a voxel; 0: no contact "
+        "sheet", ge=0, le=2048, unit="pixels")
     digital_source_type: Literal[
         "algorithmicallyEnhanced",
         "compositeWithTrainedAlgorithmicMedia",

@@ -3,36 +3,35 @@
 Previews and contact sheets are both drawn here, by rays (see ``core.views.march``).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdsmoke.base.sections import ViewsConfig
-from usdsmoke.base.volume import DenseField
 from usdsmoke.pictures.png import encode_srgb
 
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
-    from usdsmoke.core.views.march import Picture
 
 BACKGROUND = 0.03  # linear, behind the smoke; on black the style's dark colours would be lost
 GREY = 0.5  # scene-linear light of thick smoke that has no emission
 _FINE = 1_000_000  # pixels, of a view that is made for its proportions
-_PIXELS_PER_VOXEL = 3  # at most: smaller pixels show no more
 
 
-def front_view(up_axis: str, views: ViewsConfig | None = None) -> "View":
-    """The direction from the front; ``frame_points`` gives it a place and a size.
+def front_view(up_axis: str, views: ViewsConfig | None = None, turn: float = 0.0) -> "View":
+    """The direction from the front; ``fit_views`` gives it a place and a size.
 
     Args:
         up_axis: "Y" or "Z".
         views: the section ``views`` of the settings; None takes the defaults.
+        turn: degrees around the up axis, away from the front.
     """
     from usdsmoke.core.views.cameras import orbit_view
 
     views = views or ViewsConfig()
-    angles = (views.centre_azimuth, views.centre_elevation)
+    angles = (views.centre_azimuth + turn, views.centre_elevation)
     return orbit_view(*angles, up_axis, np.zeros(3), 1, 1, 1.0)
 
 
@@ -41,50 +40,51 @@ def box_corners(low: np.ndarray, high: np.ndarray, index_to_stage: np.ndarray) -
 
     Interpolated smoke ends at the centres of the next voxels.
     """
-    choice = np.array(list(np.ndindex(2, 2, 2)), bool)
-    corners: np.ndarray = np.where(choice, high + 1, low - 1)
-    return corners @ index_to_stage[:3, :3] + index_to_stage[3, :3]
+    return _corners(low - 1, high + 1) @ index_to_stage[:3, :3] + index_to_stage[3, :3]
 
 
-def draw_fields(
-    density: DenseField,
-    emission: DenseField | None,
-    to_stage: np.ndarray,
-    gamma_w: float,
-    direction: "View",
-    image_size: int,
-) -> "Picture":
-    """A picture that just holds the smoke of two fields.
+def box_around(points: np.ndarray) -> np.ndarray:
+    """Corners [8 3] of the box along the stage's axes that holds points [N 3]."""
+    return _corners(points.min(axis=0), points.max(axis=0))
+
+
+def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    corners: np.ndarray = np.where(np.array(list(np.ndindex(2, 2, 2)), bool), high, low)
+    return corners
+
+
+def fitted_size(directions: Sequence["View"], points: np.ndarray) -> tuple[float, float]:
+    """Height and width in stage units of a picture that holds all points from every direction.
 
     Args:
-        density: [i j k].
-        emission: [i j k 3], radiance per stage unit, on the same lattice; None draws grey smoke.
-        to_stage: [4 4], grid world to stage.
-        gamma_w: extinction per density, 1/stage unit.
-        direction: from ``front_view``.
-        image_size: pixels of the longer side; fewer where voxels are large.
-
-    Raises:
-        ShapeError: the fields are flattened on the stage.
+        directions: from ``front_view``.
+        points: [N 3], stage space.
     """
     from usdsmoke.core.views.cameras import frame_points
-    from usdsmoke.core.views.march import march
-    from usdsmoke.core.views.media import make_media
 
-    index_to_stage = density.index_to_world @ to_stage
-    filled = np.argwhere(density.values > 0)
-    if len(filled) == 0:
-        return march([], replace(direction, height=image_size, width=image_size))
-    low, high = (np.add(density.ijk_min, side(filled, axis=0)) for side in (np.min, np.max))
-    points = box_corners(low, high, index_to_stage)
-    fitted = frame_points(direction, points, None, _FINE)
-    longest = max(fitted.height, fitted.width)
-    voxels = longest * fitted.pixel_size / np.linalg.norm(index_to_stage[:3, :3], axis=1).min()
-    scale = min(image_size, np.ceil(_PIXELS_PER_VOXEL * voxels)) / longest
-    height, width = (max(1, round(n * scale)) for n in (fitted.height, fitted.width))
-    place = None if emission is None else to_stage
-    media = make_media(density, emission, to_stage, place, gamma_w, GREY)
-    return march(media, frame_points(direction, points, height, width))
+    fitted = [frame_points(direction, points, None, _FINE) for direction in directions]
+    height, width = (
+        max(getattr(view, side) * view.pixel_size for view in fitted)
+        for side in ("height", "width")
+    )
+    return height, width
+
+
+def fit_views(
+    directions: Sequence["View"], points: np.ndarray, height: int, width: int
+) -> list["View"]:
+    """The directions as views of one size and scale, each of which holds all points.
+
+    Args:
+        directions: from ``front_view``.
+        points: [N 3], stage space. Smoke keeps its middle in a turn if they are a box's corners.
+        height, width: pixels.
+    """
+    from usdsmoke.core.views.cameras import frame_points
+
+    views = [frame_points(direction, points, height, width) for direction in directions]
+    pixel_size = max(view.pixel_size for view in views)
+    return [replace(view, pixel_size=pixel_size) for view in views]
 
 
 def display_picture(rgba: np.ndarray, background: float = BACKGROUND) -> np.ndarray:
@@ -95,8 +95,3 @@ def display_picture(rgba: np.ndarray, background: float = BACKGROUND) -> np.ndar
     """
     behind = (1 - rgba[..., 3:]) * np.float32(background)
     return encode_srgb(np.clip(rgba[..., :3] + behind, 0.0, 1.0))
-
-
-def grey_picture(alpha: np.ndarray) -> np.ndarray:
-    """Opacity [H W] as grey level, [H W 3]: what the shape step sees."""
-    return np.repeat(alpha[..., None], 3, axis=-1)

@@ -15,8 +15,14 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import frame_file_names
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import CameraSource
-from usdsmoke.pictures.contact_sheet import compose_cells
-from usdsmoke.pictures.drawing import BACKGROUND, display_picture, front_view
+from usdsmoke.pictures.contact_sheet import compose_sheet
+from usdsmoke.pictures.drawing import (
+    BACKGROUND,
+    display_picture,
+    fit_views,
+    fitted_size,
+    front_view,
+)
 from usdsmoke.pictures.exr import write_exr
 from usdsmoke.pictures.png import encode_srgb, write_png
 from usdsmoke.pictures.preview_request import (
@@ -133,7 +139,7 @@ def _find(request: PreviewRequest, stage: "Usd.Stage") -> Smoke:
 
 
 def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]) -> _Views:
-    from usdsmoke.core.views.cameras import frame_points, view_of_camera
+    from usdsmoke.core.views.cameras import view_of_camera
 
     look = smokes[_LOOK]
     if request.camera:
@@ -150,9 +156,8 @@ def _views(request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[fl
     if len(points) == 0:
         look.notes["there is no smoke in any of these frames"] = None
         points = np.array([[-0.5] * 3, [0.5] * 3])
-    fitted = frame_points(direction, points, None, 1_000_000)  # for its proportions
-    height, width = request.pixels(fitted.width / fitted.height)
-    view = frame_points(direction, points, height, width)
+    tall, wide = fitted_size([direction], points)
+    (view,) = fit_views([direction], points, *request.pixels(wide / tall))
     return dict.fromkeys(codes, (view, (-np.inf, np.inf)))
 
 
@@ -231,8 +236,7 @@ def _write_picture(
                 ]
             )
     title = f"{request.stage_name}, {request.camera or 'front view'}"
-    height, width = next(iter(shown.values())).shape[:2]
-    write_png(request.output, compose_cells(title, rows, cell=(height, width)))
+    write_png(request.output, compose_sheet(title, rows))
     return (request.output,)
 
 

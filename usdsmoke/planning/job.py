@@ -111,7 +111,7 @@ class Job:
 
     @property
     def sheets(self) -> list[Path]:
-        """The contact sheets of the result, one for each Volume."""
+        """The contact sheets of the result: one for each Volume, or none."""
         return _sheets(self.plan, self.output)
 
     def with_config(self, config: Config) -> "Job":
@@ -199,6 +199,8 @@ def _plan(
 
 
 def _sheets(plan: Plan, output: Path) -> list[Path]:
+    if plan.config.layer.contact_sheet == 0:
+        return []
     stems = [volume.stem for volume in plan.volumes]
     return list(sheet_files(stems, output, plan.config.layer.look))
 

@@ -60,6 +60,8 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
     """What is left out, and why. Sentences name the Volumes if settings differ."""
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
     omitted += [Omission("requested frames", sentence) for sentence in source.missing]
+    if config.layer.contact_sheet == 0:
+        omitted.append(Omission("contact sheet", "layer.contact_sheet is 0"))
     groups = _by_config(volumes) or [(config, [])]
     for own, members in groups:
         where = _where(members, " of ") if len(groups) > 1 else ""

@@ -262,7 +262,7 @@ def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
     """The contact sheets; what went wrong, as the result is whole without them."""
     job, run, plan, warnings = opened.job, opened.run, opened.plan, []
     sheets = job.sheets
-    for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=True)):
+    for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=False)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
         scene = run.scenes[number]
         try:

@@ -143,7 +143,7 @@ _NEUTRAL = {
     "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
     "optimize": ("memory_limit_gib", "error_budget", "target_error"),
-    "layer": ("mode",),
+    "layer": ("mode", "contact_sheet"),
 }
 
 _MOST_CHANGES = 6  # that a message names

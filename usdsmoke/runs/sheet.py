@@ -1,9 +1,10 @@
-"""Pictures of source and result for the contact sheets, made from the files that were written."""
+"""Contact sheets: previews of the files that a run has written."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,16 +12,34 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
-from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.base.volume import DenseField, FrameSource
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.pictures import compose_sheet, write_png
-from usdsmoke.pictures.drawing import display_picture, draw_fields, front_view, grey_picture
+from usdsmoke.pictures.drawing import (
+    GREY,
+    box_around,
+    box_corners,
+    display_picture,
+    fit_views,
+    fitted_size,
+    front_view,
+)
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.colour_grids import absolute_emission
-from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.header import GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, find_grid, read_grids
 
-_PICTURE_SIZE = 256  # pixels of the longer side: that of a cell
+if TYPE_CHECKING:
+    from usdsmoke.core.views.cameras import View
+    from usdsmoke.core.views.media import Medium
+
+# Where the smoke is seen from, degrees around the up axis; the first is the front.
+_TURN = {0.0: "front", 30.0: "30 degrees", 90.0: "side", 180.0: "back"}
+_PIXELS_PER_VOXEL = 4  # at most: smaller pixels show no more
+_WIDEST = 2  # times the height of a picture
+
+_Labelled = tuple[str, np.ndarray]  # a picture and its name
 
 
 def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
@@ -37,10 +56,11 @@ def write_contact_sheet(
     scene: Mapping[str, Any],
     styles: Sequence[np.ndarray],
 ) -> None:
-    """Three frames of a Volume: source, stylized grey, stylized colour, beside the style images.
+    """The first, the middle and the last frame of a Volume, source above result, and a turn around
+    the middle one, beside the style images.
 
-    Fields are read for one picture after the other, and given up before the next ones: a run's
-    memory should be the work's and not this sheet's.
+    All pictures have one scale. Fields are read for one picture after the other, and given up
+    before the next ones: a run's memory should be the work's and not this sheet's.
 
     Args:
         target: the PNG.
@@ -53,22 +73,107 @@ def write_contact_sheet(
 
     Raises:
         GridError: a file cannot be read.
+        ShapeError: the fields are flattened on the stage.
         WriteFailed: the picture cannot be written.
     """
     frames = sample_frames(volume)
-    rows: dict[str, list[np.ndarray]] = {}
-    for frame in frames:
-        for name, picture in _frame_pictures(volume, frame, reader, folder, scene):
-            rows.setdefault(name, []).append(picture)
-            give_back_memory()
-    columns = [f"timeCode {format_time_code(frame.source.time_code)}" for frame in frames]
+    sources: list[_Labelled] = []
+    results: list[_Labelled] = []
+    turn: list[_Labelled] = []
+    views = _views(volume, frames, folder, scene["up_axis"]) if frames else {}
+    for number, frame in enumerate(frames if views else []):
+        shown = _Shown(volume, frame, _extinctions(scene, volume.config, frame.source))
+        name = f"timeCode {format_time_code(frame.source.time_code)}"
+        sources.append((f"source, {name}", shown.source(reader, views["front"])))
+        give_back_memory()
+        here = views if number == len(frames) // 2 else {"front": views["front"]}
+        seen = shown.result(folder, here)
+        results.append((f"result, {name}", seen["front"]))
+        if len(seen) > 1:
+            turn = [(f"result, {name}, {side}", picture) for side, picture in seen.items()]
+        give_back_memory()
+    rows = [sources, turn] if len(results) == 1 and turn else [sources, results, turn]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
-    write_png(target, compose_sheet(title, columns, list(rows.items()), styles))
+    write_png(target, compose_sheet(title, [row for row in rows if row], styles))
 
 
-def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[DenseField]:
+@dataclass(frozen=True)
+class _Shown:
+    """A frame as it is drawn."""
+
+    volume: VolumePlan
+    frame: FramePlan
+    extinctions: tuple[float, float]  # of grey and of coloured smoke, per density, 1/stage unit
+
+    def source(self, reader: FrameReader, view: "View") -> np.ndarray:
+        density = reader.read(self.volume, self.frame).density
+        return _draw(self._media(density, None), view)
+
+    def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
+        """By name of the view."""
+        fields = _read_result(self.volume, folder / self.frame.file_name)
+        media = self._media(fields[0], fields[1] if len(fields) > 1 else None)
+        del fields
+        return {side: _draw(media, view) for side, view in views.items()}
+
+    def _media(self, density: DenseField, emission: DenseField | None) -> list["Medium"]:
+        from usdsmoke.core.views.media import make_media
+
+        to_stage, is_lit = _to_stage(self.volume, self.frame), emission is not None
+        place = to_stage if is_lit else None
+        return make_media(density, emission, to_stage, place, self.extinctions[is_lit], GREY)
+
+
+def _draw(media: Sequence["Medium"], view: "View") -> np.ndarray:
+    from usdsmoke.core.views.march import march
+
+    return display_picture(march(media, view).rgba)
+
+
+def _views(
+    volume: VolumePlan, frames: Sequence[FramePlan], folder: Path, up_axis: str
+) -> dict[str, "View"]:
+    """By name; those of the front alone where the smoke has no third dimension.
+
+    They hold the smoke of all frames, source and result, as far as headers tell where it is; none
+    where no header tells.
+    """
+    corners, finest, is_flat = [], np.inf, False
+    for frame in frames:
+        header = read_header(folder / frame.file_name)
+        result = find_grid(header, GridRequest(volume.source.density))
+        for grid in (frame.grid, result):
+            place = _index_to_stage(volume, frame, grid)
+            if grid.bbox_min is None or grid.bbox_max is None or place is None:
+                continue
+            corners.append(box_corners(np.array(grid.bbox_min), np.array(grid.bbox_max), place))
+            finest = min(finest, float(np.linalg.norm(place[:3, :3], axis=1).min()))
+            is_flat |= 1 in (grid.box_shape or ())
+    if not corners:
+        return {}
+    turn = {0.0: _TURN[0.0]} if is_flat else _TURN
+    directions = [front_view(up_axis, volume.config.views, angle) for angle in turn]
+    points = box_around(np.concatenate(corners))
+    tall, wide = fitted_size(directions, points)
+    size = volume.config.layer.contact_sheet
+    scale = min(size / tall, _WIDEST * size / wide, _PIXELS_PER_VOXEL / finest)
+    height, width = (max(1, round(side * scale)) for side in (tall, wide))
+    return dict(zip(turn.values(), fit_views(directions, points, height, width), strict=True))
+
+
+def _to_stage(volume: VolumePlan, frame: FramePlan) -> np.ndarray:
+    return frame.source.fields[volume.source.density].field_to_stage
+
+
+def _index_to_stage(volume: VolumePlan, frame: FramePlan, grid: GridHeader) -> np.ndarray | None:
+    if grid.index_to_world is None:
+        return None
+    return grid.index_to_world @ _to_stage(volume, frame)
+
+
+def _read_result(volume: VolumePlan, file_path: Path) -> list[DenseField]:
     """Density and, after a colour step, emission; absolute, whatever the file holds."""
-    names = [volume.source.density]
+    config, names = volume.config, [volume.source.density]
     if "colour" in config.optimize.steps:
         names.append(EMISSION)
     fields = read_grids(file_path, [GridRequest(name) for name in names], config.grids)
@@ -76,46 +181,13 @@ def _read_result(config: Config, volume: VolumePlan, file_path: Path) -> list[De
     return [fields[0], *(absolute_emission(fields[0], emission, mode) for emission in fields[1:])]
 
 
-def _frame_scene(
-    scene: Mapping[str, Any], source: VolumeFrame, config: Config
-) -> Mapping[str, Any]:
-    """The scene as this frame was stylized in it."""
-    own = frame_config(config, source.controls, source.time_code)
-    if own is config:
-        return scene
-    from usdsmoke.core.views.scene import Scene, frame_scene
+def _extinctions(
+    scene: Mapping[str, Any], config: Config, frame: FrameSource
+) -> tuple[float, float]:
+    """Of grey and of coloured smoke, as a frame was stylized."""
+    own = frame_config(config, frame.controls, frame.time_code)
+    if own is not config:
+        from usdsmoke.core.views.scene import Scene, frame_scene
 
-    return dataclasses.asdict(frame_scene(Scene(**scene), own.optics.gamma))
-
-
-def _frame_pictures(
-    volume: VolumePlan,
-    frame: FramePlan,
-    reader: FrameReader,
-    folder: Path,
-    scene: Mapping[str, Any],
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and picture of what is shown of a frame; only what one picture needs is held."""
-    config = volume.config
-    source = reader.read(volume, frame)
-    to_stage, seen = source.density_to_stage, _frame_scene(scene, source, config)
-    picture = _picture(source.density, None, to_stage, seen, config)
-    del source  # the velocity with it, unless the reader remembers it
-    yield "source", picture
-    result = _read_result(config, volume, folder / frame.file_name)
-    yield "stylized density", _picture(result[0], None, to_stage, seen, config)
-    if len(result) > 1:
-        yield "stylized colour", _picture(result[0], result[1], to_stage, seen, config)
-
-
-def _picture(
-    density: DenseField,
-    emission: DenseField | None,
-    to_stage: np.ndarray,
-    scene: Mapping[str, Any],
-    config: Config,
-) -> np.ndarray:
-    gamma_w = scene["gamma_w_shape"] if emission is None else scene["gamma_w"]
-    direction = front_view(scene["up_axis"], config.views)
-    picture = draw_fields(density, emission, to_stage, gamma_w, direction, _PICTURE_SIZE)
-    return grey_picture(picture.alpha) if emission is None else display_picture(picture.rgba)
+        scene = dataclasses.asdict(frame_scene(Scene(**scene), own.optics.gamma))
+    return scene["gamma_w_shape"], scene["gamma_w"]

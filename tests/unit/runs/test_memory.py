@@ -2,19 +2,11 @@
 
 import subprocess
 import sys
-import weakref
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from usdsmoke.base import machine
-from usdsmoke.base.settings import Config
-from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.runs import sheet as pipeline_pictures
 
 PIECES = """
 import os
@@ -96,58 +88,3 @@ def test_a_picture_takes_a_few_times_its_map_and_a_refined_field_little_beside_i
     per_voxel, share = map(float, done.stdout.split())
     assert 32 < per_voxel < 300  # the map itself is 32
     assert 0.9 < share < 2.5
-
-
-def test_the_contact_sheet_holds_one_frames_fields_at_a_time(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    seen = _Held()
-    frames = tuple(
-        SimpleNamespace(
-            is_empty=False, source=SimpleNamespace(time_code=float(n)), file_name=f"{n}.vdb"
-        )
-        for n in range(3)
-    )
-    volume = SimpleNamespace(
-        config=Config(), frames=frames, source=SimpleNamespace(prim_path="/p", density="density")
-    )
-    reader = SimpleNamespace(read=lambda volume, frame: seen.made("source", _frame(frame)))
-    monkeypatch.setattr(
-        pipeline_pictures,
-        "_read_result",
-        lambda *_: [
-            seen.made("result", _field("density")),
-            seen.made("result", _field("emission")),
-        ],
-    )
-    monkeypatch.setattr(pipeline_pictures, "_picture", seen.drawn)
-    plan = SimpleNamespace(source=SimpleNamespace(file_path="shot.usda"))
-    write: Callable[..., None] = pipeline_pictures.write_contact_sheet
-    write(tmp_path / "sheet.png", plan, volume, reader, tmp_path, {}, [])
-    assert (tmp_path / "sheet.png").is_file()
-    assert seen.at_pictures == [("source",), ("result", "result"), ("result", "result")] * 3
-
-
-class _Held:
-    """Which of the objects that were given out are still held when a picture is drawn."""
-
-    def __init__(self) -> None:
-        self._given: list[tuple[str, weakref.ref[Any]]] = []
-        self.at_pictures: list[tuple[str, ...]] = []
-
-    def made(self, name: str, item: Any) -> Any:
-        self._given.append((name, weakref.ref(item)))
-        return item
-
-    def drawn(self, *_: object) -> np.ndarray:
-        self.at_pictures.append(tuple(name for name, item in self._given if item() is not None))
-        return np.zeros((4, 4, 3), np.float32)
-
-
-def _field(name: str) -> DenseField:
-    values = np.ones((2, 2, 2), np.float32)
-    return DenseField(name, values, (0, 0, 0), np.eye(4), 0.0, "fog volume", False)
-
-
-def _frame(plan: Any) -> VolumeFrame:
-    return VolumeFrame(cast(float, plan.source.time_code), _field("density"), np.eye(4))
