@@ -86,9 +86,32 @@ def test_imports_go_down(name: str) -> None:
     )
 
 
+def packages_loaded(name: str) -> set[str]:
+    """Third-party packages that a module imports, or loads by name with ``importlib``."""
+    tree = MODULES[name].tree
+    if not any(isinstance(n, ast.Attribute) and n.attr == "import_module" for n in ast.walk(tree)):
+        return set(MODULES[name].foreign)
+    texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
+    named = {text.partition(".")[0] for text in texts if isinstance(text, str)}
+    return MODULES[name].foreign | (named & LOADED_IN.keys())
+
+
+def test_a_package_that_is_loaded_by_name_is_seen() -> None:
+    assert packages_loaded("vdb.binding") == {"numpy", "openvdb", "pyopenvdb"}
+
+
+@pytest.mark.parametrize("package", LOADED_IN)
+def test_every_place_that_the_document_names_loads_the_package(package: str) -> None:
+    loading = [name for name in MODULES if package in packages_loaded(name)]
+    for place in LOADED_IN[package]:
+        assert any(n == place or n.startswith(f"{place}.") for n in loading), (
+            f"nothing in usdsmoke.{place} loads {package}"
+        )
+
+
 @pytest.mark.parametrize("name", MODULES)
 def test_packages_are_loaded_only_where_the_document_says(name: str) -> None:
-    for package in MODULES[name].foreign:
+    for package in packages_loaded(name):
         allowed = LOADED_IN.get(package, set())
         inside = any(name == place or name.startswith(f"{place}.") for place in allowed)
         assert inside or (name == "" and package == "pxr"), (

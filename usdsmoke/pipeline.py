@@ -13,18 +13,18 @@ from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step, settle_scenes
-from usdsmoke.runs.identity import machine_of, processor_note
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
-from usdsmoke.runs.window import check_frames, stylize_windows
+from usdsmoke.runs.window import hash_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
 
 __all__ = [
     "Request",
-    "StepResult",
     "StylizeResult",
+    "TaskResult",
     "assemble",
     "plan",
     "plan_request",
@@ -37,8 +37,8 @@ _Planned = Callable[[Plan], None]
 
 
 @dataclass(frozen=True)
-class StepResult:
-    """What a part of a run left behind: one window, or the coarse step."""
+class TaskResult:
+    """What one task of a run left behind: a window, or the coarse step."""
 
     folder: Path  # of the run
     manifest: Path  # what was written, for machines; a run without a coarse step has none
@@ -122,7 +122,7 @@ def stylize(
         opened.check_disk(to_do, whole=True)
         # Damage and NaN show before an hour of work.
         with clock.part("reading"):
-            hashes = check_frames(opened, to_do, tell)
+            hashes = hash_frames(opened, to_do, tell)
         opened.begin()
         # What all windows share, then the windows; these keep their own time.
         settle_scenes(opened)
@@ -137,7 +137,7 @@ def run_coarse(
     request: Request,
     progress: RunProgressCallback | None = None,
     planned: _Planned | None = None,
-) -> StepResult:
+) -> TaskResult:
     """The step that all windows of a run share, for a queue that runs them one by one.
 
     Where another process is at it, its end is waited for.
@@ -156,10 +156,10 @@ def run_coarse(
         opened.check_disk(())
         had_scenes = bool(opened.run.scenes)
         if not had_scenes:
-            check_frames(opened, opened.plan.tasks, tell)
+            hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used
             settle_scenes(opened)
         was_done = not run_coarse_step(opened, tell) and had_scenes
-    return _step_result(opened, None, was_done)
+    return _task_result(opened, None, was_done)
 
 
 def run_window(
@@ -168,7 +168,7 @@ def run_window(
     progress: RunProgressCallback | None = None,
     planned: _Planned | None = None,
     again: bool = False,
-) -> StepResult:
+) -> TaskResult:
     """One window of a run, for a queue; the coarse step before it, if no one has done it yet.
 
     Several processes may work on one output folder, on this machine or on others that share it;
@@ -195,11 +195,11 @@ def run_window(
         if not was_done:
             task = opened.plan.task(window)
             opened.check_disk([task])
-            hashes = check_frames(opened, [task], tell)
+            hashes = hash_frames(opened, [task], tell)
             settle_scenes(opened)
             run_coarse_step(opened, tell, task.frames)
             stylize_windows(opened, [task], hashes, tell, again)
-    return _step_result(opened, window, was_done)
+    return _task_result(opened, window, was_done)
 
 
 def assemble(
@@ -234,11 +234,11 @@ def assemble(
         return assemble_run(opened, tell, clock)
 
 
-def _step_result(opened: OpenRun, window: int | None, was_done: bool) -> StepResult:
-    """A finished piece, with a note where this processor differs from the run's."""
+def _task_result(opened: OpenRun, window: int | None, was_done: bool) -> TaskResult:
+    """A finished task, with a note where this processor differs from the run's."""
     run = opened.run
     notes = () if was_done else processor_note(run, machine_of(opened.job).processor)
-    return StepResult(run.folder, run.manifest_path(window), was_done, opened.plan, notes)
+    return TaskResult(run.folder, run.manifest_path(window), was_done, opened.plan, notes)
 
 
 def _prepare(request: Request, planned: _Planned | None) -> Job:

@@ -1,4 +1,4 @@
-"""Frozen dataclasses as JSON values and back, checked by their type hints."""
+"""Values as JSON: frozen dataclasses and back, checked by their type hints, and any others."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
@@ -30,6 +30,17 @@ class JsonRecord:
         """
         record: _Record = _adapter(cls).validate_python(dict(values))
         return record
+
+
+def plain_values(value: Any) -> Any:
+    """The value as JSON can say it: mappings, lists, texts, truth values, numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_values(item) for item in value]
+    if isinstance(value, (str, bool, int, float)) or value is None:
+        return value
+    return float(value)
 
 
 def _adapter(kind: Any) -> TypeAdapter[Any]:

@@ -176,7 +176,7 @@ def flatten_settings(values: Mapping[str, Any], source: str = "") -> dict[str, A
     return flat
 
 
-def check_setting(name: str, value: Any, source: str) -> Any:
+def checked_setting(name: str, value: Any, source: str) -> Any:
     """A value for one setting, checked, as the type that the setting has.
 
     Raises:

@@ -15,6 +15,9 @@ from usdsmoke.base.errors import ShapeError
 
 # What relationships and grids of velocity are called: by Houdini, Arnold and MoonRay, Blender.
 VELOCITY_NAMES = ("vel", "v", "velocity")
+# What is between such a name and the x, y or z of a component. USD names have no dots.
+GRID_SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
+FIELD_SEPARATORS = ("_", ":", "")  # of a Volume's relationships: field:vel_x, field:vel:x
 
 
 @dataclass(frozen=True)
@@ -196,7 +199,7 @@ class WrittenFrame:
 
     time_code: float
     file_path: str  # absolute
-    content_hash: str  # of all its grids, see grids.content_hash
+    content_hash: str  # of all its grids, see ``vdb.content_hash``
     # Corners in the field prim's local space; None when empty.
     extent_min: tuple[float, float, float] | None
     extent_max: tuple[float, float, float] | None

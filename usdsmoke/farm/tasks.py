@@ -7,9 +7,9 @@ from pathlib import Path
 from usdsmoke.pipeline import Request, plan_request, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.identity import settle_threads
 from usdsmoke.runs.opening import frames_again
 from usdsmoke.runs.progress import RunProgressCallback
+from usdsmoke.runs.run_machine import settle_threads
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@
 - ``needs``: what a run needs and leaves out, in sentences
 - ``estimate``: memory, time and disk
 - ``windows``: the frames of each window
-- ``frames``, ``frame_reader``: the fields of a frame, found by header and read
+- ``frames``: the grids of a frame, found by header
+- ``frame_reader``: the fields of a frame, read
 - ``visibility``: what a shot's camera can see
 - ``features``, ``stage_values``, ``output_folder``: network file, stage values, output folder
 """

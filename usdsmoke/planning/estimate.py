@@ -74,7 +74,7 @@ class FrameSize:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CostEstimate:
     """Costs of a run."""
 
     memory_gib: float  # peak
@@ -90,7 +90,7 @@ def estimate_run(
     threads: int | None = None,
     twice: Sequence[FrameSize] = (),
     coarse: Sequence[FrameSize] = (),
-) -> Estimate:
+) -> CostEstimate:
     """Peak memory, time and bytes written, by the formulae at the top of this file.
 
     Args:
@@ -102,7 +102,7 @@ def estimate_run(
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
-    return Estimate(
+    return CostEstimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
         seconds=START
         + sum(_frame_seconds(frame, config, n_styles, speed) for frame in (*frames, *again))
@@ -128,9 +128,9 @@ def written_bytes(
     )
 
 
-def add_estimates(parts: Sequence[Estimate]) -> Estimate:
+def add_estimates(parts: Sequence[CostEstimate]) -> CostEstimate:
     """The costs of several Volumes in one run, one after the other: it starts once."""
-    return Estimate(
+    return CostEstimate(
         memory_gib=max((part.memory_gib for part in parts), default=BASE / GIB),
         seconds=sum(part.seconds for part in parts) - (len(parts) - 1) * START,
         bytes_written=sum(part.bytes_written for part in parts),

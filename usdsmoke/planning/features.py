@@ -15,7 +15,7 @@ def check_features(config: FeaturesConfig, here: bool = True) -> None:
         here: True if the parameter file must exist; False if other machines do the work.
 
     Raises:
-        ConfigError: see ``core.layers.style_layers`` and ``content_layers``.
+        ConfigError: see ``style_layers`` and ``content_layers`` of ``core.style.layers``.
         FeatureError: the parameter file is missing.
     """
     style_layers(config)

@@ -1,12 +1,26 @@
-"""The source frames of a run, each read from disk once."""
+"""The source frames of a run as dense fields, each read from disk once."""
 
+import dataclasses
 from collections.abc import Iterable
 
-from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.planning.frames import read_frame, read_velocity_grids
+import numpy as np
+
+from usdsmoke.base.errors import UnsupportedGrid
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.planning.frames import (
+    MaskSource,
+    VelocitySource,
+    density_request,
+    field_place,
+    mask_request,
+    same_place,
+)
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.content_hash import hash_fields
+from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 from usdsmoke.vdb.store import GridStore
+from usdsmoke.vdb.velocity import read_velocity
 
 
 class FrameReader:
@@ -52,6 +66,79 @@ class FrameReader:
 
 def _files(frames: Iterable[FramePlan]) -> set[str]:
     return {field.file_path for frame in frames for field in frame.source.fields.values()}
+
+
+def read_frame(
+    volume: VolumeSource,
+    frame: FrameSource,
+    config: Config,
+    velocity: VelocitySource | None = None,
+    time_codes_per_second: float = 24.0,
+    mask: MaskSource | None = None,
+    read: ReadGrids = read_grids,
+) -> VolumeFrame:
+    """The dense fields of one timeCode.
+
+    Args:
+        config: limits of reading, and the velocity's unit.
+        velocity: from ``find_frame_velocity``; None reads no velocity.
+        time_codes_per_second: turns velocities per frame, that is per timeCode, into
+            velocities per second; the stage's frames per second are not used.
+        mask: from ``find_frame_mask``; None reads no mask.
+
+    Raises:
+        GridError: a file or grid cannot be used.
+        NonFiniteError: NaN or infinite voxels, unless ``grids.repair_nan`` replaces them.
+    """
+    source = frame.fields[volume.density]
+    (density,) = read(source.file_path, [density_request(source)], config.grids)
+    moving = None
+    if velocity is not None:
+        request = GridRequest(velocity.name, velocity.field.grid_index, field_place(velocity.field))
+        moving = read_velocity(velocity.field.file_path, request, config.grids, read)
+    if moving is not None and config.stage.velocity_unit == "frame":
+        values = moving.values * np.float32(time_codes_per_second)
+        moving = dataclasses.replace(moving, values=values)
+    return VolumeFrame(
+        time_code=frame.time_code,
+        density=density,
+        density_to_stage=source.field_to_stage,
+        velocity=moving,
+        velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
+        mask=None if mask is None else _read_mask(mask, config, read),
+        mask_to_stage=None if mask is None else mask.field.field_to_stage,
+        controls=frame.controls,
+        camera=frame.camera,
+    )
+
+
+def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
+    """The mask, read by itself: the limits of reading apply to one grid."""
+    request = mask_request(mask.field, mask.grid.name, mask.grid.index)
+    return read(mask.field.file_path, [request], config.grids)[0]
+
+
+def read_velocity_grids(
+    velocity: VelocitySource,
+    density: FieldSource,
+    config: Config,
+    read: ReadGrids = read_grids,
+) -> list[DenseField]:
+    """The velocity's grids as they are in the file, to be written beside the density.
+
+    Raises:
+        UnsupportedGrid: the velocity's transform on the stage differs from the density's, so that
+            one field prim cannot hold both.
+        GridError: they cannot be read.
+    """
+    where = field_place(velocity.field)
+    if not same_place(velocity, density):
+        raise UnsupportedGrid(
+            f"cannot copy the velocity ({where}): the xform of its field prim differs from that of "
+            f"<{density.prim_path}>. Unset layer.copy_velocity."
+        )
+    requests = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
+    return read(velocity.field.file_path, requests, config.grids)
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:

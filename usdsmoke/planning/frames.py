@@ -1,6 +1,5 @@
-"""One timeCode of one Volume as dense fields: which grids, from which files, in which units."""
+"""The grids of one timeCode of one Volume: which, and from which files; from headers alone."""
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,10 @@ import numpy as np
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.base.volume import GRID_SEPARATORS, FieldSource, FrameSource, VolumeSource
 from usdsmoke.vdb.header import FileHeader, GridHeader
-from usdsmoke.vdb.read import GridRequest, ReadGrids, check_readable, find_grid, read_grids
-from usdsmoke.vdb.velocity import find_velocity, read_velocity
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
+from usdsmoke.vdb.velocity import find_velocity
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ def find_density(volume: VolumeSource, frame: FrameSource, header: FileHeader) -
         GridNotFound: the file has no such grid.
         UnsupportedGrid: smoke cannot be read from it.
     """
-    request = _density_request(frame.fields[volume.density])
+    request = density_request(frame.fields[volume.density])
     grid = find_grid(header, request)
     check_readable(header, grid, request)
     return grid
@@ -64,7 +63,9 @@ def find_frame_velocity(
     sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
     if sources and len({source.file_path for source in sources}) == 1:
         names = [source.grid_name for source in sources]
-        base = names[0].removesuffix(".x").removesuffix("_x")  # one request for three components
+        base = names[0]  # one request for three components
+        for separator in GRID_SEPARATORS:
+            base = base.removesuffix(f"{separator}x")
         grids = find_velocity(headers[sources[0].file_path], base) if base else ()
         if grids:
             return VelocitySource(sources[0], base, grids)
@@ -98,9 +99,9 @@ def find_frame_mask(
     field = frame.fields[volume.mask or volume.density]
     header = headers[field.file_path]
     if volume.mask:
-        request = _mask_request(field, field.grid_name, field.grid_index)
+        request = mask_request(field, field.grid_name, field.grid_index)
     else:
-        request = _mask_request(field, name, None)
+        request = mask_request(field, name, None)
         _check_has_mask(volume, header, name)
     grid = find_grid(header, request)
     check_readable(header, grid, request)
@@ -137,93 +138,24 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
     """
     if velocity is None or config.layer.copy_velocity is not None:
         return velocity is not None and bool(config.layer.copy_velocity)
-    return velocity.field.relationship != density.relationship and _same_place(velocity, density)
+    return velocity.field.relationship != density.relationship and same_place(velocity, density)
 
 
-def _same_place(velocity: VelocitySource, density: FieldSource) -> bool:
+def same_place(velocity: VelocitySource, density: FieldSource) -> bool:
+    """True if the field prims have the same transform on the stage, apart from rounding."""
     return np.allclose(velocity.field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0)
 
 
-def read_frame(
-    volume: VolumeSource,
-    frame: FrameSource,
-    config: Config,
-    velocity: VelocitySource | None = None,
-    time_codes_per_second: float = 24.0,
-    mask: MaskSource | None = None,
-    read: ReadGrids = read_grids,
-) -> VolumeFrame:
-    """The dense fields of one timeCode.
-
-    Args:
-        config: limits of reading, and the velocity's unit.
-        velocity: from ``find_frame_velocity``; None reads no velocity.
-        time_codes_per_second: turns velocities per frame, that is per timeCode, into
-            velocities per second; the stage's frames per second are not used.
-        mask: from ``find_frame_mask``; None reads no mask.
-
-    Raises:
-        GridError: a file or grid cannot be used.
-        NonFiniteError: NaN or infinite voxels, unless ``grids.repair_nan`` replaces them.
-    """
-    source = frame.fields[volume.density]
-    (density,) = read(source.file_path, [_density_request(source)], config.grids)
-    moving = None
-    if velocity is not None:
-        request = GridRequest(velocity.name, velocity.field.grid_index, _where(velocity.field))
-        moving = read_velocity(velocity.field.file_path, request, config.grids, read)
-    if moving is not None and config.stage.velocity_unit == "frame":
-        values = moving.values * np.float32(time_codes_per_second)
-        moving = dataclasses.replace(moving, values=values)
-    return VolumeFrame(
-        time_code=frame.time_code,
-        density=density,
-        density_to_stage=source.field_to_stage,
-        velocity=moving,
-        velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
-        mask=None if mask is None else _read_mask(mask, config, read),
-        mask_to_stage=None if mask is None else mask.field.field_to_stage,
-        controls=frame.controls,
-        camera=frame.camera,
-    )
+def density_request(source: FieldSource) -> GridRequest:
+    """The grid of a density: one number in a voxel."""
+    return GridRequest(source.grid_name, source.grid_index, field_place(source), components=1)
 
 
-def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
-    """The mask, read by itself: the limits of reading apply to one grid."""
-    request = _mask_request(mask.field, mask.grid.name, mask.grid.index)
-    return read(mask.field.file_path, [request], config.grids)[0]
+def mask_request(source: FieldSource, name: str, index: int | None) -> GridRequest:
+    """The grid of a mask: one number in a voxel."""
+    return GridRequest(name, index, f"mask, {field_place(source)}", components=1)
 
 
-def read_velocity_grids(
-    velocity: VelocitySource,
-    density: FieldSource,
-    config: Config,
-    read: ReadGrids = read_grids,
-) -> list[DenseField]:
-    """The velocity's grids as they are in the file, to be written beside the density.
-
-    Raises:
-        UnsupportedGrid: the velocity's transform on the stage differs from the density's, so that
-            one field prim cannot hold both.
-        GridError: they cannot be read.
-    """
-    where = _where(velocity.field)
-    if not _same_place(velocity, density):
-        raise UnsupportedGrid(
-            f"cannot copy the velocity ({where}): the xform of its field prim differs from that of "
-            f"<{density.prim_path}>. Unset layer.copy_velocity."
-        )
-    requests = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
-    return read(velocity.field.file_path, requests, config.grids)
-
-
-def _density_request(source: FieldSource) -> GridRequest:
-    return GridRequest(source.grid_name, source.grid_index, _where(source), components=1)
-
-
-def _mask_request(source: FieldSource, name: str, index: int | None) -> GridRequest:
-    return GridRequest(name, index, f"mask, {_where(source)}", components=1)
-
-
-def _where(source: FieldSource) -> str:
+def field_place(source: FieldSource) -> str:
+    """Prim and timeCode of a field, for messages."""
     return f"field <{source.prim_path}>, timeCode {format_time_code(source.time_code)}"

@@ -39,7 +39,7 @@ from usdsmoke.usd.stage import (
     stage_file,
 )
 from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
-from usdsmoke.vdb.binding import check_bindings
+from usdsmoke.vdb.binding import binding_name
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     """
     if fits:  # the packages that the run itself loads, before the plan is made
         check_packages("torch")
-        check_bindings()
+        binding_name()  # raises if there is none
     request = request.settled()
     config = request.config
     output = settle_output(request.output)
@@ -158,7 +158,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     written = [*targets.written, *_sheets(plan, output)]
     inputs = [*files, *(Path(file_path) for file_path in earlier.layers)]
     check_output_folder(output, config.layer.look, inputs, written)
-    if fits:  # of a run that has begun, ``check_room`` looks at what is still to be written
+    if fits:  # of a run that has begun, ``OpenRun.check_disk`` looks at the rest
         check_plan(plan, None if any(run_record_files(output)) else output)
     return Job(request, stage, plan, styles, style_files, output, targets, earlier, files, fits)
 

@@ -14,7 +14,13 @@ from usdsmoke.base.naming import frame_file_names, volume_stems
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
-from usdsmoke.planning.estimate import Estimate, FrameSize, add_estimates, estimate_run, grid_size
+from usdsmoke.planning.estimate import (
+    CostEstimate,
+    FrameSize,
+    add_estimates,
+    estimate_run,
+    grid_size,
+)
 from usdsmoke.planning.frames import (
     find_density,
     find_frame_mask,
@@ -63,7 +69,7 @@ def make_plan(
     )
 
 
-def _estimate(volume: VolumePlan) -> Estimate:
+def _estimate(volume: VolumePlan) -> CostEstimate:
     sizes, twice, coarse = (
         [frame.size for frame in frames]
         for frames in (volume.frames, volume.overlap_frames, volume.coarse_frames)

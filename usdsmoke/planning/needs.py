@@ -10,7 +10,8 @@ from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.core.sequence.controls import SETTINGS, in_effect
 from usdsmoke.core.smoke.schedule import octave_iterations
-from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
+from usdsmoke.core.style.definition import learned_layers, oriented_layers
+from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.estimate import n_different_views
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
@@ -18,6 +19,7 @@ from usdsmoke.planning.visibility import pixel_sizes
 Volumes = Sequence[VolumePlan]
 
 _FEW_CUTS = 8
+_MANY_LAYERS = 5  # of which only the first and the last are named
 _OTHER_LOSSES = ("total_variation", "histogram", "content", "laplacian", "photorealism")
 
 
@@ -85,17 +87,20 @@ def takes_effect(config: Config, volumes: Volumes) -> bool:
 
 
 def unneeded_layers(config: Config) -> tuple[str, ...]:
-    """The embedded network's layers that are deeper than every layer in use.
+    """The network's layers that are deeper than every layer in use.
 
     Style layers of weight 0 are not in use, nor are content layers without a content loss. Layers
     above one in use are evaluated on the way to it.
+
+    Raises:
+        ConfigError: unknown layers, or weights that do not fit them.
     """
-    names = config.features.layers or list(default_layers())
-    weights = config.features.weights or [1.0] * len(names)
-    used = {name for name, weight in zip(names, weights, strict=False) if weight > 0}
+    used = set(style_layers(config.features))
     if config.losses.content:
-        used |= set(config.features.content_layers)
-    return (*_deeper(oriented_layers(), used), *_deeper(learned_layers(), used))
+        used |= set(content_layers(config.features))
+    vgg19 = config.features.network == "vgg19"
+    kinds = (vgg19_layers(),) if vgg19 else (oriented_layers(), learned_layers())
+    return tuple(name for kind in kinds for name in _deeper(kind, used))
 
 
 def _by_config(volumes: Volumes) -> list[tuple[Config, list[VolumePlan]]]:
@@ -215,16 +220,13 @@ def _omitted_losses(config: Config) -> list[Omission]:
         for name in _OTHER_LOSSES
         if getattr(losses, name) == 0
     ]
-    if config.features.network != "embedded":
-        reason = "no loss uses them"
-        omitted.append(Omission("network layers below the last style layer", reason, expected=True))
-    else:
+    if config.features.network == "embedded":
         reason = "the embedded features need no file"
         omitted.append(Omission("VGG-19 parameters", reason, expected=True))
-        names = unneeded_layers(config)
-        if names and losses.style:
-            what = f"network layers {', '.join(names)}"
-            omitted.append(Omission(what, "no layer in use is as deep", expected=True))
+    if losses.style and (names := unneeded_layers(config)):
+        what = ", ".join(names) if len(names) < _MANY_LAYERS else f"{names[0]} to {names[-1]}"
+        reason = "no layer in use is as deep"
+        omitted.append(Omission(f"network layers {what}", reason, expected=True))
     if config.optimize.tolerance > 0:
         omitted.append(
             Omission(

@@ -9,7 +9,7 @@ from typing import Any
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
-from usdsmoke.planning.estimate import Estimate, FrameSize
+from usdsmoke.planning.estimate import CostEstimate, FrameSize
 from usdsmoke.planning.frames import MaskSource, VelocitySource
 from usdsmoke.planning.windows import Window
 from usdsmoke.vdb.header import GridHeader
@@ -104,7 +104,7 @@ class Plan:
     volumes: tuple[VolumePlan, ...]
     needed: tuple[str, ...]
     omitted: tuple[Omission, ...]
-    estimate: Estimate
+    estimate: CostEstimate
     notes: tuple[str, ...] = ()  # how settings were chosen (optimize.target_error)
 
     @property

@@ -2,16 +2,17 @@
 
 The files are imported by name, because most of them load OpenUSD.
 
-- ``run``: the run on disk: folder, record, manifests, claims of processes on its pieces
+- ``run``: the run on disk: folder, record, manifests, claims of processes on its tasks
 - ``manifests``: what a finished window or the coarse step has left
 - ``identity``: what decides a result, and what differs between two runs
+- ``run_machine``: threads, device and kind of processor of a run
 - ``opening``: which run a call belongs to: begun, continued, joined, repeated or refused
 - ``opened``: a run that this process works on: what is left to do, disk, how far
 - ``coarse``: the measured scenes, and the coarse step that all windows start from
 - ``window``: frames are checked, stylized and written, window by window
-- ``outputs``: one frame's grids and the record of its file
+- ``outputs``: one frame's grids, file and entry in the manifest; a Volume's frames for the layer
 - ``assemble``: frames of two windows are blended, the look layer is written
-- ``frame_records``: what is written down in the layer and in each frame's file
+- ``provenance_record``: the record of a finished run, and the metadata of a frame's file
 - ``sheet``: contact sheets
 - ``progress``: how far a run is, as a record
 - ``tolerance``: settings that follow from ``optimize.target_error``

@@ -16,17 +16,17 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
-from usdsmoke.runs.frame_records import frame_metadata, keep_record, make_record
-from usdsmoke.runs.identity import processor_warnings
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import (
     collect_volume,
-    frame_record,
+    manifest_entry,
     result_fields,
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.provenance_record import frame_metadata, keep_record, make_record
 from usdsmoke.runs.run import Run
+from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
 from usdsmoke.usd import late_note
 from usdsmoke.usd.look import author_look, published_runs, result_hashes
@@ -233,7 +233,7 @@ def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
     metadata = frame_metadata(run, volume, frame, hashes)
     target = run.folder / frame.file_name
     content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
-    record = frame_record(volume, frame, fields[0], content_hash, hashes)
+    record = manifest_entry(volume, frame, fields[0], content_hash, hashes)
     return {**record, "part": False, "parts": pair.digests, "report": report.to_json()}
 
 

@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FileUnreadable
+from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
@@ -18,7 +19,6 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name
 from usdsmoke.runs.opened import OpenRun, missing_starts
-from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames

@@ -1,9 +1,7 @@
 """What decides a run's result, as JSON values: equal descriptions give equal results.
 
-A run settles threads, device and kind of processor when it begins. Every later task computes with
-that number of threads on that kind of device, however many processors it has, because bits depend
-on them. Another kind of processor cannot be made the same: each manifest names the one that made
-it, and the result names those that differ.
+What a job leaves to the machine (threads, device) is as the run has settled it: see
+``run_machine``.
 """
 
 import copy
@@ -11,129 +9,21 @@ import json
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.base.machine import platform_name, usable_cpus
-from usdsmoke.base.record_format import MachineRecord, hash_file
+from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
-from usdsmoke.runs.run import Run, find_runs
+from usdsmoke.runs.run import Run
+from usdsmoke.runs.run_machine import machine_of
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
-
-if TYPE_CHECKING:
-    from usdsmoke.core.smoke.device import Machine
-
-
-def machine_of(job: Job) -> "Machine":
-    """What this machine computes a job with.
-
-    Raises:
-        ConfigError: the device is not there.
-    """
-    from usdsmoke.core.smoke.device import describe_machine
-
-    return describe_machine(job.config.optimize)
-
-
-def settle_threads(
-    output: Path, config: Config, force: bool, otherwise: int | None = None
-) -> Config:
-    """Settings with a number of threads for processes elsewhere: that of the run which they
-    continue, or, where there is none, what this process may use.
-
-    Args:
-        force: a result is replaced, and not continued.
-        otherwise: the number where there is no run; None: what this process may use.
-    """
-    threads = config.optimize.threads
-    if threads == 0:
-        runs = [run for run in find_runs(output) if run.look == config.layer.look]
-        runs = [run for run in runs if not (force and run.complete)]
-        begun = min(runs, key=lambda run: run.complete, default=None)
-        threads = _optimize(begun).get("threads", 0) if begun is not None else 0
-    return config.replace(
-        optimize=config.optimize.replace(threads=threads or otherwise or usable_cpus())
-    )
-
-
-def with_settled(job: Job, run: Run) -> Job:
-    """The job with the threads and the device that its run was begun with."""
-    settled = _optimize(run)
-
-    def settle(config: Config) -> Config:
-        device = config.optimize.device
-        settled_device = settled.get("device", device)
-        optimize = config.optimize.replace(
-            threads=settled.get("threads", config.optimize.threads),
-            # a device of the same kind may be another one of several GPUs
-            device=device if device.partition(":")[0] == settled_device else settled_device,
-        )
-        return config.replace(optimize=optimize)
-
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
-    plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
-    return replace(job, plan=plan)
-
-
-def processor_note(run: Run, here: str) -> tuple[str, ...]:
-    """A sentence where this task runs on another kind of processor than the run was begun on."""
-    if here == run.processor or not run.processor:
-        return ()
-    return (
-        f"this is another kind of processor ({here}) than the run was begun on ({run.processor}): "
-        "frames made here may differ in their last bits from those of one machine",
-    )
-
-
-def processor_warnings(run: Run) -> list[str]:
-    """A sentence for every other kind of processor that a part of the run was made on."""
-    return [
-        f"{', '.join(named)} ran on another kind of processor ({kind}) than the run was begun on "
-        f"({run.processor}): bits may differ from those of one machine"
-        for kind, named in sorted(_others(run).items())
-    ]
-
-
-def machine_record(run: Run) -> MachineRecord:
-    """For the record: threads, device, processor, and what other kinds of processors made."""
-    settled, others = _optimize(run), _others(run)
-    return MachineRecord(
-        platform=platform_name(),
-        threads=settled.get("threads"),
-        device=settled.get("device", ""),
-        processor=run.processor,
-        others={name: kind for kind in sorted(others) for name in others[kind]},
-    )
-
-
-def _others(run: Run) -> dict[str, list[str]]:
-    """What was made on other kinds of processors, by kind: ``coarse step``, ``window 3``."""
-    found: dict[str, list[str]] = {}
-    windows: dict[str, list[int]] = {}
-    for window, processor in run.made_on().items():
-        if not processor or processor == run.processor or not run.processor:
-            continue
-        if window is None:
-            found.setdefault(processor, []).append("coarse step")
-        else:
-            windows.setdefault(processor, []).append(window)
-    for processor, numbers in windows.items():
-        named = f"window{'s' if len(numbers) > 1 else ''} {format_time_codes(map(float, numbers))}"
-        found.setdefault(processor, []).append(named)
-    return found
-
-
-def _optimize(run: Run) -> dict[str, Any]:
-    return dict(run.description.get("settings", {}).get("optimize", {}))
-
 
 # Values of ``optimize`` that leave a choice to the machine on which a run begins.
 _OPEN = {"threads": 0, "device": "auto"}

@@ -1,7 +1,7 @@
 """Manifests: what a finished window, or the coarse step so far, has left in the run's folder.
 
-A manifest is written when all files of its piece are in place. Without it, or with a file that has
-changed since, the piece is not finished. It names its run, so files of a removed run are not taken.
+A manifest is written when all files of its task are in place. Without it, or with a file that has
+changed since, the task is not finished. It names its run, so files of a removed run are not taken.
 """
 
 from dataclasses import dataclass, field

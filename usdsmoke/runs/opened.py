@@ -10,9 +10,9 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.make_plan import check_disk
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
-from usdsmoke.runs.identity import machine_of
 from usdsmoke.runs.manifests import coarse_file_name
 from usdsmoke.runs.run import Run
+from usdsmoke.runs.run_machine import machine_of
 
 
 @dataclass
@@ -23,7 +23,7 @@ class OpenRun:
     job: Job  # with what the run has settled of the machine
     lock: OutputLock  # on the output folder
     again: Collection[int] = ()  # windows that are to be done though they are finished
-    piece: str = ""  # what is done here, if not all of it
+    task: str = ""  # the one that is done here, such as "window 3"; "": the whole run
 
     @cached_property
     def reader(self) -> FrameReader:
@@ -62,7 +62,7 @@ class OpenRun:
         self.run.begin(plan, describe_request(self.job), machine_of(self.job).processor)
 
     def check_disk(self, tasks: Collection[WindowTask], whole: bool = False) -> None:
-        """Refuse a piece of the run that does not fit the disk.
+        """Refuse tasks that do not fit the disk.
 
         Args:
             tasks: the windows that are to be done; none for the coarse step alone.
@@ -92,8 +92,8 @@ class OpenRun:
 
     def how_far(self) -> str:
         """How much of the run is finished, and how to continue."""
-        if self.piece:
-            return f"stopped in {self.piece}. Run the command again."
+        if self.task:
+            return f"stopped in {self.task}. Run the command again."
         if self.run.is_useless():
             return "stopped before the first window was finished. Nothing was left behind."
         tasks = self.plan.tasks

@@ -10,10 +10,11 @@ from usdsmoke.base.publish import remove_empty
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
-from usdsmoke.runs.identity import Identity, with_settled
+from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, find_runs, new_run
+from usdsmoke.runs.run_machine import with_settled
 from usdsmoke.usd.look import published_runs
 
 _BEGINNING = "vdb/begin.lock"  # held while a run begins
@@ -86,7 +87,7 @@ def _windows_of(whole: Plan, part: Plan) -> frozenset[int]:
     return frozenset(homes[place] for place in requested)
 
 
-# A piece of a run, by one of several processes
+# A task of a run, by one of several processes
 
 
 @contextmanager
@@ -133,8 +134,8 @@ def join_run(
                 if run is None:
                     run = _choose_run(job, identity, alone=False)
                     OpenRun(run, with_settled(job, run), lock).begin()
-        piece = "the coarse step" if task is None else f"window {task.number}"
-        opened = OpenRun(run, with_settled(job, run), lock, piece=piece)
+        doing = "the coarse step" if task is None else f"window {task.number}"
+        opened = OpenRun(run, with_settled(job, run), lock, task=doing)
         with _tidy_end(opened):
             yield opened
 

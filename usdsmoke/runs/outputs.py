@@ -1,4 +1,4 @@
-"""From stylized fields to the files of a result: frames, look layer, contact sheet."""
+"""From stylized fields to the files of frames, and what the look layer needs to know of them."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -17,9 +17,9 @@ from usdsmoke.core.sequence.storage_error import pruned, storage_errors
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
-from usdsmoke.runs.frame_records import frame_metadata
 from usdsmoke.runs.manifests import part_file_name
 from usdsmoke.runs.opened import OpenRun
+from usdsmoke.runs.provenance_record import frame_metadata
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
 from usdsmoke.vdb.boxes import field_extent
@@ -72,7 +72,7 @@ def write_result(
 
     Returns:
         The file, relative to the run's folder, and JSON values that describe it; see
-        ``frame_record``.
+        ``manifest_entry``.
 
     Raises:
         WriteFailed: the operating system refused, or the file came back different.
@@ -94,12 +94,12 @@ def write_result(
     metadata = frame_metadata(run, volume, frame, source_hashes)
     half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
-    record = frame_record(volume, frame, fields[0], content_hash, source_hashes)
+    record = manifest_entry(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
     return name, {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
 
 
-def frame_record(
+def manifest_entry(
     volume: VolumePlan,
     frame: FramePlan,
     density: DenseField,
@@ -200,14 +200,3 @@ def _write_empty(run: Run, volume: VolumePlan, config: Config) -> tuple[str, str
 
 def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | None:
     return None if numbers is None else (numbers[0], numbers[1], numbers[2])
-
-
-def plain_values(value: Any) -> Any:
-    """The value as JSON can say it: mappings, lists, texts, truth values, numbers."""
-    if isinstance(value, Mapping):
-        return {str(key): plain_values(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_values(item) for item in value]
-    if isinstance(value, (str, bool, int, float)) or value is None:
-        return value
-    return float(value)

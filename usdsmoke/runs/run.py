@@ -1,4 +1,4 @@
-"""One run on disk: its folder, its record, the manifests of its pieces, and who is at which.
+"""One run on disk: its folder, its record, the manifests of its tasks, and who is at which.
 
     OUT/vdb/<key>/run.json             settings, inputs, plan; scenes and frames when complete
     OUT/vdb/<key>/scenes.json          what was measured once for all windows, until then
@@ -6,7 +6,7 @@
     OUT/vdb/<key>/windows/KKKK.json    the manifest of a finished window: see ``manifests``
     OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
     OUT/vdb/<key>/coarse/, coarse.json what windows start from, where there are several
-    *.lock                             held by the process that computes a piece
+    *.lock                             held by the process that computes a task
 
 ``<key>`` is a digest of settings and inputs, so a run that was stopped is found again by the same
 command, and a result that is being replaced keeps its files until the look layer, which is written
@@ -176,13 +176,13 @@ class Run:
         for folder in (self.folder, *self.folder.rglob("*/")):
             remove_leftovers(folder, alone)
 
-    # The pieces: the coarse step, and windows by their number
+    # The tasks: the coarse step, and windows by their number
 
     @contextmanager
     def claim(self, window: int | None = None) -> Iterator[None]:
         """Keep other processes from a window, or without a number from the coarse step, meanwhile.
 
-        A second process waits here, and finds the piece finished when it enters.
+        A second process waits here, and finds the task finished when it enters.
 
         Raises:
             WriteFailed: the lock file cannot be made.

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.publish import make_folders, publish_new
 from usdsmoke.base.settings import Config
 from usdsmoke.planning.features import features_hashes
@@ -18,7 +19,6 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.budget.choice import choose_settings
 from usdsmoke.runs.identity import describe_run
-from usdsmoke.runs.outputs import plain_values
 from usdsmoke.runs.sheet import sample_frames
 
 _VERSION = 2  # of what a calibration holds

@@ -19,10 +19,13 @@ if TYPE_CHECKING:
     from usdsmoke.base.frame_report import Progress
 
 
-def check_frames(
+def hash_frames(
     opened: OpenRun, tasks: Sequence[WindowTask], tell: RunProgressCallback
 ) -> dict[str, dict[str, str]]:
-    """Read every frame once, so that damage and NaN show before an hour of work, not after it.
+    """The content hashes of the sources of every frame, each of which is read and checked.
+
+    Damage and NaN show here, before an hour of work and not after it. What is read stays in the
+    store of ``opened.reader``, so that it is decoded once.
 
     Returns:
         By the result's file name the content hashes of what decides the frame: ``density``, and

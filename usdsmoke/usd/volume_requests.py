@@ -14,7 +14,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
 from usdsmoke.base.setting_model import nearest
-from usdsmoke.base.settings import check_setting
+from usdsmoke.base.settings import checked_setting
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StyleRequest
 from usdsmoke.usd.field_samples import field_targets, target_prim
@@ -209,7 +209,7 @@ def _read_values(volume: Usd.Prim, row: RequestAttribute, time_codes: Sequence[f
         place = f"{where} at timeCode {format_time_code(code)}" if changes else where
         if changes and not row.control:
             raise ConfigError(_may_not_change(where, code))
-        checked.append(None if value is None else check_setting(row.setting, value, place))
+        checked.append(None if value is None else checked_setting(row.setting, value, place))
     return checked
 
 

@@ -30,7 +30,7 @@ _TRIAL = (
 _TRIAL_LIMIT_S = 60.0
 
 
-def check_bindings() -> str:
+def binding_name() -> str:
     """The name of OpenVDB's Python module, which is not imported.
 
     Raises:
@@ -53,7 +53,7 @@ def find_binding() -> ModuleType:
         BindingMissing: neither ``openvdb`` nor ``pyopenvdb`` is there, it does not load, or it was
             built for another NumPy.
     """
-    name = check_bindings()
+    name = binding_name()
     if int(np.__version__.partition(".")[0]) >= 2:
         _check_array(name)
     try:

@@ -8,9 +8,31 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from usdsmoke.base.errors import GridTooLarge
 from usdsmoke.base.volume import DenseField
 
 Ijk = tuple[int, int, int]
+
+
+def check_dense_size(found: str, shape: Sequence[int], components: int, limit: int) -> None:
+    """Refuse a box of voxels that is too large as a dense array of 32-bit floats.
+
+    Args:
+        found: the grid, for the message.
+        shape: voxels along i, j, k.
+        components: numbers in a voxel.
+        limit: bytes.
+
+    Raises:
+        GridTooLarge: with the size and the limit.
+    """
+    n_bytes = 4 * components * shape[0] * shape[1] * shape[2]
+    if n_bytes > limit:
+        raise GridTooLarge(
+            f"{found} spans {' x '.join(map(str, shape))} voxels, {n_bytes / 2**30:.1f} GiB as a "
+            f"dense array; {limit / 2**30:.1f} GiB are allowed. Raise grids.memory_limit_gib or "
+            "cut the grid into smaller ones."
+        )
 
 
 def active_mask(field: DenseField) -> np.ndarray:

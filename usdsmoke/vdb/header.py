@@ -209,7 +209,7 @@ def _read_file_header(reader: ByteReader) -> FileHeader:
     (version,) = reader.unpack("<I", "the format version")
     if not _OLDEST <= version <= _NEWEST:
         raise reader.damage(
-            f"it claims format version {version}, known versions are {_OLDEST} to 224"
+            f"it claims format version {version}; this reader takes {_OLDEST} to {_NEWEST}"
         )
     library = reader.unpack("<II", "the library version")
     (has_offsets,) = reader.unpack("<B", "the offsets flag")

@@ -12,7 +12,6 @@ from usdsmoke.base.errors import (
     BindingMissing,
     DamagedFile,
     GridNotFound,
-    GridTooLarge,
     NonFiniteError,
     UnsupportedGrid,
     count_text,
@@ -20,6 +19,7 @@ from usdsmoke.base.errors import (
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb import child
+from usdsmoke.vdb.boxes import check_dense_size
 from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
@@ -76,7 +76,10 @@ def read_grids(
     for request in requests:
         grid = find_grid(header, request)
         check_readable(header, grid, request)
-        _check_size(header, grid, request, config)
+        if grid.box_shape is not None:  # else the worker looks at the tree itself
+            found = f'grid "{grid.label}" in {_place(header, request)}'
+            components = _COMPONENTS[grid.value_type]
+            check_dense_size(found, grid.box_shape, components, _dense_limit(config))
         grids.append(grid)
     described, arrays = _open(header, grids, requests, config)
     return [
@@ -180,7 +183,7 @@ def _open(
     request = {
         "action": "read",
         "file_path": os.path.abspath(header.file_path),
-        "names": [_binding_name(header, grid) for grid in grids],
+        "names": [_name_in_bindings(header, grid) for grid in grids],
         "dense_limit_bytes": _dense_limit(config),
     }
     limited = config.replace(time_limit_s=_time_limit(header, config))
@@ -203,7 +206,7 @@ def _time_limit(header: FileHeader, config: GridsConfig) -> float:
     return config.time_limit_s * min(1.0, _SMALL_SHARE + size / _LARGE_FILE_BYTES)
 
 
-def _binding_name(header: FileHeader, grid: GridHeader) -> str:
+def _name_in_bindings(header: FileHeader, grid: GridHeader) -> str:
     """The name by which the bindings find this grid among those of its name."""
     suffix = grid.stored_name[len(grid.name) + 1 :]
     return f"{grid.name}[{suffix}]" if suffix else grid.name
@@ -212,22 +215,6 @@ def _binding_name(header: FileHeader, grid: GridHeader) -> str:
 def _dense_limit(config: GridsConfig) -> int:
     """Bytes that one dense array may take: OpenVDB's own copy of the grid needs the same again."""
     return max(0, int((config.memory_limit_gib * 2**30 - _RESERVE_BYTES) / 2))
-
-
-def _check_size(
-    header: FileHeader, grid: GridHeader, request: GridRequest, config: GridsConfig
-) -> None:
-    shape = grid.box_shape
-    if shape is None:
-        return  # the worker looks at the tree itself
-    n_bytes = 4 * _COMPONENTS[grid.value_type] * shape[0] * shape[1] * shape[2]
-    if n_bytes > _dense_limit(config):
-        raise GridTooLarge(
-            f'grid "{grid.label}" in {_place(header, request)} spans '
-            f"{shape[0]} x {shape[1]} x {shape[2]} voxels, {n_bytes / 2**30:.1f} GiB as a dense "
-            f"array; {_dense_limit(config) / 2**30:.1f} GiB are allowed. Raise "
-            "grids.memory_limit_gib or cut the grid into smaller ones."
-        )
 
 
 def _dense_field(

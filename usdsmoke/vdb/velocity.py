@@ -8,12 +8,10 @@ import numpy as np
 
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.volume import VELOCITY_NAMES, DenseField
+from usdsmoke.base.volume import GRID_SEPARATORS, VELOCITY_NAMES, DenseField
 from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids
-
-_SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
 
 
 def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
@@ -29,7 +27,7 @@ def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
             if grid.name == candidate and (name or grid.value_type == "vec3s"):
                 return (grid,)
     for candidate in names:
-        for separator in _SEPARATORS:
+        for separator in GRID_SEPARATORS:
             parts = [_first(header, f"{candidate}{separator}{axis}") for axis in "xyz"]
             found = tuple(part for part in parts if part is not None)
             if len(found) == 3 and (name or all(part.value_type == "float" for part in found)):

@@ -22,6 +22,7 @@ import numpy as np
 from usdsmoke.base.errors import BindingMissing, GridTooLarge
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
+from usdsmoke.vdb.boxes import check_dense_size
 
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
@@ -118,22 +119,14 @@ def _read(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
         shape = [max(0, int(b) - int(a) + 1) for a, b in zip(ijk_min, ijk_max, strict=True)]
         if 0 in shape:  # an empty grid's box runs from the largest integer to the smallest
             shape, ijk_min = [0, 0, 0], (0, 0, 0)
-        _check_size(name, shape, 3 if is_vector else 1, request["dense_limit_bytes"])
+        components, limit = 3 if is_vector else 1, request["dense_limit_bytes"]
+        check_dense_size(f'grid "{name}"', shape, components, limit)
         values = np.zeros([*shape, 3] if is_vector else shape, np.float32)
         if values.size:
             grid.copyToArray(values, ijk=tuple(int(index) for index in ijk_min))
         np.save(folder / f"out{n}.npy", values, allow_pickle=False)
         grids.append({"ijk_min": [int(i) for i in ijk_min], "background": grid.background})
     return grids, len(grids)
-
-
-def _check_size(name: str, shape: list[int], components: int, limit: int) -> None:
-    n_bytes = 4 * components * shape[0] * shape[1] * shape[2]
-    if n_bytes > limit:
-        raise GridTooLarge(
-            f'grid "{name}" spans {" x ".join(map(str, shape))} voxels, {n_bytes / 2**30:.1f} GiB '
-            f"as a dense array; {limit / 2**30:.1f} GiB are allowed. Raise grids.memory_limit_gib."
-        )
 
 
 def _write(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:

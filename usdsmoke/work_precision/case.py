@@ -11,8 +11,8 @@ import numpy as np
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.frames import find_frame_velocity, read_frame
+from usdsmoke.planning.frame_reader import FrameReader, read_frame
+from usdsmoke.planning.frames import find_frame_velocity
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.vdb.header import read_header

@@ -10,12 +10,12 @@ from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
-from usdsmoke.planning.estimate import START, Estimate, FrameSize, estimate_run
+from usdsmoke.planning.estimate import START, CostEstimate, FrameSize, estimate_run
 
 FRAME = FrameSize(90_000, (51, 49, 96))
 
 
-def estimate(*settings: str, frames: int = 1, n_styles: int = 1) -> Estimate:
+def estimate(*settings: str, frames: int = 1, n_styles: int = 1) -> CostEstimate:
     sizes = [FRAME] * frames
     return estimate_run(sizes, resolve_config(settings), n_styles, threads=2)
 

@@ -11,12 +11,11 @@ from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, VolumeSource
+from usdsmoke.planning.frame_reader import read_frame, read_velocity_grids
 from usdsmoke.planning.frames import (
     VelocitySource,
     find_density,
     find_frame_velocity,
-    read_frame,
-    read_velocity_grids,
 )
 from usdsmoke.usd.stage import find_volumes, open_stage
 from usdsmoke.vdb.header import FileHeader, read_header

@@ -71,7 +71,12 @@ def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -
         (["windows.size=1"], "velocity grids", "windows.size is 1"),
         ([], "velocity grids", "stage.velocity"),
         ([], "VGG-19 parameters", "embedded features need no file"),
-        (["features.network=vgg19"], "network layers below the last", "no loss uses them"),
+        (["features.network=vgg19"], "network layers relu3_2 to relu5_4", "no layer in use"),
+        (
+            ["features.network=vgg19", "losses.content=1", "features.content_layers=[relu4_2]"],
+            "network layers relu4_3 to relu5_4",
+            "no layer in use",
+        ),
         (["views.azimuth=0", "views.elevation=0"], "other views", "views.azimuth"),
         (["optimize.strength=0"], "the optimisation", "optimize.strength is 0"),
         (["losses.style=0"], "style loss and features", "losses.style is 0"),

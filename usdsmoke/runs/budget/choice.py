@@ -66,7 +66,7 @@ def choose_settings(
     """The settings that a tolerance leads to.
 
     Args:
-        measured: from ``core.calibrate``; empty where there is nothing to do.
+        measured: from ``core.sequence.calibrate``; empty where there is nothing to do.
         target: E, > 0.
         iterations: the steps' lists per octave, whose proportions are kept.
         set_by_user: settings by dotted name that win over the choice.

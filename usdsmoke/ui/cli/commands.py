@@ -1,4 +1,4 @@
-"""The commands that stylize nothing new: inspect, validate, settings, preview, report, records."""
+"""All commands but ``stylize``, ``submit`` and ``assemble``, which are in ``work_commands``."""
 
 import argparse
 import os

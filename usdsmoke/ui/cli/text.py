@@ -15,7 +15,7 @@ from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.farm.openjd import JobBundle
-    from usdsmoke.pipeline import StepResult, StylizeResult
+    from usdsmoke.pipeline import StylizeResult, TaskResult
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
     from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
     from usdsmoke.usd.rules import Finding
@@ -97,11 +97,11 @@ def _use_of(result: "StylizeResult") -> list[str]:
     return []
 
 
-def step_text(step: "StepResult") -> str:
-    """The files of a part of a run."""
-    what = "already done" if step.was_done else "finished"
-    manifest = [("manifest", str(step.manifest))] if step.manifest.is_file() else []
-    return "\n".join(columns([(what, str(step.folder)), *manifest]))
+def task_text(task: "TaskResult") -> str:
+    """The files of one task of a run."""
+    what = "already done" if task.was_done else "finished"
+    manifest = [("manifest", str(task.manifest))] if task.manifest.is_file() else []
+    return "\n".join(columns([(what, str(task.folder)), *manifest]))
 
 
 def job_text(bundle: "JobBundle") -> str:

@@ -1,4 +1,4 @@
-"""The commands that make results: ``stylize``, ``submit``, ``assemble``."""
+"""The commands of a job: ``stylize``, ``submit``, ``assemble``."""
 
 import argparse
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from usdsmoke.ui.cli.text import (
     plan_text,
     result_text,
     show,
-    step_text,
+    task_text,
 )
 
 if TYPE_CHECKING:
-    from usdsmoke.pipeline import Request, StepResult, StylizeResult
+    from usdsmoke.pipeline import Request, StylizeResult, TaskResult
     from usdsmoke.planning.plan import Plan
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
@@ -25,9 +25,9 @@ _Result = TypeVar("_Result")
 def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
     if arguments.dry_run:
-        from usdsmoke.pipeline import plan_request as make_plan
+        from usdsmoke.pipeline import plan_request
 
-        plan = make_plan(_request(arguments))
+        plan = plan_request(_request(arguments))
         show(
             arguments,
             lambda: plan.to_dict() | {"config": plan.config.model_dump()},
@@ -35,8 +35,8 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         )
         return 0
     if arguments.coarse or arguments.window is not None:
-        step = _with_progress(_run_step, arguments)
-        show(arguments, lambda: _step_as_dict(step), lambda: step_text(step))
+        task = _with_progress(_run_task, arguments)
+        show(arguments, lambda: _task_as_dict(task), lambda: task_text(task))
         return 0
     _show_result(_with_progress(_run_whole, arguments), arguments)
     return 0
@@ -101,10 +101,10 @@ def _run_whole(
     )  # fmt: skip
 
 
-def _run_step(
+def _run_task(
     arguments: argparse.Namespace, progress: "ConsoleProgress", planned: "Callable[[Plan], None]"
-) -> "StepResult":
-    """A part of a run: one window or the coarse step."""
+) -> "TaskResult":
+    """One task of a run: a window or the coarse step."""
     from usdsmoke.pipeline import run_coarse, run_window
 
     request = _request(arguments)
@@ -114,7 +114,7 @@ def _run_step(
 
 
 def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) -> _Result:
-    """Call ``stylize`` or a part of it; the plan and the progress are shown on stderr."""
+    """Call ``stylize`` or one task of it; the plan and the progress are shown on stderr."""
     from rich.console import Console
 
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
@@ -137,13 +137,13 @@ def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None
     show(arguments, lambda: result_as_dict(result), lambda: "\n\n".join(texts))
 
 
-def _step_as_dict(step: "StepResult") -> dict[str, Any]:
-    manifest = str(step.manifest) if step.manifest.is_file() else None
+def _task_as_dict(task: "TaskResult") -> dict[str, Any]:
+    manifest = str(task.manifest) if task.manifest.is_file() else None
     return {
-        "folder": str(step.folder),
+        "folder": str(task.folder),
         "manifest": manifest,
-        "was_done": step.was_done,
-        "warnings": list(step.warnings),
+        "was_done": task.was_done,
+        "warnings": list(task.warnings),
     }
 
 

@@ -29,7 +29,7 @@ class StylizedVolume:
         default_factory=lambda: {"density": "density", EMISSION: EMISSION}
     )  # relationship name: name of its grid in the written files
     empty_file: str = ""  # absolute; a VDB whose colour grids have no voxel
-    empty_hash: str = ""  # its content hash, see grids.content_hash; "" when it is not known
+    empty_hash: str = ""  # its content hash, see ``vdb.content_hash``; "" when it is not known
     emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
     styles: tuple[str, ...] | None = None  # "name sha256" of each image; None: those of the run
     seed: int | None = None  # None: the run's

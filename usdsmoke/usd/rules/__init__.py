@@ -11,7 +11,7 @@
 The words of a rule's message are in the rule's file. Four rules repeat the error of a reader
 instead, so that validating and stylizing give one reason:
 
-- FieldFileMissing: `usd.asset_paths`, `vdb.header`
+- FieldFileMissing: `usd.values`, `vdb.header`
 - GridMissing, GridUnsupported: `vdb.read`
 - RequestInvalid: `usd.volume_requests`
 """

@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdVol
 from usdsmoke.base.errors import GridError, StageError
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.base.volume import VELOCITY_NAMES
+from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES
 from usdsmoke.usd.field_samples import (
     FieldSample,
     FieldSamples,
@@ -76,7 +76,8 @@ def grouped(
 
 
 DENSITY = StageConfig().density  # a stage is checked without a run's settings
-_VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})([_:]?[xyz])?")
+_SEPARATOR = "|".join(map(re.escape, FIELD_SEPARATORS))
+_VELOCITY = re.compile(rf"({'|'.join(VELOCITY_NAMES)})(({_SEPARATOR})[xyz])?")
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,9 @@ _DATA_TYPES = {  # of a grid's values: the fieldDataType tokens that describe th
 }
 _CLASSES = {"levelSet": "level set", "fogVolume": "fog volume", "staggered": "staggered"}
 _TOKENS = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
-_GAP = 1.5  # times the usual step: more than that and something is missing
+# A step of more than this many usual steps is a gap: a frame or more is missing. A cut, over which
+# nothing is carried, takes more than two steps: see ``planning.windows``.
+_GAP = 1.5
 
 
 def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:

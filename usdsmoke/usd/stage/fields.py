@@ -10,7 +10,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
-from usdsmoke.base.volume import VELOCITY_NAMES, FieldSource
+from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES, FieldSource
 from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets, target_prim
 from usdsmoke.usd.request_values import MASK
 from usdsmoke.usd.values import value_at, vdb_problem
@@ -40,7 +40,7 @@ def velocity_relationships(names: Sequence[str], chosen: str = "") -> tuple[str,
     for base in (chosen,) if chosen else VELOCITY_NAMES:
         if base in names:
             return (base,)
-        for separator in ("_", ":", ""):
+        for separator in FIELD_SEPARATORS:
             components = tuple(f"{base}{separator}{axis}" for axis in _AXES)
             if all(name in names for name in components):
                 return components

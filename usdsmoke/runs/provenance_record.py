@@ -1,4 +1,4 @@
-"""What is written down about a run: in the layer for all of it, in each file for the frame."""
+"""The provenance record of a finished run, and the metadata in the file of each frame."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -24,9 +24,9 @@ from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import step_seconds, summarize_figures
-from usdsmoke.runs.identity import machine_record
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.run import Run
+from usdsmoke.runs.run_machine import machine_record
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
