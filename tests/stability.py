@@ -15,6 +15,8 @@ DOCUMENT = Path(__file__).parent.parent / "docs" / "stability.md"
 
 EXTREMES = "tests/unit/core/test_stylize_extremes.py::"
 STYLIZE = "tests/unit/core/test_stylize.py::"
+OUTLIERS = "tests/unit/core/test_outliers.py::"
+FAST = "tests/unit/core/test_fast_smoke.py::"
 OPTIMIZE = "tests/unit/core/test_optimize.py::"
 OPTICS = "tests/unit/core/test_optics.py::"
 FEATURES = "tests/unit/core/test_features.py::"
@@ -82,6 +84,12 @@ VOLUME = _group(
       EXTREMES + "test_density_of_any_amount_is_moved_like_ordinary_smoke")),
     ("density over sixty orders of magnitude in one frame", "finite: the mass is kept",
      (EXTREMES + "test_density_over_sixty_orders_of_magnitude",)),
+    ("one voxel 10² … 10³⁰ times denser than the rest", "finite: smoke around it moves, is seen "
+     "and is kept as ever",
+     (OUTLIERS + "test_smoke_around_one_dense_voxel_moves_and_is_painted_as_ever",
+      OUTLIERS + "test_one_dense_voxel_deletes_no_smoke_and_the_mass_of_both_is_kept")),
+    ("sheets and filaments of one or two voxels, porous smoke", "finite: moved like thick smoke",
+     ("tests/unit/core/test_thin_smoke.py::test_thin_smoke_is_moved",)),
     ("background other than 0", "finite: fills only the box of the active voxels",
      (EXTREMES + "test_a_background_other_than_zero_fills_the_box_only",
       READ + "test_active_tile_is_filled_and_background_shows_between")),
@@ -133,6 +141,8 @@ TRANSPORT = _group(
     ("CFL number 0 … 50", "finite: in range, mass kept",
      (EXTREMES + "test_velocities_up_to_fifty_voxels_a_frame",
       WARM + "test_any_speed_gives_finite_colours_in_range")),
+    ("smoke that comes from where there was none", "finite: the frame starts anew, with a warning",
+     (FAST + "test_a_frame_whose_smoke_comes_from_nowhere_starts_anew_and_warns",)),
     ("absurd velocity", "named error PlanError: asks for the velocity's unit",
      (WARM + "test_an_absurd_velocity_is_a_named_error",)),
     ("NaN, infinite velocity", "named error NonFiniteError: grid and timeCode",

@@ -228,18 +228,19 @@ def _config(case: Case) -> Config:
     return config.replace(optimize=optimize, **{step: own})
 
 
-def _temporal_error(shot: _Shot, found: Sequence["StylizedFrame"]) -> float:
+def _temporal_error(shot: _Shot, results: Sequence["StylizedFrame"]) -> float:
     from usdsmoke.core.sequence.coherence import colour_error
 
     case, frames, rate = shot.case, shot.frames, shot.rate
-    painted = [_painted(case, *pair) for pair in zip(frames, found, strict=True)]
+    painted = [_painted(case, *pair) for pair in zip(frames, results, strict=True)]
     errors = []
     for number in range(1, len(painted)):
         seconds = (frames[number].time_code - frames[number - 1].time_code) / rate
         errors.append(
             colour_error(painted[number - 1], *painted[number], frames[number - 1], seconds)
         )
-    return float(np.mean(errors))
+    found = [error for error in errors if error is not None]
+    return float(np.mean(found)) if found else 1.0  # no smoke stays from frame to frame
 
 
 def _painted(

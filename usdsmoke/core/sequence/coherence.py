@@ -21,10 +21,13 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.fields.transport import backtrace, choose_substeps
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.smoke.noise import white_noise
 
 FILL_LEVELS = 4  # halvings over which new smoke takes its neighbours' colour
+NEAR = 1e-3  # trilinear weight of smoke from which there is smoke
+MOST_TRACED = 2**14  # voxels that tell where a frame's smoke comes from
 
 
 def departure_points(frame: VolumeFrame, positions: Tensor, seconds: float) -> Tensor:
@@ -136,7 +139,7 @@ def fill_colours(
     carried, near = sample_colours(before, colours, departures)
     level, level_colours = before, colours
     for _ in range(FILL_LEVELS):
-        missing = torch.nonzero(near[:, 0] < 1e-3).squeeze(1)
+        missing = torch.nonzero(near[:, 0] < NEAR).squeeze(1)
         if len(missing) == 0:
             return carried
         coarser = coarsen(level)
@@ -144,7 +147,7 @@ def fill_colours(
         level = coarser
         found, near_found = sample_colours(level, level_colours, departures[missing])
         carried[missing], near[missing] = found, near_found
-    missing = torch.nonzero(near[:, 0] < 1e-3).squeeze(1)
+    missing = torch.nonzero(near[:, 0] < NEAR).squeeze(1)
     carried[missing] = white_noise(smoke.ijk[missing], 3, seed).to(carried)
     return carried
 
@@ -181,6 +184,26 @@ def average_colours(
     return torch.lerp(colours, carried, share * near.clamp(0, 1))
 
 
+def share_from(
+    before: ActiveSmoke, smoke: ActiveSmoke, frame: VolumeFrame, seconds: float
+) -> float:
+    """The share of a frame's smoke that comes from smoke of the frame before, by mass.
+
+    Args:
+        before: the earlier frame's.
+        smoke: the frame's; some thousand of its voxels are looked at.
+        frame: the earlier one, for its velocity.
+        seconds: between the two.
+    """
+    chosen = torch.zeros(len(smoke.ijk), dtype=torch.bool, device=smoke.ijk.device)
+    chosen[:: max(1, len(smoke.ijk) // MOST_TRACED)] = True
+    some = bounded(smoke).take(chosen)
+    departures = departure_points(frame, some.positions, seconds)
+    _, near = sample_colours(before, torch.ones_like(before.density)[:, None], departures)
+    mass = some.density.double()
+    return float(mass[near[:, 0] > NEAR].sum() / mass.sum())
+
+
 def displacement_error(
     before: Displacement,
     own: Displacement,
@@ -199,12 +222,17 @@ def colour_error(
     colours: Tensor,
     frame: VolumeFrame,
     seconds: float,
-) -> float:
-    """Temporal error of display-encoded colours, over smoke that was there before."""
+) -> float | None:
+    """Temporal error of display-encoded colours, over smoke that was there before; None if none
+    was."""
     departures = departure_points(frame, smoke.positions, seconds)
     carried, near = sample_colours(*before, departures)
-    there = near[:, 0] > 1e-3
-    return _relative(colours[there], carried[there], smoke.density[there])
+    there = near[:, 0] > NEAR
+    return (
+        None
+        if not bool(there.any())
+        else _relative(colours[there], carried[there], smoke.density[there])
+    )
 
 
 def _relative(found: Tensor, expected: Tensor, weight: Tensor) -> float:

@@ -14,7 +14,7 @@ from functools import partial
 from itertools import starmap
 from typing import TypeVar
 
-from usdsmoke.base.frame_report import StepReport, TemporalErrors, TransportReport
+from usdsmoke.base.frame_report import FrameReport, StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.coherence import (
@@ -22,6 +22,7 @@ from usdsmoke.core.sequence.coherence import (
     average_displacement,
     colour_error,
     displacement_error,
+    share_from,
 )
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.sequence.frame_state import (
@@ -46,6 +47,7 @@ from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
 __all__ = ["run_frames"]
 
+LEAST_SHARE_FROM = 0.5  # of the smoke that comes from the frame before's; else they are not alike
 Result = TypeVar("Result", bound=ShapedFrame)
 
 
@@ -125,7 +127,8 @@ def _leave_out(frames: Iterator[OpenedFrame]) -> Iterator[OpenedFrame]:
 
 def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | None) -> ShapedFrame:
     """The frame with its displacement."""
-    started, config, report = time.perf_counter(), frame.config, frame.report
+    started, config = time.perf_counter(), frame.config
+    before, report, is_cold = _connected(context, frame, before)
     if (known := context.known_of(frame)) is not None:
         unclamped = known.unclamped
     else:
@@ -141,13 +144,17 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share)
         report = replace(report, shape=_step_report(ends, frame, started))
     kept = Carried(frame.time_code, unclamped) if context.keeps_carried else None
-    return advance(frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report)
+    return advance(
+        frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report, is_cold=is_cold
+    )
 
 
 def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | None) -> ShapedFrame:
     """The frame with its displacement averaged with the next frame's."""
     share = context.config.shape.smoothing
     if frame.unclamped is None or later is None or later.unclamped is None or not share:
+        return frame
+    if later.is_cold:
         return frame
     started, seconds = time.perf_counter(), context.seconds(frame, later)
     averaged = average_displacement(frame.unclamped, later.unclamped, frame.frame, seconds, share)
@@ -189,7 +196,8 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
 
 def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | None) -> PaintedFrame:
     """The frame with its colours."""
-    started, config, report = time.perf_counter(), frame.config, frame.report
+    started, config = time.perf_counter(), frame.config
+    before, report, is_cold = _connected(context, frame, before)
     share = None if frame.mask is None else frame.mask.at(frame.smoke.positions)
     painted = frame.smoke if share is None else frame.smoke.take(share > 0)
     if (known := context.known_of(frame)) is not None:
@@ -208,8 +216,9 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     if context.keeps_carried:
         kept = Carried(frame.time_code, kept.unclamped if kept is not None else None, colours)
     return advance(
-        frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report
-    )
+        frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
+        is_cold=is_cold,
+    )  # fmt: skip
 
 
 # finish
@@ -219,6 +228,8 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
     share, before = context.config.colour.smoothing, None
     for frame, later in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint
+        if later is not None and later.is_cold:
+            later = None
         if later is not None and paint is not None and later.paint is not None and share:
             seconds = context.seconds(frame, later)
             colours = average_colours(*paint, later.paint, frame.frame, seconds, share)
@@ -239,6 +250,8 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
 
 def _temporal_errors(before: PaintedFrame, frame: PaintedFrame, seconds: float) -> TemporalErrors:
     displacement = colour = None
+    if frame.is_cold:
+        return TemporalErrors()
     if before.displacement is not None and frame.displacement is not None:
         displacement = displacement_error(
             before.displacement, frame.displacement, frame.source, before.frame, seconds
@@ -263,6 +276,27 @@ def _chain(
         elif frame.ends_chain:
             before = None
         yield done
+
+
+def _connected(
+    context: WindowContext, frame: OpenedFrame, before: Result | None
+) -> tuple[Result | None, FrameReport, bool]:
+    """The frame before, if enough smoke comes from it; the report, with a warning if not, and
+    whether the frame starts cold for that."""
+    if before is None or context.known_of(frame) is not None:
+        return before, frame.report, False
+    share = share_from(before.source, frame.source, before.frame, context.seconds(before, frame))
+    if share >= LEAST_SHARE_FROM:
+        return before, frame.report, False
+    text = (
+        f"{1 - share:.0%} of the smoke at timeCode {frame.time_code:g} comes from where there is "
+        f"none at {before.time_code:g}: the frame starts anew. Check the velocity's unit (per "
+        "second or per frame), or cut the shot there."
+    )
+    warnings = frame.report.warnings
+    if text not in warnings:
+        warnings = (*warnings, text)
+    return None, replace(frame.report, warnings=warnings), True
 
 
 def _velocity_between(

@@ -112,6 +112,7 @@ class ShapedFrame(OpenedFrame):
     """Has a displacement, unless it is left out."""
 
     unclamped: Displacement | None = None  # the frame's own; averaged with the next one's later
+    is_cold: bool = False  # next to none of its smoke comes from the frame before
     carried: Carried | None = None  # where the context asks for it
 
     @property

@@ -73,7 +73,10 @@ class PlannedVolume:
             return "there is a cut between any two frames"
         if all(len(window.time_codes) + len(window.overlap) == 1 for window in windows):
             return "no two frames share a window"
-        return "no two neighbouring frames are stylized"
+        compared = any(report and report.temporal for report in self.reports)
+        return "no two neighbouring frames " + (
+            "have smoke in common" if compared else "are stylized"
+        )
 
     @property
     def no_overlap(self) -> str:
@@ -94,7 +97,7 @@ def temporal_note(volumes: Sequence[PlannedVolume], kind: str, step: str) -> str
     Returns:
         "" where all pairs of neighbouring frames are compared as usual.
     """
-    measured, n_others, borders = 0, 0, list[str]()
+    measured, n_unlike, n_others, borders = 0, 0, 0, list[str]()
     for volume in volumes:
         if volume.without_step(step):
             continue
@@ -106,12 +109,16 @@ def temporal_note(volumes: Sequence[PlannedVolume], kind: str, step: str) -> str
                 measured += 1
             elif _at_border(volume.plan, after):
                 borders.append(f"{before.source.time_code:g}-{after.source.time_code:g}")
+            elif report and report.temporal:
+                n_unlike += 1
             else:
                 n_others += 1
-    n_pairs = measured + len(borders) + n_others
+    n_pairs = measured + len(borders) + n_unlike + n_others
     texts = [f"{measured} of {n_pairs} pairs of neighbouring frames"]
     if borders:
         texts.append(f"not those on both sides of a window's border ({_shortened(borders)})")
+    if n_unlike:
+        texts.append(f"not {n_unlike} that have no smoke in common")
     if n_others:
         texts.append(f"not {n_others} where a frame is not stylized")
     texts += _unusual_ways([volume.plan for volume in volumes])
