@@ -8,6 +8,7 @@ import torch
 
 from tests.smoke_fixtures import frame_of, puff, smoke_of
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.core.fields.displacement import smooth_mask
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.smoke.levels import bounded, dense_level, ranked
@@ -98,3 +99,14 @@ def test_the_faintest_smoke_that_float32_holds_keeps_its_mass(amount):
         density.sum(dtype=float), rel=1e-3
     )
     assert np.isfinite(result.emission.values).all() and result.emission.values.any()
+
+
+@pytest.mark.parametrize(("level", "name"), [(1e6, "density"), (3e4, "emission")])
+def test_what_16_bit_floats_cannot_hold_is_refused_before_anything_is_optimised(level, name):
+    """The emission of a voxel is at most its extinction."""
+    frame, seen = frame_of(spoiled(level)), []
+    config = quick_config(grids={"half": True}, optics={"gamma": 4.0})
+    with pytest.raises(ConfigError, match=rf"{name} at timeCode 1 .*grids\.half"):
+        run_core([frame], config, watch=seen)
+    assert not seen
+    assert run_core([frame_of(spoiled(1.0))], config)[0].emission is not None

@@ -20,6 +20,7 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.storage_error import check_half
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum
@@ -202,7 +203,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
 
     Raises:
         NonFiniteError: it holds NaN or infinity.
-        ConfigError: its controls are out of range.
+        ConfigError: its controls are out of range, or 16-bit floats cannot hold the result.
     """
     # check the fields, and find the frame's own settings
     _check_finite(frame)
@@ -212,6 +213,8 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if config is not shared:
         scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
         extinction = scene.gamma_w
+
+    check_half(frame.density, frame.time_code, scene.gamma_w, config)
 
     # find the smoke that is visible and not masked
     density = refine_field(frame.density, shared.grids.refine)

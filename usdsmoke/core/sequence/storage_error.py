@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.frame_report import Estimate, FrameErrors
 from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 
 _LARGEST_HALF = 65504.0
@@ -29,6 +31,31 @@ def pruned(fields: Sequence[DenseField], prune: float) -> list[DenseField]:
         background = np.asarray(field.background, np.float32)
         found.append(dataclasses.replace(field, values=np.where(mask, field.values, background)))
     return found
+
+
+def check_half(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
+    """Raises ConfigError if 16-bit floats cannot hold what a frame will have.
+
+    Colours are at most 1, so no emission is above gamma_w times the largest density.
+
+    Args:
+        density: of the frame.
+        time_code: of the frame.
+        gamma_w: extinction per density, 1/stage unit.
+        config: grids and steps.
+    """
+    if not config.grids.half:
+        return
+    largest = float(density.values.max(initial=0.0))
+    bounds = {"density": largest}
+    if "colour" in config.optimize.steps:
+        bounds["emission"] = gamma_w * largest * config.optimize.strength
+    for name, bound in bounds.items():
+        if bound > _LARGEST_HALF:
+            raise ConfigError(
+                f"16-bit floats hold numbers up to {_LARGEST_HALF:g}, but the {name} at timeCode "
+                f"{time_code:g} reaches up to {bound:g}. Unset grids.half (--half)."
+            )
 
 
 def storage_errors(
