@@ -14,9 +14,9 @@ from usdsmoke.usd.stage import StageOrFile
 
 BACKGROUNDS = ("grey", "black", "none")
 MOST_PIXELS = 16_000_000  # of a picture: a minute or two of drawing
-_MOST_SHEET_PIXELS = 64_000_000  # of all pictures of a contact sheet
+_MOST_SHEET_PIXELS = 64_000_000  # of all pictures of a contact sheet or an animation
 _LONGEST_SIDE = 512  # if no size is given
-_SUFFIXES = (".png", ".exr")
+_SUFFIXES = (".png", ".exr", ".webp")
 
 
 class PreviewOptions(TypedDict, total=False):
@@ -30,6 +30,8 @@ class PreviewOptions(TypedDict, total=False):
     width: int | None
     size: tuple[int, int] | None
     background: str
+    turn: int | None
+    threads: int
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,19 @@ class PreviewRequest:
     """
 
     stage: StageOrFile  # for a look its root stage, NAME_look.usda
-    output: Path  # .png or .exr
+    output: Path  # .png, .exr or .webp
     camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
-    frames: str = ""  # timeCodes such as 1-24; "" takes the first, the middle and the last
+    # timeCodes such as 1-24; "" takes the first, the middle and the last, for an animation all, and
+    # for a turn the middle
+    frames: str = ""
     allow_missing: bool = False  # leave out requested timeCodes that do not exist
     compare: bool = False  # draw the stage without its looks as well
     prims: Sequence[str] | None = None  # Volume prim paths; None means all
     width: int | None = None  # pixels; the height follows from the camera's film or the smoke
     size: tuple[int, int] | None = None  # width and height, pixels
-    background: str = BACKGROUNDS[0]  # of a PNG; none is transparent, for one picture only
+    background: str = BACKGROUNDS[0]  # of PNG and WebP; none is transparent, for one PNG only
+    turn: int | None = None  # pictures of one frame around the up axis; None: one from the front
+    threads: int = 1
 
     def __post_init__(self) -> None:
         target = Path(self.output).absolute()
@@ -58,13 +64,16 @@ class PreviewRequest:
         if target.suffix.lower() not in _SUFFIXES:
             found = f"be a {target.suffix} file" if target.suffix else "have no suffix"
             raise ConfigError(
-                f"a preview cannot {found} ({target.name}). Use .png for a picture, or .exr for "
-                "scene-linear layers."
+                f"a preview cannot {found} ({target.name}). Use .png for a picture, .webp for an "
+                "animation, or .exr for scene-linear layers."
             )
         if self.background not in BACKGROUNDS:
             raise ConfigError(
                 f"unknown background {self.background!r}. Use one of {', '.join(BACKGROUNDS)}."
             )
+        if self.threads < 1:
+            raise ConfigError(f"--threads is {self.threads}. Give at least 1.")
+        self._check_turn()
         if self.width is not None and self.size is not None:
             raise ConfigError("--width and --size exclude each other. Give only one.")
         parse_frames(self.frames)
@@ -81,6 +90,16 @@ class PreviewRequest:
                 f"cannot write {target.name}: there is no folder {target.parent}. Create it first."
             )
 
+    def _check_turn(self) -> None:
+        if self.turn is None:
+            return
+        if self.turn < 2:
+            raise ConfigError(f"--turn is {self.turn}. Give at least 2 pictures.")
+        if self.camera:
+            raise ConfigError("--turn and --camera exclude each other. Give only one.")
+        if self.is_exr:
+            raise ConfigError("a turn cannot be an .exr file. Use .png for a sheet, or .webp.")
+
     @property
     def stage_name(self) -> str:
         """The file name of the stage."""
@@ -92,6 +111,17 @@ class PreviewRequest:
     def is_exr(self) -> bool:
         """True for scene-linear layers, False for a picture for a screen."""
         return self.output.suffix.lower() == ".exr"
+
+    @property
+    def is_animation(self) -> bool:
+        """True for pictures one after the other in time."""
+        return self.output.suffix.lower() == ".webp"
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Degrees around the up axis from the front, one for each picture of a frame."""
+        count = self.turn or 1
+        return tuple(360.0 * number / count for number in range(count))
 
     def pixels(self, aspect: float) -> tuple[int, int]:
         """Height and width of a picture whose width is ``aspect`` times its height.
@@ -130,7 +160,7 @@ def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:
         )
     if width * height * n_pictures > _MOST_SHEET_PIXELS:
         raise ConfigError(
-            f"the contact sheet would have {n_pictures} pictures of {width} x {height} pixels, of "
+            f"the preview would have {n_pictures} pictures of {width} x {height} pixels, of "
             f"at most {_MOST_SHEET_PIXELS // 1_000_000} million pixels in all. Select fewer frames "
             "(--frames 1-100x10), lower --width, or write .exr, which is one file a frame."
         )

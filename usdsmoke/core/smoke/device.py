@@ -2,6 +2,8 @@
 
 import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -40,6 +42,21 @@ def choose_device(config: OptimizeConfig) -> torch.device:
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return device
+
+
+@contextmanager
+def computing_threads(count: int) -> Iterator[None]:
+    """Compute with a number of threads, and afterwards with as many as before.
+
+    Args:
+        count: at least 1.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def describe_machine(config: OptimizeConfig) -> Machine:

@@ -243,8 +243,8 @@ def _add_preview(commands: Any) -> None:
         "--output",
         required=True,
         metavar="FILE",
-        help=".png: a picture, or a contact sheet of several frames; .exr: scene-linear, one file "
-        "per frame",
+        help=".png: a picture, or a contact sheet of several; .webp: an animation; .exr: "
+        "scene-linear, one file per frame",
     )
     _add_selection(parser)
     parser.add_argument(
@@ -261,7 +261,16 @@ def _add_preview(commands: Any) -> None:
         "--background",
         choices=("grey", "black", "none"),
         default="grey",
-        help="background of a PNG; none: transparent (single pictures only)",
+        help="background of PNG and WebP; none: transparent (single PNGs only)",
+    )
+    parser.add_argument(
+        "--turn",
+        type=count_value,
+        metavar="N",
+        help="draw one frame N times, around the up axis (default: from the front)",
+    )
+    parser.add_argument(
+        "--threads", type=count_value, default=1, metavar="N", help="CPU threads (default: 1)"
     )
 
 

@@ -125,6 +125,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
             width=arguments.width,
             size=arguments.size,
             background=arguments.background,
+            turn=arguments.turn,
+            threads=arguments.threads,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     for note in result.notes:
@@ -135,6 +137,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
 
 def _preview_text(result: "PreviewResult") -> str:
     seen = f"camera <{result.camera}>" if result.camera else "the front view"
+    if len(result.angles) > 1:
+        seen = f"{len(result.angles)} views around the up axis"
     lines = [str(file_path) for file_path in result.files]
     lines.append(
         f"  timeCodes {format_time_codes(result.time_codes)} through {seen}, "
@@ -152,6 +156,7 @@ def _preview_dict(result: "PreviewResult") -> dict[str, Any]:
         "width": result.width,
         "height": result.height,
         "camera": result.camera,
+        "angles": list(result.angles),
         "extinction_per_density": result.extinctions,
         "notes": list(result.notes),
     }
