@@ -69,7 +69,7 @@ def test_options_that_are_off_leave_files_and_layer_as_they_are(plume: Shot) -> 
     layers = [Sdf.Layer.FindOrOpen(str(item.look_layer)) for item in (plain, same)]
     for layer in layers:
         children = layer.GetPrimAtPath("/World/smoke").nameChildren
-        assert [child.name for child in children] == ["density", "emission"]
+        assert [child.name for child in children] == ["density", "emission", "look_material"]
         mode = layer.GetAttributeAtPath("/World/smoke.usdSmoke:emissionMode")
         assert mode.default == "absolute"
 

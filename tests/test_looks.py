@@ -45,8 +45,8 @@ def test_looks_of_two_names_stand_side_by_side_each_with_its_own_files(shot: Sho
     after = file_hashes(shot.output)
     assert {name: after[name] for name in before} == before
     assert names(shot.output) == [
-        "contact_sheet.png", "look.usda", "look_ember.usda", "look_ember_contact_sheet.png",
-        "shot_look.usda", "shot_look_ember.usda",
+        "contact_sheet.png", "look.glslfx", "look.usda", "look_ember.glslfx", "look_ember.usda",
+        "look_ember_contact_sheet.png", "shot_look.usda", "shot_look_ember.usda",
     ]  # fmt: skip
     assert ember.contact_sheets == (shot.output / "look_ember_contact_sheet.png",)
     for result, share in ((plain, 1.0), (ember, 2.0)):
@@ -87,7 +87,7 @@ def test_the_mode_layer_writes_the_look_and_no_stage(
     assert main(shot.arguments("--mode", "layer", "--json")) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["root_stage"] is None
-    assert names(shot.output) == ["contact_sheet.png", "look.usda"]
+    assert names(shot.output) == ["contact_sheet.png", "look.glslfx", "look.usda"]
     assert main(["assemble", str(shot.output)]) == 0
     assert f"subLayers = [@{shot.output}/look.usda@" in capsys.readouterr().out
     layer = Sdf.Layer.CreateAnonymous(".usda")

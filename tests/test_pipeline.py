@@ -52,6 +52,7 @@ def test_inputs_stay_as_they_are_and_nothing_temporary_is_left(shot: Shot) -> No
     assert file_hashes(shot.stage.parent) == before
     (record,) = shot.output.glob("vdb/*/run.json")
     kept = {record, record.with_name("windows") / "0000.json", record.with_name("provenance.json")}
+    kept.add(result.look_layer.with_suffix(".glslfx"))
     expected = {result.root_stage, result.look_layer, *result.contact_sheets, *result.frames}
     assert {p for p in shot.output.rglob("*") if p.is_file()} == expected | kept
 

@@ -274,6 +274,12 @@ class LayerConfig(Section):
     contact_sheet: int = setting(
         512, "height of the contact sheet's pictures, at most four pixels a voxel; 0: no contact "
         "sheet", ge=0, le=2048, unit="pixels")
+    material: Literal["auto", "replace", "none"] = setting(
+        "auto", "material of the Volume: one that shows the look, unless a volume material is "
+        "bound (auto); one that shows the look in place of a bound one (replace); no change (none)")
+    material_targets: list[Literal["glslfx", "mtlx", "arnold", "karma"]] = setting(
+        ["glslfx", "mtlx"], "what the material has a volume shader for: Hydra Storm (glslfx), "
+        "MaterialX (mtlx), Arnold, Karma", min_length=1, distinct=True)
     digital_source_type: Literal[
         "algorithmicallyEnhanced",
         "compositeWithTrainedAlgorithmicMedia",

@@ -5,7 +5,7 @@ Matrices are 4x4 float64 in the row-vector convention that USD and OpenVDB share
 ``[i j k]``, as in OpenVDB.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,6 +71,19 @@ class StyleRequest:
 
 
 @dataclass(frozen=True)
+class BoundMaterial:
+    """A material with a volume shader that a Volume is bound to."""
+
+    prim_path: str
+    colours: tuple[str, ...]  # the colour grids of looks that its volume shaders name
+    can_replace: bool  # False: a binding of an ancestor or a collection wins over the Volume's own
+
+    def hides(self, colours: Collection[str]) -> bool:
+        """True if a look with these colour grids is not seen with this material."""
+        return not set(self.colours) & set(colours)
+
+
+@dataclass(frozen=True)
 class FrameSource:
     """One timeCode of one Volume: its fields by relationship name."""
 
@@ -93,6 +106,7 @@ class VolumeSource:
     mask: str = ""  # relationship name of the mask; "" when it has none, or none is configured
     other_fields: tuple[str, ...] = ()  # relationship names that are not used
     request: StyleRequest = StyleRequest()
+    materials: tuple[BoundMaterial, ...] = ()  # bound to it, one for each purpose
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.estimate import n_different_views
+from usdsmoke.planning.materials import hidden_look, materials_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
 
@@ -55,6 +56,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         f"one VDB file per frame with {_grids_text(coloured)} ({kind}), and the "
         f"{config.layer.format} layer"
     )
+    needed += materials_needed(volumes)
     return tuple(needed)
 
 
@@ -76,6 +78,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
         ]
         omitted += [replace(item, what=f"{item.what}{where}") for item in found]
     for volume in volumes:
+        omitted += hidden_look(volume)
         omitted += _omitted_of_volume(volume)
     return tuple(omitted)
 

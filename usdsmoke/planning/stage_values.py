@@ -73,6 +73,7 @@ def _volume_pieces(values: dict[str, Any]) -> dict[str, Any]:
 def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     values = dataclasses.asdict(volume)
     del values["request"]
+    del values["materials"]  # they decide what the layer binds, not what the files hold
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]

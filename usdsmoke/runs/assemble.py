@@ -14,6 +14,7 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import DenseField
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
+from usdsmoke.planning.materials import hidden_look_warnings
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
@@ -278,6 +279,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         f"{name}: {warning}" for name, report in run.reports.items() for warning in report.warnings
     ]
     found += processor_warnings(run)
+    found += hidden_look_warnings(plan.volumes)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):
         found.append("some timeCodes are not whole numbers, so Blender cannot import the sequence")

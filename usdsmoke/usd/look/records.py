@@ -53,15 +53,22 @@ class StylizedVolume:
 
 @dataclass(frozen=True)
 class LookFiles:
-    """The USD files of a result."""
+    """The USD files of a result, and the shader that they name."""
 
     look_layer: Path  # the override layer: everything usdsmoke has to say
     root_stage: Path | None  # the stage to open; None in the mode ``layer``
+    shader: Path | None = None  # Storm's volume shader; None where no material needs it
 
     @property
     def written(self) -> tuple[Path, ...]:
         """All of them."""
-        return tuple(path for path in (self.look_layer, self.root_stage) if path is not None)
+        files = (self.look_layer, self.root_stage, self.shader)
+        return tuple(path for path in files if path is not None)
+
+
+def shader_name(config: LayerConfig) -> str:
+    """The name of Storm's volume shader, which lies beside the look layer."""
+    return f"look{look_suffix(config.look)}.glslfx"
 
 
 def look_files(source: StageSource, output_folder: Path, config: LayerConfig) -> LookFiles:

@@ -16,7 +16,7 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly, readable_values
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
 from usdsmoke.usd.rules.facts import Finding, Problem, Severity
-from usdsmoke.usd.schema import late_note, register_schema
+from usdsmoke.usd.schema import LOOK_API, late_note, register_schema
 
 if TYPE_CHECKING:
     from pxr import UsdValidation
@@ -43,6 +43,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
     "FieldNameMismatch": (volume_rules.check_one_name, "Relationship and grid share one name."),
     "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
+    "LookHidden": (
+        volume_rules.check_look_seen,
+        "The material of a Volume with a look reads the look's colours.",
+    ),
     "RequestInvalid": (volume_rules.check_request, "A Volume's style request can be read."),
     "RequestNotApplied": (
         volume_rules.check_request_applied,
@@ -66,7 +70,11 @@ _LAYER_RULES = {
     )
 }
 # These errors are about the installed renderers, not about the stage.
-_OF_THE_INSTALLATION = {"usdShadeValidators:ShaderSdrCompliance.MissingShaderIdInRegistry"}
+_SDR = "usdShadeValidators:ShaderSdrCompliance."
+_OF_THE_INSTALLATION = {
+    f"{_SDR}MissingShaderIdInRegistry",
+    f"{_SDR}MissingSourceTypeInRegistry",
+}
 _TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
 
 
@@ -105,7 +113,8 @@ def register_validators() -> list[str]:
 def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     """What all validators find on a stage or in a layer, worst first, each finding once.
 
-    Severities are the validators' own, but a shader that no installed renderer knows is a warning.
+    Severities are the validators' own, but a shader that no installed renderer knows is a warning,
+    and no finding in the material of a look, which has shaders for several renderers.
     Files are opened for their headers. Files that usdsmoke wrote are read whole, each in a process
     of its own, to compare their hashes.
 
@@ -125,7 +134,7 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     validators = module.ValidationRegistry().GetOrLoadAllValidators()
     with captured_diagnostics():  # some validators of USD also warn on stderr
         errors = module.ValidationContext(validators).Validate(stage)
-        findings = {_to_finding(error) for error in errors}
+        findings = {_to_finding(error) for error in errors if not _is_of_a_look(error)}
     if note := late_note():
         findings.add(Finding(Severity.INFO, "SchemaNotRegistered", "", None, note))
     order = list(Severity)
@@ -214,6 +223,15 @@ def _to_finding(error: "UsdValidation.ValidationError") -> Finding:
         time_code=float(match[1]) if is_ours and match else None,
         message=message[match.end() :] if is_ours and match else message,
     )
+
+
+def _is_of_a_look(error: "UsdValidation.ValidationError") -> bool:
+    """True for a look's own shader that is for a renderer which is not installed."""
+    path = Sdf.Path(_place(error)).GetPrimPath()
+    if str(error.GetIdentifier()) not in _OF_THE_INSTALLATION or path.isEmpty:
+        return False
+    volume = error.GetSites()[0].GetStage().GetPrimAtPath(path.GetParentPath().GetParentPath())
+    return bool(volume) and LOOK_API in volume.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
 def _place(error: "UsdValidation.ValidationError") -> str:

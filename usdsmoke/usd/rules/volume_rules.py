@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pxr import Gf, Usd, UsdVol
 
-from usdsmoke.usd.field_samples import FieldSample
+from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
+from usdsmoke.usd.field_samples import FieldSample, field_targets
+from usdsmoke.usd.materials import hiding_material
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     Problem,
@@ -17,9 +19,10 @@ from usdsmoke.usd.rules.facts import (
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.schema import STYLE_API
+from usdsmoke.usd.schema import LOOK_API, STYLE_API
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
+_COLOURS = (*COLOUR_VECTORS, *COLOUR_CHANNELS)
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
@@ -99,6 +102,21 @@ def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                     "places. Several programs use one transform for all grids of a Volume."
                 )
     return grouped(Severity.WARN, str(volume.GetPath()), troubles)
+
+
+def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """The material of a Volume with a look reads a colour of the look."""
+    colours = [name for name in field_targets(volume) if name in _COLOURS]
+    if not colours or LOOK_API not in volume.GetPrimTypeInfo().GetAppliedAPISchemas():
+        return []
+    material = hiding_material(volume, colours)
+    if material is None:
+        return []
+    message = (
+        f"the material <{material.prim_path}> reads no {' or '.join(colours)}, so renderers do not "
+        "show the look. Stylize with --set layer.material=replace, or let the material read it."
+    )
+    return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 
 
 def check_request(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:

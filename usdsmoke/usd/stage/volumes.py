@@ -26,6 +26,7 @@ from usdsmoke.base.volume import (
 )
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.field_samples import FieldSamples
+from usdsmoke.usd.materials import find_materials
 from usdsmoke.usd.stage.fields import (
     VolumeFields,
     check_assets,
@@ -339,6 +340,7 @@ def _read_volume(
         mask=outline.fields.mask,
         other_fields=outline.fields.others,
         request=request,
+        materials=find_materials(outline.prim),
     )
 
 

@@ -1,0 +1,102 @@
+"""The volume shader of a look for Hydra Storm, as the text of a glslfx file.
+
+Storm marches through world space, and asks the shader for extinction and emission per world unit.
+What is stored is per unit of the stage that the look was made for. The shader therefore goes by the
+Volume's own space: ``stageUnitsPerUnit`` is how many of those stage units one unit of that space
+was, and the Volume's transform says how many world units it is now. A look referenced under another
+scale keeps its picture. A scale that differs along the axes counts with its geometric mean.
+
+Storm adds emission for a whole step and then dims it, so that thick steps come out too bright by
+tau / (1 - exp(-tau)), where tau is the step's optical depth. The shader takes that factor off where
+Storm tells how long a step is, from OpenUSD 24.08 on.
+"""
+
+EXTINCTION = "extinctionPerDensity"
+ALBEDO = "albedo"
+STAGE_UNITS = "stageUnitsPerUnit"
+PER_DENSITY = "emissionIsPerDensity"
+DENSITY, EMISSION = "density", "emission"
+
+STORM_SHADER = """\
+-- glslfx version 0.1
+
+// The volume shader of a look by usdsmoke, for Hydra Storm.
+
+-- configuration
+{
+    "techniques": {
+        "default": {
+            "volumeShader": { "source": [ "Usdsmoke.Volume" ] }
+        }
+    },
+    "parameters": {
+        "density": { "type": "float", "default": 0.0 },
+        "emission": { "type": "vec3", "default": [0.0, 0.0, 0.0] },
+        "extinctionPerDensity": { "type": "float", "default": 1.0 },
+        "albedo": { "type": "float", "default": 0.0 },
+        "stageUnitsPerUnit": { "type": "float", "default": 1.0 },
+        "emissionIsPerDensity": { "type": "float", "default": 0.0 }
+    }
+}
+
+-- glsl Usdsmoke.Volume
+
+FORWARD_DECL(MAT4 ApplyInstanceTransformInverse(MAT4 m));
+
+// Stage units of the time the look was made, for one world unit of now.
+float
+usdsmokeStageUnits()
+{
+    const MAT4 worldToLocal = ApplyInstanceTransformInverse(HdGet_transformInverse());
+    const mat3 m = mat3(vec3(worldToLocal[0].xyz), vec3(worldToLocal[1].xyz),
+                        vec3(worldToLocal[2].xyz));
+    return HdGet_stageUnitsPerUnit() * pow(abs(determinant(m)), 1.0 / 3.0);
+}
+
+float
+usdsmokeDensity(vec3 p)
+{
+    return max(float(HdGet_density(p)), 0.0);
+}
+
+float
+extinctionFunction(vec3 p)
+{
+    return HdGet_extinctionPerDensity() * usdsmokeStageUnits() * usdsmokeDensity(p);
+}
+
+float
+scatteringFunction(vec3 p)
+{
+    return HdGet_albedo() * extinctionFunction(p);
+}
+
+// What is left of a step's emission on its way through the step.
+float
+usdsmokeAttenuation(float density)
+{
+#ifdef HD_HAS_sampleDistance
+    const float stepSize = 0.5 * HdGet_stepSize() * float(HdGet_sampleDistance());
+    const float tau =
+        HdGet_extinctionPerDensity() * HdGet_stageUnitsPerUnit() * stepSize * density;
+    return tau > 1e-3 ? (1.0 - exp(-tau)) / tau : 1.0 - 0.5 * tau;
+#else
+    return 1.0;
+#endif
+}
+
+vec3
+emissionFunction(vec3 p)
+{
+    const float density = usdsmokeDensity(p);
+    const float scale = HdGet_emissionIsPerDensity() > 0.5 ? density : 1.0;
+    return usdsmokeStageUnits() * scale * usdsmokeAttenuation(density)
+        * vec3(HdGet_emission(p).xyz);
+}
+
+float
+phaseFunction(vec3 direction1, vec3 direction2)
+{
+    return 0.25 / 3.14159265358979;
+}
+"""
