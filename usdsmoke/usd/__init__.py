@@ -8,6 +8,7 @@
 - `values`: attribute values, alike in every version of OpenUSD; asset paths
 - `volume_requests`, `request_values`: style requests on prims
 - `volume_settings`: the settings of each Volume, and where each comes from
+- `materials`: the materials that a Volume is bound to, and what they read
 - `gate`: findings of a look apart from those of its source
 - `source_stage`: a stage made from bare VDB files
 - `inspect`: everything that a stage holds, as one report

@@ -4,6 +4,9 @@
 - `records`: a Volume's result, and the names of the files
 - `fields`: the prims that carry the result's fields
 - `extent`: the Volume's extent over time
+- `material`: the material that shows the look, and its binding
+- `networks`: the material's shaders for each renderer
+- `storm_shader`: the volume shader for Hydra Storm
 - `attributes`: what a Volume records of the run
 - `root`: the root stage, and the asset with a variant for each look
 

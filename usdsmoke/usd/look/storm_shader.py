@@ -8,7 +8,7 @@ scale keeps its picture. A scale that differs along the axes counts with its geo
 
 Storm adds emission for a whole step and then dims it, so that thick steps come out too bright by
 tau / (1 - exp(-tau)), where tau is the step's optical depth. The shader takes that factor off where
-Storm tells how long a step is, from OpenUSD 24.08 on.
+Storm tells how long a step is (OpenUSD 25.08 does).
 """
 
 EXTINCTION = "extinctionPerDensity"
