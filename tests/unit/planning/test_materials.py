@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from pxr import Sdf
 
 from tests.pipeline_fixtures import FakeCore, Shot, run
 from usdsmoke.base.resolve import resolve_config
@@ -90,5 +91,5 @@ def test_a_run_ends_with_a_warning_where_the_look_is_not_seen(shot: Shot, core: 
 def test_the_record_of_a_run_has_the_material_s_settings(shot: Shot, core: FakeCore) -> None:
     assert core
     result = run(shot, "layer.material=replace", "layer.material_targets=[arnold]")
-    layer = read_record(result.look_layer).settings["layer"]
+    layer = read_record(Sdf.Layer.FindOrOpen(str(result.look_layer))).settings["layer"]
     assert (layer["material"], layer["material_targets"]) == ("replace", ["arnold"])
