@@ -17,8 +17,9 @@ from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.smoke.srgb import encode_srgb, scale_style
+from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.targets import make_targets
+from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.vdb.read import GridRequest, read_grids
 

@@ -10,7 +10,8 @@ import pytest
 
 from tests.pipeline_fixtures import PROJECT, make_style
 from tests.stylize_fixtures import scene_of
-from usdsmoke.core.sequence.calibrate import LEAST_MOVE, calibrate
+from usdsmoke.base.frame_report import LEAST_MOVE
+from usdsmoke.core.sequence.calibrate import calibrate
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
 from usdsmoke.pipeline import StylizeResult, stylize

@@ -7,6 +7,7 @@ Nothing here loads USD, OpenVDB or torch.
 - ``setting_model``, ``settings``: what a setting is; all settings of a run, and which are explicit
 - ``resolve``: settings from files, mappings and texts, in order of precedence
 - ``volume``: records of Volumes, fields and frames
+- ``storage``: pruning and 16-bit floats: what a file keeps of values
 - ``frame_report``: what the core reports of a frame, and while it works
 - ``record_format``, ``json_records``: digests, run ids and dates; records as JSON
 - ``time_codes``, ``naming``: timeCodes and frame ranges; names of files, grids and paths

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 
 from usdsmoke.base.json_records import JsonRecord
 
+LEAST_MOVE = 0.05  # voxels; smoke that moved less says nothing about its transport
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -2,7 +2,7 @@
 
 All formulae and their constants are in this file. N is the number of active voxels and B that of
 the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
-of a picture, V the pictures per iteration, L the views in the pool, S the style images, and s an
+of a picture, L the views in the pool, V those an iteration draws, S the style images, and s an
 octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
@@ -28,10 +28,15 @@ from dataclasses import dataclass, replace
 
 from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
-from usdsmoke.base.sections import LayerConfig, ViewsConfig
+from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.core.smoke.schedule import (
+    OCTAVE_SCALE,
+    octave_iterations,
+    pool_size,
+    warm_iterations,
+)
 from usdsmoke.vdb.header import GridHeader
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
@@ -71,6 +76,11 @@ class FrameSize:
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
+
+    @property
+    def is_thin(self) -> bool:
+        """True if the smoke is one voxel thick along one axis."""
+        return self.box.count(1) == 1
 
 
 @dataclass(frozen=True)
@@ -149,11 +159,6 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
     return active, box or (0, 0, 0)
 
 
-def n_different_views(views: ViewsConfig) -> int:
-    """Number of views that a run draws from: one if both ranges are zero, else ``views.pool``."""
-    return 1 if views.azimuth == 0 and views.elevation == 0 else max(views.pool, views.count)
-
-
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     """Active voxels and voxels of the box after subdivision, which leaves thin axes alone."""
     finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
@@ -180,7 +185,7 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
         per_box_voxel += BOX_BYTES_SHAPE
     if not frame.window_start:
         per_box_voxel += BOX_BYTES_WARM
-    per_voxel = VOXEL_BYTES + n_different_views(config.views) * VIEW_BYTES
+    per_voxel = VOXEL_BYTES + pool_size(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
     mask = MASK_BYTES * math.prod(frame.mask_box)
     return BASE + per_box_voxel * box + mask + active * per_voxel + pictures
@@ -205,13 +210,15 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     if not frame.window_start and finest == 1.0:
         octaves = warm_iterations(octaves, config.windows.warm_iterations)
+    n_pool = pool_size(config.views)
+    n_drawn = min(config.views.count, n_pool)
     work = 0.0
     for number, n_iterations in enumerate(octaves):
         scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
         if n_iterations == 0 or scale > finest:
             continue
-        iteration = config.views.count * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
-        drawn = min(n_different_views(config.views), n_iterations * config.views.count)
+        iteration = n_drawn * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
+        drawn = min(n_pool, n_iterations * n_drawn)
         work += n_iterations * (ITERATION + iteration) + drawn * VIEW_TIME * active * scale**3
         if step == "shape":
             work += (MAP_TIME * active + BOX_TIME * box) * scale**3

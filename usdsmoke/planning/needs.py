@@ -9,10 +9,9 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.core.sequence.controls import SETTINGS, in_effect
-from usdsmoke.core.smoke.schedule import octave_iterations
+from usdsmoke.core.smoke.schedule import has_one_view, octave_iterations, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
-from usdsmoke.planning.estimate import n_different_views
 from usdsmoke.planning.materials import hidden_look, materials_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
@@ -147,7 +146,9 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
             needed.append("the motion of the smoke, estimated from neighbours (stage.motion)")
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
-        n_views = n_different_views(config.views)
+        filled = [frame for frame in frames if not frame.is_empty]
+        is_thin = bool(filled) and all(frame.size.is_thin for frame in filled)
+        n_views = pool_size(config.views, is_thin)
         count = count_text(min(config.views.count, n_views), "view")
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
@@ -266,7 +267,7 @@ def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
 
 def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
     omitted = []
-    if n_different_views(config.views) == 1:
+    if has_one_view(config.views):
         omitted.append(Omission("other views", "views.azimuth and views.elevation are 0"))
     if not takes_effect(config, volumes):
         return omitted

@@ -12,8 +12,9 @@ from usdsmoke.base.naming import EMISSION, colour_names
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
+from usdsmoke.base.storage import prune_fields
 from usdsmoke.base.volume import DenseField, WrittenFrame
-from usdsmoke.core.sequence.storage_error import pruned, storage_errors
+from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
@@ -47,7 +48,7 @@ def result_fields(
     Returns:
         Density and emission, pruned, and the other grids that are asked for; the report.
     """
-    density, *emissions = kept = pruned(fields, config.grids.prune)
+    density, *emissions = kept = prune_fields(fields, config.grids.prune)
     colours = [
         grid
         for emission in emissions

@@ -12,6 +12,7 @@ import numpy as np
 from usdsmoke.base.errors import GridError, NonFiniteError, WriteFailed
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.storage import LARGEST_HALF, round_to_half
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb import child
 from usdsmoke.vdb.boxes import crop_to_active
@@ -20,7 +21,6 @@ from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-_LARGEST_HALF = 65504.0
 _INT64 = 2**63
 _VECTOR_TYPES = (
     "invariant",
@@ -151,13 +151,13 @@ def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
         )
     if half:
         largest = max(np.abs(values).max(initial=0.0), np.abs(background).max())
-        if largest > _LARGEST_HALF:
+        if largest > LARGEST_HALF:
             raise WriteFailed(
                 f'cannot write grid "{field.name}" of {target.name} in 16-bit floats: its largest '
-                f"value is {largest:g}, above {_LARGEST_HALF:g}. Unset grids.half (--half)."
+                f"value is {largest:g}, above {LARGEST_HALF:g}. Unset grids.half (--half)."
             )
-        values = values.astype(np.float16).astype(np.float32)
-        background = background.astype(np.float16).astype(np.float32)
+        values = round_to_half(values)
+        background = round_to_half(background)
     if is_vector:
         background = np.broadcast_to(background, (3,))
     return dataclasses.replace(

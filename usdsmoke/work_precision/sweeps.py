@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.core.style.layers import find_vgg19_file, named_vgg19_file
 from usdsmoke.planning.plan import Plan as RunPlan
 from usdsmoke.work_precision.case import Case
@@ -124,6 +125,8 @@ def _views(case: Case) -> Plan:
 def _single_sided(case: Case) -> str:
     if case.small_smoke.thin_axis is not None:
         return "the smoke is one voxel thick and is seen from one side only"
+    if has_one_view(case.config.views):
+        return "views.azimuth and views.elevation are 0: the smoke is seen from one side only"
     return _no_style(case)
 
 
@@ -281,7 +284,7 @@ def _style_patches(case: Case) -> "Tensor":
     """Patches of the first style at the pictures' size, [N D]."""
     import torch
 
-    from usdsmoke.core.smoke.srgb import scale_style
+    from usdsmoke.core.style.style_image import scale_style
 
     style = scale_style(
         case.styles[0], case.small_scene.image_size, case.config.style, torch.zeros(())

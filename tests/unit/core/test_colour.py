@@ -9,12 +9,13 @@ from tests.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
-from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, scale_style
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.colour import initial_colours, optimize_colours, run_colour_step
 from usdsmoke.core.steps.optimize import Descent, Minimum
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
 from usdsmoke.core.style.losses import PictureLoss
+from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene, frame_views
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)

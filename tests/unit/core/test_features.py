@@ -10,7 +10,6 @@ from torch import Tensor
 from tests.smoke_fixtures import random_style
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.sections import FeaturesConfig, StyleConfig
-from usdsmoke.core.smoke.srgb import match_grey, scale_style
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import (
     EmbeddedFeatures,
@@ -21,6 +20,7 @@ from usdsmoke.core.style.features import (
 )
 from usdsmoke.core.style.layers import layer_names, style_layers
 from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.style_image import match_grey, scale_style
 
 STYLE = torch.from_numpy(random_style(40, 48))
 

@@ -6,7 +6,8 @@ import torch
 
 from tests.smoke_fixtures import random_style
 from usdsmoke.base.sections import StyleConfig
-from usdsmoke.core.smoke.srgb import SMALLEST, decode_srgb, encode_srgb, match_grey, scale_style
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
+from usdsmoke.core.style.style_image import SMALLEST, match_grey, scale_style
 
 LIKE = torch.zeros(())
 

@@ -16,8 +16,9 @@ from usdsmoke.base.frame_report import (
     TransportReport,
 )
 from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.storage import prune_fields
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.sequence.storage_error import pruned, storage_errors
+from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget
 from usdsmoke.ui.cli.text import budget_text
 
@@ -134,7 +135,7 @@ def test_pruning_loses_the_share_of_the_thin_smoke() -> None:
     ]
     found = [lost.storage_density.value, lost.storage_emission.value]
     assert found == pytest.approx(shares, rel=1e-6)
-    assert (pruned([density, emission], 0.25)[1].values[thin] == 0).all()
+    assert (prune_fields([density, emission], 0.25)[1].values[thin] == 0).all()
 
 
 def test_half_floats_lose_a_quarter_of_their_unit_on_average() -> None:

@@ -1,7 +1,7 @@
 """What a scene's errors are before a run: measured on one frame, stylized in short.
 
 The pilot is the run's own pipeline at full resolution, with some of its iterations: a small part of
-a shot's time, and a displacement, strokes and losses such as a run has them. ``error_choice``
+a shot's time, and a displacement, strokes and losses such as a run has them. ``runs.budget.choice``
 chooses from these figures.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.frame_report import FrameReport, StepReport
+from usdsmoke.base.frame_report import LEAST_MOVE, FrameReport, StepReport
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
@@ -27,6 +27,7 @@ from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
 from usdsmoke.core.sequence.picture_errors import fit_blocks, resolution_error
 from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.core.sequence.stylize import stylized_frame
+from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
 __all__ = ["calibrate"]
@@ -35,7 +36,6 @@ MOST_VOXELS = 8  # a pixel's side
 SHARES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # of the mass, to be pruned
 FINEST_ITERATIONS = 32  # of the pilot's last octave: fewer tell little of a tail
 COARSE_ITERATIONS = 20  # at most, of those before
-LEAST_MOVE = 0.05  # voxels; a pilot that moved less tells nothing of the transport
 LEAST_SHARE = 1e-3  # of a fall that a pilot's tail can tell
 
 
@@ -72,6 +72,7 @@ def calibrate(
     if finished.left_out:
         return {}
     done = stylized_frame(finished, context)
+    n_views = pool_size(pilot.views, finished.source.thin_axis is not None)
     quadrature, unseen = done.report.errors.quadrature, done.report.errors.unseen_views
     fields = [field for field in (done.density, done.emission) if field is not None]
     return {
@@ -82,8 +83,8 @@ def calibrate(
         "half": _half(fields),
         "prune": _prune_levels(done.density.values),
         "steps": {name: _step(step) for name, step in done.report.steps.items()},
-        "view_deviation": _view_deviation(done.report, pilot),
-        "unseen_views": None if unseen is None else [pilot.views.pool, unseen.value],
+        "view_deviation": _view_deviation(done.report, n_views),
+        "unseen_views": None if unseen is None else [n_views, unseen.value],
         "seconds": time.perf_counter() - started,
     }
 
@@ -199,6 +200,6 @@ def _step(report: StepReport) -> dict[str, Any]:
     }
 
 
-def _view_deviation(report: FrameReport, config: Config) -> float:
+def _view_deviation(report: FrameReport, n_views: int) -> float:
     spread = report.last_step.view_spread if report.last_step is not None else None
-    return (spread or 0.0) * math.sqrt(config.views.pool)
+    return (spread or 0.0) * math.sqrt(n_views)

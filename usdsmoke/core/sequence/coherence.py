@@ -86,25 +86,25 @@ def _voxels_per_second(velocity: DenseField, device: torch.device) -> Tensor:
 
 
 def carry_displacement(
-    before: Displacement, frame: VolumeFrame, lattice: Lattice, seconds: float
+    before: Displacement, mover: VolumeFrame, lattice: Lattice, seconds: float
 ) -> Tensor:
     """A neighbouring frame's displacement on this frame's box, [I J K 3], along its axes.
 
     Args:
         before: the neighbour's.
-        frame: this frame, for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         lattice: of this frame.
         seconds: time since the neighbour; negative when it is later.
     """
     values = before.values
-    trace, moved = trace_back(frame, seconds, values.device), before.planar()
+    trace, moved = trace_back(mover, seconds, values.device), before.planar()
     return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(trace(places))), values)
 
 
 def carry_colours(
     before: ActiveSmoke,
     colours: Tensor,
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     smoke: ActiveSmoke,
     seconds: float,
     seed: int,
@@ -113,12 +113,12 @@ def carry_colours(
 
     Args:
         before, colours: the neighbour's smoke and its colours.
-        frame: this frame, for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         smoke: this frame's smoke.
         seconds: time between the two frames; negative when the neighbour is later.
         seed: see ``fill_colours``.
     """
-    departures = departure_points(frame, smoke.positions, seconds)
+    departures = departure_points(mover, smoke.positions, seconds)
     return fill_colours(before, colours, smoke, departures, seed)
 
 
@@ -153,17 +153,17 @@ def fill_colours(
 
 
 def average_displacement(
-    own: Displacement, later: Displacement, frame: VolumeFrame, seconds: float, share: float
+    own: Displacement, later: Displacement, mover: VolumeFrame, seconds: float, share: float
 ) -> Displacement:
     """A frame's displacement, averaged with the following frame's carried back to it.
 
     Args:
         own, later: of the frame and of the one that follows.
-        frame: for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         seconds: until the later frame, > 0.
         share: of the later frame, in [0, 1].
     """
-    carried = own.lattice.to_stage(carry_displacement(later, frame, own.lattice, -seconds))
+    carried = own.lattice.to_stage(carry_displacement(later, mover, own.lattice, -seconds))
     return Displacement(torch.lerp(own.values, carried, share), own.lattice)
 
 
@@ -171,7 +171,7 @@ def average_colours(
     smoke: ActiveSmoke,
     colours: Tensor,
     later: tuple[ActiveSmoke, Tensor],
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     seconds: float,
     share: float,
 ) -> Tensor:
@@ -179,26 +179,26 @@ def average_colours(
 
     Smoke that is gone in the later frame keeps its own.
     """
-    departures = departure_points(frame, smoke.positions, -seconds)
+    departures = departure_points(mover, smoke.positions, -seconds)
     carried, near = sample_colours(*later, departures)
     return torch.lerp(colours, carried, share * near.clamp(0, 1))
 
 
 def share_from(
-    before: ActiveSmoke, smoke: ActiveSmoke, frame: VolumeFrame, seconds: float
+    before: ActiveSmoke, smoke: ActiveSmoke, mover: VolumeFrame, seconds: float
 ) -> float:
     """The share of a frame's smoke that comes from smoke of the frame before, by mass.
 
     Args:
         before: the earlier frame's.
         smoke: the frame's; some thousand of its voxels are looked at.
-        frame: the earlier one, for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         seconds: between the two.
     """
     chosen = torch.zeros(len(smoke.ijk), dtype=torch.bool, device=smoke.ijk.device)
     chosen[:: max(1, len(smoke.ijk) // MOST_TRACED)] = True
     some = bounded(smoke).take(chosen)
-    departures = departure_points(frame, some.positions, seconds)
+    departures = departure_points(mover, some.positions, seconds)
     _, near = sample_colours(before, torch.ones_like(before.density)[:, None], departures)
     mass = some.density.double()
     return float(mass[near[:, 0] > NEAR].sum() / mass.sum())
@@ -208,11 +208,11 @@ def displacement_error(
     before: Displacement,
     own: Displacement,
     smoke: ActiveSmoke,
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     seconds: float,
 ) -> float:
     """Temporal error of the displacement over a frame's (source) smoke; 0 when nothing moves."""
-    carried = before.at(departure_points(frame, smoke.positions, seconds))
+    carried = before.at(departure_points(mover, smoke.positions, seconds))
     return _relative(own.at(smoke.positions), carried, smoke.density)
 
 
@@ -220,12 +220,12 @@ def colour_error(
     before: tuple[ActiveSmoke, Tensor],
     smoke: ActiveSmoke,
     colours: Tensor,
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     seconds: float,
 ) -> float | None:
     """Temporal error of display-encoded colours, over smoke that was there before; None if none
     was."""
-    departures = departure_points(frame, smoke.positions, seconds)
+    departures = departure_points(mover, smoke.positions, seconds)
     carried, near = sample_colours(*before, departures)
     there = near[:, 0] > NEAR
     return (

@@ -39,7 +39,7 @@ from usdsmoke.core.sequence.frame_state import (
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
 from usdsmoke.core.smoke.active import activate
-from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
+from usdsmoke.core.smoke.schedule import octave_iterations, pool_size, warm_iterations
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
@@ -338,7 +338,7 @@ def _iterations(per_octave: Sequence[int], frame: OpenedFrame, is_warm: bool) ->
 def _step_report(ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:
     """How the octaves of a step ended."""
     views = frame.config.views
-    pool = views.pool if frame.source.thin_axis is None else 1
+    pool = pool_size(views, frame.source.thin_axis is not None)
     return StepReport(
         seconds=time.perf_counter() - started,
         loss=tuple(end.smoothed for end in ends),

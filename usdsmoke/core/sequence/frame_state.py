@@ -15,12 +15,12 @@ from torch import Tensor
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress, ProgressCallback
 from usdsmoke.base.settings import Config
+from usdsmoke.base.storage import check_half
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.core.sequence.start import Carried, CoarseStart
-from usdsmoke.core.sequence.storage_error import check_half
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum

@@ -58,7 +58,7 @@ class CoarseStart:
 def start_displacement(
     before: Displacement | None,
     coarse: CoarseStart | None,
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     seconds: float,
     lattice: Lattice,
 ) -> Tensor:
@@ -67,7 +67,7 @@ def start_displacement(
     Args:
         before: the neighbour's.
         coarse: this frame's.
-        frame: for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         seconds: since the neighbour.
         lattice: of this frame, at any octave.
     """
@@ -76,7 +76,7 @@ def start_displacement(
         if shared is None:
             return torch.zeros(*lattice.shape, 3)
         return shared.on(lattice)
-    carried = carry_displacement(before, frame, lattice, seconds)
+    carried = carry_displacement(before, mover, lattice, seconds)
     if shared is None:
         return carried
     in_stage = Displacement(lattice.to_stage(carried), lattice)
@@ -88,7 +88,7 @@ def start_displacement(
 def start_colours(
     before: tuple[ActiveSmoke, Tensor] | None,
     coarse: CoarseStart | None,
-    frame: VolumeFrame,
+    mover: VolumeFrame,
     painted: ActiveSmoke,
     seconds: float,
     seed: int,
@@ -98,7 +98,7 @@ def start_colours(
     Args:
         before: the neighbour's painted smoke and its colours.
         coarse: this frame's.
-        frame: for its velocity.
+        mover: the earlier of the two frames: its velocity carries smoke to the later one.
         painted: this frame's painted smoke.
         seconds: since the neighbour.
         seed: of the noise for new smoke.
@@ -112,7 +112,7 @@ def start_colours(
         if shared is None:
             return None
         return fill_colours(*shared, painted, painted.positions, seed)
-    carried = carry_colours(*before, frame, painted, seconds, seed)
+    carried = carry_colours(*before, mover, painted, seconds, seed)
     if shared is None:
         return carried
     missing = _coarse_difference(*shared, painted, carried)

@@ -5,6 +5,6 @@
 - ``levels``: what counts as ordinary density, whatever the densest voxels hold
 - ``memory``: long tensors in chunks, lazy lists, sums whose graph is freed term by term
 - ``noise``: white noise as a function of voxel, channel and seed
-- ``schedule``: iterations of each octave; without torch
-- ``srgb``: colour spaces, and the style image at the scale of a picture
+- ``schedule``: iterations of each octave, number of views; without torch
+- ``srgb``: colour spaces
 """

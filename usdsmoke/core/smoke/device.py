@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.machine import usable_cpus
 from usdsmoke.base.sections import OptimizeConfig
 
 # Variables by which libraries under torch take other instructions than the processor offers.
@@ -38,7 +39,7 @@ def choose_device(config: OptimizeConfig) -> torch.device:
             f"optimize.device {config.device!r} is not available. "
             f"Use one of auto, {', '.join(available)}."
         )
-    torch.set_num_threads(config.threads or _usable_cpus())
+    torch.set_num_threads(config.threads or usable_cpus())
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return device
@@ -70,7 +71,7 @@ def describe_machine(config: OptimizeConfig) -> Machine:
     limits = [f"{name}={os.environ[name]}" for name in _LIMITS if os.environ.get(name)]
     if device.type == "cuda":
         limits.append(torch.cuda.get_device_name(device))
-    return Machine(config.threads or _usable_cpus(), device.type, ", ".join([kind, *limits]))
+    return Machine(config.threads or usable_cpus(), device.type, ", ".join([kind, *limits]))
 
 
 def _parse_device(name: str) -> torch.device | None:
@@ -78,10 +79,3 @@ def _parse_device(name: str) -> torch.device | None:
         return torch.device(name)
     except RuntimeError:  # not a name that torch knows
         return None
-
-
-def _usable_cpus() -> int:
-    """Processors that this process may use, if the system reports them."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -1,6 +1,8 @@
-"""How many iterations each octave gets; no torch here, because the plan uses it."""
+"""How many iterations each octave gets, and how many views; no torch, because the plan asks too."""
 
 from collections.abc import Sequence
+
+from usdsmoke.base.sections import ViewsConfig
 
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
@@ -37,3 +39,23 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
     """
     finest = max((k for k, n in enumerate(per_octave) if n), default=None)
     return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]
+
+
+def has_one_view(views: ViewsConfig, is_thin: bool = False) -> bool:
+    """True if smoke is seen from one side only, whatever ``views.pool`` is.
+
+    Args:
+        is_thin: the smoke is one voxel thick, see ``ActiveSmoke.thin_axis``.
+    """
+    return is_thin or (views.azimuth == 0 and views.elevation == 0)
+
+
+def pool_size(views: ViewsConfig, is_thin: bool = False) -> int:
+    """Number of different views that the iterations of an octave draw from, at least 1.
+
+    An iteration draws ``views.count`` of them, or all if there are fewer.
+
+    Args:
+        is_thin: see ``has_one_view``.
+    """
+    return 1 if has_one_view(views, is_thin) else views.pool

@@ -11,15 +11,16 @@ from torch import Tensor
 from usdsmoke.base.sections import LossesConfig, StyleConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.smoke.srgb import decode_srgb, luminance, match_grey, scale_style
+from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import content_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
+from usdsmoke.core.style.style_image import match_grey, scale_style
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
 
-class StyleImage:
+class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
 
     Args:
@@ -50,7 +51,7 @@ class StyleImage:
 class StyleTargets:
     """Style images with their shares; what is measured on an image is kept."""
 
-    images: tuple[StyleImage, ...]
+    images: tuple[StyleFeatures, ...]
     shares: tuple[float, ...]  # of the images, adding up to 1
     losses: LossesConfig
     device: torch.device
@@ -59,7 +60,7 @@ class StyleTargets:
         """The same images with other ``weights``.
 
         Raises:
-            ConfigError: see ``config.style_shares``.
+            ConfigError: see ``base.settings.style_shares``.
         """
         return replace(self, shares=tuple(style_shares(config, len(self.images))))
 
@@ -85,7 +86,7 @@ class StyleTargets:
         return PictureLoss(targets, [share for share, _ in self._used], self.losses)
 
     @property
-    def _used(self) -> list[tuple[float, StyleImage]]:
+    def _used(self) -> list[tuple[float, StyleFeatures]]:
         pairs = zip(self.shares, self.images, strict=True)
         return [(share, image) for share, image in pairs if share > 0]
 
@@ -113,7 +114,7 @@ def make_targets(
         device: where the features are computed.
 
     Raises:
-        ConfigError: see ``layers.style_layers`` and ``config.style_shares``.
+        ConfigError: see ``layers.style_layers`` and ``base.settings.style_shares``.
     """
     features, seed = config.features, config.optimize.seed
     layers = {name: config.losses.style * weight for name, weight in style_layers(features).items()}
@@ -128,6 +129,6 @@ def make_targets(
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         return StyleTarget(style, network_for()(style), layers, config.losses, content, seed)
 
-    images = tuple(StyleImage(pixels, make_target) for pixels in styles)
+    images = tuple(StyleFeatures(pixels, make_target) for pixels in styles)
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)

@@ -6,6 +6,7 @@
 - ``layers``: the layers of each network, the defaults, the file of VGG-19's weights
 - ``features``: feature maps of a picture; the embedded network
 - ``vgg19``: the VGG-19 network
+- ``style_image``: the style image at the scale of a picture
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``content``: distances of a picture from its content picture
 - ``losses``: the loss of a picture: Gram matrices or distributions, content, total variation

@@ -15,6 +15,7 @@ from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.levels import bounded, ranked
+from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.visibility import nearest_footprint, visible_part
@@ -127,8 +128,7 @@ def frame_views(
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
-    one = views.azimuth == 0 and views.elevation == 0
-    angles = sample_angles(views, 1 if one else views.pool, seed)
+    angles = sample_angles(views, pool_size(views), seed)
     if scene.camera is not None:
         target = _middle(smoke)
         return [

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from usdsmoke.base.frame_report import LEAST_MOVE
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
     QUADRATURE,
@@ -27,7 +28,6 @@ FEWEST_ITERATIONS, LARGEST_FACTOR = 10, 10.0
 USUAL_HALF = 15.0  # iterations, the "a" below; plumes that were measured have 10 to 20
 HARDLY_FALLEN = 0.9  # share of its fall still ahead of a pilot; above it, the fit means nothing
 LEAST_LOSS = 0.05  # of a pilot's loss that is expected to stay
-LEAST_MOVE = 0.05  # voxels, below which a pilot has not moved its smoke
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER, "colour": COLOUR_OPTIMISER}
 
 

@@ -1,0 +1,53 @@
+"""The style image at the scale of the rendered picture, and with its grey levels."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.base.sections import StyleConfig
+from usdsmoke.core.smoke.srgb import luminance
+
+SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
+
+
+def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor) -> Tensor:
+    """The style image tiled and resized for pictures of a given size, [h w 3].
+
+    Args:
+        style: [H W 3], display-encoded, in [0, 1].
+        longer_side: pixels of the rendered picture's longer side.
+        config: ``tiling`` repeats the image, ``size`` enlarges its structures.
+        like: gives dtype and device.
+    """
+    pixels = torch.as_tensor(np.ascontiguousarray(style)).to(like).permute(2, 0, 1)[None]
+    height, width = pixels.shape[-2:]
+    scale = longer_side * config.size / config.tiling / max(height, width)
+    size = [max(1, round(height * scale)), max(1, round(width * scale))]
+    if size != [height, width]:
+        pixels = F.interpolate(
+            pixels, size=size, mode="bilinear", antialias=True, align_corners=False
+        )
+    pixels = pixels.repeat(1, 1, config.tiling, config.tiling)
+    height, width = pixels.shape[-2:]
+    if min(height, width) < SMALLEST:
+        factor = SMALLEST / min(height, width)
+        size = [round(height * factor), round(width * factor)]
+        pixels = F.interpolate(pixels, size=size, mode="nearest")
+    return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+
+
+def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
+    """The style's luminance with the mean and contrast of the smoke's grey pictures, [H W 3].
+
+    Unmatched, the first Gram losses are huge and the optimiser only chases contrast.
+
+    Args:
+        style: [H W 3], display-encoded.
+        mean, deviation: of the grey level inside the smoke's silhouette.
+    """
+    light = luminance(style)
+    spread = light.std(correction=0).clamp_min(1e-4)
+    contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
+    matched = (light - light.mean()) / spread * contrast + mean
+    return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()
