@@ -13,7 +13,7 @@ MODULES = read_modules()
 SETTINGS = {name: set(section) for name, section in Config().model_dump().items()}
 QUOTED = re.compile(r"`([A-Za-z_][\w.]*)`")
 FILE_ENDS = ("json", "usda", "vdb", "npy", "yaml", "j2", "py")
-OF_TORCH = {"grid_sample"}
+OF_OTHERS = {"grid_sample", "node.output", "pbrlib_defs", "stdlib_defs"}  # torch, MaterialX
 
 
 @cache
@@ -90,10 +90,12 @@ def leads_to_a_module(name: str) -> bool:
 
 
 def is_known(name: str, module: Module) -> bool:
+    if name in OF_OTHERS:
+        return True
     first, _, rest = name.partition(".")
     if not rest:  # only names of several words: a single one may be a value or a foreign word
         whole = re.fullmatch(r"[a-z]+(_[a-z]+)+", name)
-        return not whole or name in identifiers() | OF_TORCH
+        return not whole or name in identifiers()
     if name.endswith(FILE_ENDS) or rest.split(".")[0] in SETTINGS.get(first, ()):
         return True
     if leads_to_a_module(name):

@@ -45,6 +45,9 @@ def check_half(density: DenseField, time_code: float, gamma_w: float, config: Co
         time_code: of the frame.
         gamma_w: extinction per density, 1/stage unit.
         config: grids and steps.
+
+    Raises:
+        ConfigError: with the largest number and the one that can be held.
     """
     if not config.grids.half:
         return
