@@ -101,11 +101,39 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(
     assert file_hashes(shot.folder) == before
 
 
+@pytest.mark.parametrize("window", ["7", "-1"])
+def test_a_dry_run_refuses_a_window_that_there_is_not(
+    shot: Shot, capsys: pytest.CaptureFixture[str], window: str
+) -> None:
+    assert main(shot.arguments("--dry-run", "--window", window)) == 1
+    assert f"there is no window {window}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["stylise", "shot.usda"], "stylize"),
+        (["stylize", "shot.usda", "-o", "look", "--stile", "a.png"], "--style"),
+        (["validate", "shot.usda", "--junot", "a.xml"], "--junit"),
+    ],
+)
+def test_an_unknown_command_or_option_names_the_nearest(
+    arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert f"Did you mean {meant}?" in capsys.readouterr().err
+
+
 def test_the_plan_lists_its_windows_by_number_where_there_are_several(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(shot.arguments("--dry-run", "--set", "windows.size=2")) == 0
-    assert "windows\n  0: 1,2, overlap to 3 of </World/smoke>\n  1: 3 of" in capsys.readouterr().out
+    assert (
+        "windows\n  window 0: </World/smoke> timeCodes 1,2, and 3 shared with window 1\n"
+        "  window 1: </World/smoke> timeCodes 3\n"
+    ) in capsys.readouterr().out
     assert main(shot.arguments("--dry-run")) == 0
     assert "windows\n" not in capsys.readouterr().out
 

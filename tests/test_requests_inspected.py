@@ -57,6 +57,30 @@ def inspected(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, 
     return found
 
 
+def test_a_request_that_cannot_be_read_is_a_problem_beside_its_volume(
+    stage: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = stage.read_text("utf-8")
+    stage.write_text(text.replace("request:gamma = 0.5", "request:gamma = -1"), "utf-8")
+    assert main(["inspect", str(stage), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [volume["prim_path"] for volume in found["volumes"]] == ["/World/smoke"]
+    (problem,) = found["problems"]
+    assert "request:gamma" in problem and "-1" in problem
+
+
+def test_a_stage_of_invisible_volumes_is_described(
+    stage: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = stage.read_text("utf-8")
+    stage.write_text(text.replace("int64", 'token visibility = "invisible"\nint64', 1), "utf-8")
+    assert main(["inspect", str(stage), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [volume["prim_path"] for volume in found["volumes"]] == ["/World/smoke"]
+    (problem,) = found["problems"]
+    assert "invisible" in problem and "--prim" in problem
+
+
 def test_every_value_comes_with_whose_word_it_is(
     stage: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,5 +1,6 @@
 """A result made again from its own record, and compared with the recorded content."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -8,7 +9,7 @@ from pathlib import Path
 from usdsmoke.audit.inputs import recorded_config, shown
 from usdsmoke.audit.record import FoundRecord, find_records
 from usdsmoke.audit.verification import verify_inputs
-from usdsmoke.base.errors import LayerError
+from usdsmoke.base.errors import LayerError, OutputExists
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pipeline import StylizeResult, stylize
@@ -51,6 +52,7 @@ def rerun(
         LayerError: there is no record, more than one, or one without paths; or inputs have changed
             (named), without ``force``.
         ConfigError: this version of usdsmoke knows other settings.
+        OutputExists: ``output`` holds the result itself, without ``force``.
         UsdSmokeError: see ``pipeline.stylize``.
     """
     item = _nearest(find_records(file))
@@ -62,6 +64,10 @@ def rerun(
         )
     if not force:
         _refuse_changes(item)
+        if Path(os.path.realpath(output)) == Path(os.path.realpath(item.folder)):
+            raise OutputExists(
+                f"{output} holds the result that is to be repeated. Give another folder with -o."
+            )
     config = recorded_config(item)
     # the settings that were chosen for a tolerance are in the record, and are not chosen again
     config = config.replace(optimize=config.optimize.replace(target_error=None))

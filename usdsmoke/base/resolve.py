@@ -4,6 +4,7 @@ The precedence is: default, a file of settings (``--config``), a Volume's own re
 explicitly for this run (options, mappings, texts).
 """
 
+import difflib
 import math
 import os
 from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -231,8 +232,10 @@ def _read_file(file_path: Path) -> dict[str, Any]:
 def _read_text(text: str, source: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     name = name.strip()
-    if not equals or "." not in name:
+    if not equals:
         raise ConfigError(f"cannot read the setting {text!r}. Write it as windows.size=3.")
+    if "." not in name:
+        raise ConfigError(f"the setting {name!r} has no section. {_with_section(name)}")
     flatten_settings({name: None}, source)
     try:
         return name, _read_yaml(value)
@@ -241,6 +244,16 @@ def _read_text(text: str, source: str) -> tuple[str, Any]:
             f"cannot read the value of {name} ({value!r:.99}). "
             'Write it as YAML: 3, true, [1, 2] or "text".'
         ) from None
+
+
+def _with_section(name: str) -> str:
+    """What to do about a setting that is named without its section."""
+    known = [full for full in declared_settings() if full.partition(".")[2] == name]
+    if not known:
+        close = difflib.get_close_matches(name, list(declared_settings()), n=3, cutoff=0.5)
+        known = close or ["windows.size"]
+        return f"Write SECTION.NAME=VALUE, such as {known[0]}=VALUE."
+    return f"Did you mean {', '.join(known)}?"
 
 
 def _yaml_problem(error: Exception) -> str:

@@ -20,18 +20,17 @@ _PER_VOXEL = "1/(voxel of the source grid) per unit of density"
 class StageConfig(Section):
     """What is read from the stage."""
 
-    prims: list[str] = setting([], "Volume prim paths; empty: every Volume", distinct=True)
+    prims: list[str] = setting([], "Volume prim paths; empty: every visible Volume", distinct=True)
     frames: str = setting(
         "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
     allow_missing: bool = setting(
-        False, "leave out timeCodes that frames names but that do not exist, and those whose file "
-        "is missing")
+        False, "leave out the timeCodes of stage.frames at which no density is authored, and all "
+        "timeCodes whose file is missing")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")
     velocity_unit: Literal["second", "frame"] = setting(
-        "second", "time unit of the velocity: second, or frame (one timeCode; framesPerSecond is "
-        "ignored)")
+        "second", "the velocity is in grid-world units per second, or per timeCode (frame)")
     motion: Literal["velocity", "estimate"] = setting(
         "velocity", "what carries results from frame to frame: the velocity field, or a velocity "
         "estimated from the densities of neighbouring frames")
@@ -117,10 +116,11 @@ class OpticsConfig(Section):
     """How opaque the smoke is."""
 
     gamma: float | None = setting(
-        None, "extinction of the colour step; unset: chosen by depth; the paper shows 0.001, 0.1, "
-        "0.5, 1", gt=0, unit=_PER_VOXEL, request="gamma", control="gamma")
+        None, "extinction of the colour step; higher is more opaque; unset: chosen from "
+        "optics.depth; the paper shows 0.001, 0.1, 0.5, 1", gt=0, unit=_PER_VOXEL, request="gamma",
+        control="gamma")
     gamma_shape: float | None = setting(
-        None, "extinction of the shape step's grey images; unset: chosen by depth_shape",
+        None, "extinction of the shape step's grey images; unset: chosen from optics.depth_shape",
         gt=0, unit=_PER_VOXEL, request="gammaShape")
     depth: float = setting(
         4.0, "optical depth that the thick columns should have; used to choose gamma if it is "
@@ -154,7 +154,8 @@ class FeaturesConfig(Section):
     content_layers: list[str] = setting(
         [], "layers that losses.content compares; empty: the deepest style layer", distinct=True)
     vgg19_file: str = setting(
-        "", "parameters of VGG-19, a torchvision state dict or safetensors file; empty: search")
+        "", "parameters of VGG-19, a torchvision state dict or safetensors file; empty: the file "
+        "that USDSMOKE_VGG19 names, then torch's hub cache")
 
 
 class LossesConfig(Section):
@@ -229,17 +230,20 @@ class OptimizeConfig(Section):
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
         "lists as they are", ge=1, unit="iterations", request="iterations")
     tolerance: float = setting(
-        2e-3, "an octave stops when its loss falls by less than this share; 0: never", ge=0)
+        2e-3, "stopping threshold of the optimiser: an octave stops when its loss falls by less "
+        "than this share; 0: never; not --tolerance, which is optimize.target_error", ge=0)
     target_error: float | None = setting(
         None, "largest acceptable error. Image size, views, iterations, transport and storage are "
-        "chosen to meet it, except those that you set; unset: nothing is chosen", gt=0, le=1)
+        "chosen to meet it, except those that you set; unset: nothing is chosen; not the "
+        "optimiser's stopping threshold, which is optimize.tolerance", gt=0, le=1)
     strength: float = setting(
         1.0, "share of the effect that is kept; 0 returns the source",
         ge=0, le=1, request="strength", control="strength")
     error_budget: bool = setting(
         True, "estimate the remaining errors from a few images of every finished frame")
     seed: int = setting(0, "seed for all random numbers", ge=0, le=2**63 - 1, request="seed")
-    device: str = setting("auto", "auto, cpu or cuda")
+    device: str = setting(
+        "auto", "auto, cpu or cuda", pattern=r"auto|cpu|cuda(:\d+)?", form="auto, cpu or cuda")
     threads: int = setting(
         0, "CPU threads of the whole run; 0: all that are available when the run starts", ge=0)
     memory_limit_gib: float | None = setting(

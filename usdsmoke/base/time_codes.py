@@ -1,9 +1,11 @@
 """Selections of timeCodes: "1-24x2,30" into ranges, ranges into those that exist, and back."""
 
 import re
+import statistics
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 from usdsmoke.base.errors import ConfigError
@@ -80,6 +82,26 @@ def select_frames(
     requested = {code for part in ranges for code in part.requested()}
     missing = tuple(sorted(code for code in requested if not _is_among(code, existing)))
     return selected, missing
+
+
+def find_gaps(
+    part: FrameRange, selected: Sequence[float], existing: Sequence[float]
+) -> list[tuple[float, float]]:
+    """Neighbouring timeCodes of a range that are further apart than a timeCode and the usual step.
+
+    >>> find_gaps(FrameRange(1, 6), [1, 2, 4, 5, 6], [1, 2, 4, 5, 6, 7])
+    [(2, 4)]
+
+    Args:
+        part: one with a step has no gaps: what it requests must exist.
+        selected: ascending.
+        existing: ascending; the usual step is the median of theirs.
+    """
+    if part.step is not None or len(existing) < 3:
+        return []
+    usual = max(1.0, statistics.median(later - code for code, later in pairwise(existing)))
+    held = [code for code in selected if part.holds(code)]
+    return [pair for pair in pairwise(held) if pair[1] - pair[0] > usual + _TOLERANCE]
 
 
 def _is_among(code: float, existing: Sequence[float]) -> bool:

@@ -26,7 +26,11 @@ from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.features import check_features
 from usdsmoke.planning.make_plan import check_plan, make_plan
-from usdsmoke.planning.output_folder import check_output_folder, settle_output
+from usdsmoke.planning.output_folder import (
+    check_output_folder,
+    check_writable,
+    settle_output,
+)
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
 from usdsmoke.usd.stage import (
@@ -134,6 +138,8 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     request = request.settled()
     config = request.config
     output = settle_output(request.output)
+    if fits:
+        check_writable(output)
     style_files = tuple(Path(image) for image in style_paths(request.style))
     if style_files:  # they replace the Volumes' own images and weights
         style_shares(config.style, len(style_files))

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from usdsmoke.base.errors import LayerError
+from usdsmoke.base.errors import LayerError, WriteFailed
 
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
@@ -40,6 +40,21 @@ def settle_output(output: str | os.PathLike[str]) -> Path:
             "search), or choose another output folder."
         )
     return folder
+
+
+def check_writable(output: Path) -> None:
+    """Refuse an output folder in which this process may not make files.
+
+    Raises:
+        WriteFailed: the folder, or the nearest one above it that exists, may not be written to.
+    """
+    place = next(folder for folder in (output, *output.parents) if folder.exists())
+    if not os.access(place, os.W_OK | os.X_OK):
+        what = f"write to the folder {output}" if place == output else f"make the folder {output}"
+        raise WriteFailed(
+            f"cannot {what}: {place} may not be written to. Change its permissions, or choose "
+            "another output folder."
+        )
 
 
 def check_output_folder(

@@ -9,6 +9,8 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 from usdsmoke.base.errors import StageError
 
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
+_LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
+_GRAMMAR = re.compile(r" matching .*pxrInternal.* at '", re.DOTALL)  # a rule's C++ type
 _FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
 
 
@@ -96,8 +98,9 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
     suffix = Sdf.FileFormat.GetFileExtension(file_path)
-    what = f"a valid .{suffix} file{_line(refusal)}"
-    return f"cannot open {file_path}: it is not {what}. Export it again."
+    line = _line(refusal)
+    advice = "Correct that line, or export the file again." if line else "Export it again."
+    return f"cannot open {file_path}: it is not a valid .{suffix} file{line}. {advice}"
 
 
 def _text(item: object) -> str:
@@ -109,5 +112,12 @@ def _text(item: object) -> str:
 
 
 def _line(error: Tf.ErrorException | None) -> str:
-    found = _LINE.search(short_reason(error)) if error is not None else None
-    return f" (line {found[1] or found[2]})" if found else ""
+    """The line that OpenUSD names, with its reason; the names of its grammar's rules left out."""
+    reason = short_reason(error) if error is not None else ""
+    found = _LINE.search(reason)
+    if found is None:
+        return ""
+    if not found[1]:  # an older version's sentence, in which the line stands in the middle
+        return f" (line {found[2]})"
+    why = _GRAMMAR.sub(" at '", reason[found.end() :])[:_LONGEST_REASON]
+    return f" (line {found[1]}: {why})" if why else f" (line {found[1]})"

@@ -10,10 +10,12 @@ from pxr import Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
+from usdsmoke.usd.stage.volumes import hidden_volumes
 from usdsmoke.usd.volume_settings import RunArguments, describe_requests
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -42,14 +44,14 @@ def inspect(
 
     Raises:
         StageError: the stage cannot be opened, or the files of its Volumes cannot be found.
-        ConfigError: ``frames`` cannot be read, or a Volume's request is invalid.
+        ConfigError: ``frames`` cannot be read, or settings contradict each other.
     """
     stage = open_stage(stage)
     given = RunArguments.of(style, settings)
     own = given.config.stage
     own = own.replace(prims=prims or own.prims, frames=frames or own.frames)
     problems: list[str] = []
-    source = find_volumes(stage, own, with_styles=not given.styles, problems=problems)
+    source = _find(stage, own, not given.styles, problems)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
     return {
@@ -66,6 +68,22 @@ def inspect(
             *_camera_problems(stage, source, requests),
         ],
     }
+
+
+def _find(
+    stage: Usd.Stage, config: StageConfig, with_styles: bool, problems: list[str]
+) -> StageSource:
+    """The Volumes; those that are left out unless they are named where there are no others."""
+    try:
+        return find_volumes(stage, config, with_styles=with_styles, problems=problems)
+    except StageError:
+        hidden = {} if config.prims else hidden_volumes(stage)
+        if not hidden:
+            raise
+        config = config.replace(prims=list(hidden))
+        source = find_volumes(stage, config, with_styles=with_styles, problems=problems)
+        problems += [f"Volume <{path}> is not used: {why}" for path, why in hidden.items()]
+        return source
 
 
 def _notes(source: StageSource) -> list[str]:

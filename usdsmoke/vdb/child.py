@@ -63,6 +63,7 @@ def run_child(
     Raises:
         ChildFailure: the worker was stopped by a limit, crashed, or OpenVDB refused.
         UsdSmokeError: the named error that the worker answered with.
+        PlanError: the worker cannot be started.
         WriteFailed: the folder for temporary files is full or may not be written to.
     """
     limits = {
@@ -101,14 +102,22 @@ class _Worker:
 
     def __init__(self) -> None:
         self.messages: IO[bytes] = tempfile.TemporaryFile()  # a file: they cannot fill memory
-        self.process = subprocess.Popen(
-            python_command("from usdsmoke.vdb.worker import main; sys.exit(main())"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self.messages,
-            env=_environment(),
-            bufsize=0,
-        )
+        try:
+            self.process = subprocess.Popen(
+                python_command("from usdsmoke.vdb.worker import main; sys.exit(main())"),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self.messages,
+                env=_environment(),
+                bufsize=0,
+            )
+        except OSError as error:
+            self.messages.close()
+            raise errors.PlanError(
+                f"cannot start the process that reads VDB files: {error.strerror or error} "
+                f"({sys.executable}). Check that this Python can be run, and the limits on "
+                "processes and memory (ulimit -a)."
+            ) from error
         assert self.process.stdin is not None and self.process.stdout is not None
         self.requests, self.answers = self.process.stdin, self.process.stdout
 

@@ -34,12 +34,12 @@ def test_faults_of_the_source_are_not_the_look_s(tmp_path, capsys):
     assert not [finding for finding in own if finding.severity == Severity.ERROR]
     assert "FieldFileMissing" in {finding.rule for finding in of_source}
     assert main(["validate", str(files.root_stage)]) == 1
-    assert main(["validate", "--look", str(files.root_stage)]) == 0
+    assert main(["validate", "--look-only", str(files.root_stage)]) == 0
     assert "in the source too" in capsys.readouterr().out
     # a fault of the look counts, and is found by CI
     (tmp_path / "out/vdb/smoke.0002.vdb").unlink()
     report = tmp_path / "report.xml"
-    command = ["validate", "--look", "--json", "--junit", str(report), str(files.root_stage)]
+    command = ["validate", "--look-only", "--json", "--junit", str(report), str(files.root_stage)]
     assert main(command) == 1
     found = json.loads(capsys.readouterr().out)
     assert {item["prim_path"] for item in found["of_source"]} & {"/World/other/density"}
@@ -48,7 +48,7 @@ def test_faults_of_the_source_are_not_the_look_s(tmp_path, capsys):
     assert "smoke.0002.vdb" in ElementTree.tostring(suite, encoding="unicode")
     rules = sorted({item["rule"] for item in found["findings"] if item["severity"] == "error"})
     ignored = [word for rule in rules for word in ("--ignore", rule)]
-    assert main(["validate", "--look", *ignored, str(files.root_stage)]) == 0
+    assert main(["validate", "--look-only", *ignored, str(files.root_stage)]) == 0
 
 
 def test_a_stage_without_a_look_is_refused(tmp_path):
@@ -56,6 +56,14 @@ def test_a_stage_without_a_look_is_refused(tmp_path):
     body = volume_prim(density_prim(sequence([1])))
     with pytest.raises(StageError, match="has no look"):
         validate_look(write_text(tmp_path / "shot.usda", world(body)))
+
+
+def test_an_unknown_rule_cannot_be_ignored(tmp_path, capsys):
+    write_sequence(tmp_path, [1])
+    file_path = write_text(tmp_path / "shot.usda", world(volume_prim(density_prim(sequence([1])))))
+    assert main(["validate", str(file_path), "--ignore", "FrameGop"]) == 1
+    assert "FrameGap" in capsys.readouterr().err
+    assert main(["validate", str(file_path), "--ignore", "VolumeExtentMissing"]) == 0
 
 
 def test_junit_passes_without_errors_and_survives_any_text():

@@ -145,6 +145,9 @@ def test_missing_files_are_found_once_a_path_with_their_time_codes(tmp_path):
     found = only(findings(tmp_path, density_prim(same)), "FieldFileMissing")
     assert found.time_code == 1.0
     assert found.message.endswith("(also at timeCodes 2,3)")
+    same = sampled("asset filePath", {1: "@./a.vdb@", 2: "@./a.vdb@"})
+    found = only(findings(tmp_path, density_prim(same)), "FieldFileMissing")
+    assert found.message.endswith("(also at timeCode 2)")
 
 
 @pytest.mark.parametrize(

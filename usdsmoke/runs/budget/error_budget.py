@@ -103,12 +103,19 @@ class Tolerance:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is above its bound, with what to do; two sentences each."""
+        """What is above its bound, with what to do and the tolerance that would be kept."""
         return tuple(
             f"the tolerance of {self.target:g} is not kept: {item.name} is {item}. "
-            f"{_ADVICE[item.name][:1].upper()}{_ADVICE[item.name][1:]}."
+            f"{_ADVICE[item.name][:1].upper()}{_ADVICE[item.name][1:]}. {self._least(item)}"
             for item in self.broken
         )
+
+    def _least(self, item: Verdict) -> str:
+        """The smallest tolerance, in hundredths, that an error of a result keeps."""
+        least = math.ceil(100.0 * self.target * item.value / item.bound) / 100.0
+        if least > 1.0:
+            return "No tolerance up to 1, the maximum, would be kept with this error."
+        return f"With this error, a tolerance of {least:g} would be kept."
 
     def __str__(self) -> str:
         if self.broken:
@@ -116,8 +123,11 @@ class Tolerance:
             found = f"{self.target:g}: NOT kept by {names}"
         else:
             found = f"{self.target:g}: kept by all {len(self.rows)} bounded errors"
-        unknown = f"; not estimated: {', '.join(self.unknown)}" if self.unknown else ""
-        return f"{found}{unknown}"
+        names_of: dict[str, list[str]] = {}
+        for name, why in self.unknown.items():
+            names_of.setdefault(why, []).append(name)
+        unknown = "; ".join(f"{'; '.join(names)} ({why})" for why, names in names_of.items())
+        return f"{found}; not estimated: {unknown}" if unknown else found
 
 
 @dataclass(frozen=True)

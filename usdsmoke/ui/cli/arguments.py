@@ -11,6 +11,7 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import GivenSettings, read_settings
 from usdsmoke.base.setting_model import allowed_values
 from usdsmoke.base.settings import SECTIONS, declared_settings
+from usdsmoke.ui.cli.parser import SuggestingParser
 from usdsmoke.ui.cli.values import count_value, duration_value, repair_value, size_value
 
 _OPTIONS = {  # that stand for a setting
@@ -29,12 +30,14 @@ _OPTIONS = {  # that stand for a setting
     "--alias-cd": "layer.scatter_colour",
     "--split-rgb": "layer.split_rgb",
 }
-_EXIT_CODES = "exit codes: 0 ok, 1 error, 2 wrong usage, 130 stopped by Ctrl-C"
+_EXIT_CODES = (
+    "exit codes: 0 ok, 1 an error, or a problem was found, 2 wrong usage, 130 stopped by Ctrl-C"
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of ``usdsmoke`` with its subcommands."""
-    parser = argparse.ArgumentParser(
+    parser = SuggestingParser(
         prog="usdsmoke",
         description="Stylize the smoke in a USD stage to match an example image. "
         "The result is a new layer.",
@@ -56,7 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate = _add_command(commands, "validate", "check a stage or layer, and its files and grids")
     validate.add_argument("stage", metavar="STAGE_OR_LAYER", help="a USD file")
     validate.add_argument(
-        "--look",
+        "--look-only",
         action="store_true",
         help="count only what the look is to blame for; list the findings of its source apart",
     )
@@ -65,7 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="RULE",
-        help="leave out the findings of this rule; may be repeated",
+        help="leave out the findings of this rule, named as it is printed; may be repeated",
     )
     validate.add_argument(
         "--junit", metavar="FILE.xml", help="also write the findings as JUnit XML"
@@ -109,6 +112,7 @@ def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPar
         description=f"{summary[:1].upper()}{summary[1:]}.",
         epilog=_EXIT_CODES,
     )
+    parser.set_defaults(parser=parser)
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
     what = "list everything in a plan; show the traceback of an error"
     parser.add_argument("--verbose", action="store_true", help=what)
@@ -128,14 +132,17 @@ def _add_flag(parser: argparse.ArgumentParser, option: str) -> None:
     _add_option(parser, option, action="store_const", const=True)
 
 
-def _add_selection(parser: argparse.ArgumentParser) -> None:
+def _add_selection(parser: argparse.ArgumentParser, frames_help: str = "") -> None:
     parser.add_argument(
         "--prim",
         action="append",
         metavar="PATH",
-        help="a Volume prim; may be repeated (default: all)",
+        help="a Volume prim; may be repeated (default: all that are visible and no guides)",
     )
-    _add_option(parser, "--frames", metavar="1-24")
+    if frames_help:
+        parser.add_argument("--frames", metavar="1-24", help=frames_help)
+    else:
+        _add_option(parser, "--frames", metavar="1-24")
     _add_flag(parser, "--allow-missing")
 
 
@@ -246,7 +253,10 @@ def _add_preview(commands: Any) -> None:
         help=".png: a picture, or a contact sheet of several; .webp: an animation; .exr: "
         "scene-linear, one file per frame",
     )
-    _add_selection(parser)
+    _add_selection(
+        parser,
+        "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last)",
+    )
     parser.add_argument(
         "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"
     )

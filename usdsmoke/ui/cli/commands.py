@@ -65,9 +65,11 @@ def run_validate(arguments: argparse.Namespace) -> int:
     """``usdsmoke validate``; the exit code, 1 where there are errors that count."""
     from usdsmoke.usd.gate import junit_xml, validate_look
     from usdsmoke.usd.rules import Severity, validate
+    from usdsmoke.usd.rules.validation import check_rules
 
+    check_rules(arguments.ignore)
     of_source: list[Finding] = []
-    if arguments.look:
+    if arguments.look_only:
         findings, of_source = validate_look(arguments.stage)
     else:
         findings = validate(arguments.stage)
@@ -77,7 +79,7 @@ def run_validate(arguments: argparse.Namespace) -> int:
         publish_file(Path(arguments.junit), lambda path: path.write_text(text, encoding="utf-8"))
     n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
     result = {"errors": n_errors, "findings": [asdict(finding) for finding in findings]}
-    if arguments.look:
+    if arguments.look_only:
         result["of_source"] = [asdict(finding) for finding in of_source]
     show(
         arguments,

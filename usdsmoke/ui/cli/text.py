@@ -163,13 +163,16 @@ def validation_text(
     file_path: str, findings: Sequence["Finding"], of_source: Sequence["Finding"] = ()
 ) -> str:
     """Findings, one line each, and their number; those of the source behind them."""
-    counts = Counter(str(finding.severity) for finding in findings)
-    summary = ", ".join(f"{n} {severity}" for severity, n in counts.items()) or "no findings"
+    counts = Counter(_SEVERITIES[str(finding.severity)] for finding in findings)
+    summary = ", ".join(count_text(n, word) for word, n in counts.items()) or "no findings"
     lines = [*map(_finding_line, findings), f"{file_path}: {summary}"]
     if of_source:
         lines += ["in the source too, and not counted:"]
         lines += [f"  {_finding_line(finding)}" for finding in of_source]
     return "\n".join(lines)
+
+
+_SEVERITIES = {"error": "error", "warn": "warning", "info": "note"}
 
 
 def _finding_line(finding: "Finding") -> str:
@@ -208,9 +211,12 @@ def _window_lines(plan: "Plan") -> list[str]:
     lines = []
     for volume in plan.volumes:
         for window in volume.windows:
-            overlap = f", overlap to {window.overlap[-1]:g}" if window.overlap else ""
-            codes = format_time_codes(window.time_codes)
-            lines.append(f"  {window.index}: {codes}{overlap} of <{volume.source.prim_path}>")
+            line = f"  window {window.index}: <{volume.source.prim_path}> timeCodes "
+            line += format_time_codes(window.time_codes)
+            if window.overlap:
+                shared = format_time_codes(window.overlap)
+                line += f", and {shared} shared with window {window.index + 1}"
+            lines.append(line)
     return ["windows", *lines] if len(lines) > 1 else []
 
 

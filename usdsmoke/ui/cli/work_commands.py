@@ -28,6 +28,8 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         from usdsmoke.pipeline import plan_request
 
         plan = plan_request(_request(arguments))
+        if arguments.window is not None:
+            plan.task(arguments.window)  # raises where there is no such window
         show(
             arguments,
             lambda: plan.to_dict() | {"config": plan.config.model_dump()},

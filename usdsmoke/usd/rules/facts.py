@@ -70,7 +70,8 @@ def grouped(
     problems = []
     for text, codes in codes_of.items():
         others = sorted(codes)[1:]
-        also = f" (also at timeCodes {format_time_codes(others)})" if others else ""
+        noun = "timeCode" if len(others) == 1 else "timeCodes"
+        also = f" (also at {noun} {format_time_codes(others)})" if others else ""
         problems.append(Problem(severity, prim_path, text + also, min(codes, default=None)))
     return problems
 

@@ -216,8 +216,9 @@ def check_gaps(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             if sample.time_code is not None and not sample.blocked
         ]
         troubles: dict[float | None, str] = {
-            before: f"no file between the timeCodes {format_time_code(before)} and "
-            f"{format_time_code(after)}. The first one is held there. Add files, or block a sample."
+            before: f"no sample between the timeCodes {format_time_code(before)} and "
+            f"{format_time_code(after)}, so the file of {format_time_code(before)} is held. Add "
+            "the files, or block the first missing timeCode (its sample is None) if the smoke ends."
             for before, after in _holes(codes)
         }
         problems += grouped(Severity.WARN, field.prim_path, troubles)

@@ -4,14 +4,15 @@ OpenUSD takes validators from Python since 26.05. ``UsdValidation`` is loaded in
 that everything else also works with an older OpenUSD.
 """
 
+import difflib
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from pxr import Gf, Sdf, Usd
 
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly, readable_values
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
@@ -75,6 +76,7 @@ _OF_THE_INSTALLATION = {
     f"{_SDR}MissingShaderIdInRegistry",
     f"{_SDR}MissingSourceTypeInRegistry",
 }
+_SCHEMA_NOTE = "SchemaNotRegistered"
 _TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
 
 
@@ -109,6 +111,34 @@ def register_validators() -> list[str]:
     return [PREFIX + name for name in (*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES)]
 
 
+def check_rules(names: Iterable[str]) -> None:
+    """Refuse names that no finding can have.
+
+    Args:
+        names: as in ``Finding.rule``.
+
+    Raises:
+        ConfigError: a name is unknown.
+        StageError: OpenUSD is older than 26.05.
+    """
+    names = list(names)
+    if not names:
+        return
+    register_validators()
+    known = {_SCHEMA_NOTE}
+    for validator in _validation().ValidationRegistry().GetOrLoadAllValidators():
+        metadata = validator.GetMetadata()
+        known.add(str(metadata.name).removeprefix(PREFIX))
+    for name in names:
+        # USD's own findings are named VALIDATOR.ERROR; a validator does not list its errors.
+        if name not in known and name.rpartition(".")[0] not in known:
+            close = difflib.get_close_matches(name, sorted(known), n=3)
+            advice = f"Did you mean {' or '.join(close)}?" if close else ""
+            raise ConfigError(
+                f"there is no rule {name!r}. {advice or 'Use a name that the command prints.'}"
+            )
+
+
 @readable_values()
 def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     """What all validators find on a stage or in a layer, worst first, each finding once.
@@ -136,7 +166,7 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
         errors = module.ValidationContext(validators).Validate(stage)
         findings = {_to_finding(error) for error in errors if not _is_of_a_look(error)}
     if note := late_note():
-        findings.add(Finding(Severity.INFO, "SchemaNotRegistered", "", None, note))
+        findings.add(Finding(Severity.INFO, _SCHEMA_NOTE, "", None, note))
     order = list(Severity)
     return sorted(
         findings,

@@ -79,12 +79,12 @@ def open_original(stage: StageOrFile) -> Usd.Stage:
     if is_look_layer(root):
         raise StageError(
             f"{root.identifier} is a look layer itself, and USD cannot mute a stage's root layer. "
-            "Use the root stage that was written beside it, NAME_look.usda."
+            "Use the root layer that was written beside it, NAME_look.usda."
         )
     if not _leave_looks_out(stage).layers:
         raise StageError(
             f"no layer of the stage {root.identifier} was made by usdsmoke, so it has no look. "
-            "Use a root stage such as NAME_look.usda, or leave out --compare or --look."
+            "Use a root layer such as NAME_look.usda."
         )
     return stage
 

@@ -7,10 +7,17 @@ from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdVol
 
-from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
+from usdsmoke.base.errors import (
+    AssetNotResolved,
+    ConfigError,
+    FieldNotFound,
+    StageError,
+    VolumeNotFound,
+)
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
+    find_gaps,
     format_time_code,
     format_time_codes,
     parse_frames,
@@ -88,6 +95,7 @@ def find_volumes(
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
+        gaps = _gaps(outline, selected, ranges)
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
             (missing if config.allow_missing else problems or []).extend(absent)
@@ -96,7 +104,10 @@ def find_volumes(
                 continue
         if selected:
             with _left_out(problems, is_alone=len(prims) == 1):
-                volumes.append(_read_volume(outline, selected, with_requests, with_styles))
+                volumes.append(
+                    _read_volume(outline, selected, with_requests, with_styles, problems)
+                )
+                missing += gaps
             continue
         codes = format_time_codes(outline.existing)
         if config.prims:
@@ -190,6 +201,12 @@ def _choose_volumes(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
         f"with a density field{_composition_hint(stage)}."
     )
+
+
+def hidden_volumes(stage: Usd.Stage) -> dict[str, str]:
+    """The Volumes that can be used only if they are named, and why; by path."""
+    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdVol.Volume)]
+    return {str(prim.GetPath()): why for prim in prims if (why := _why_not_chosen(prim))}
 
 
 def _why_not_chosen(prim: Usd.Prim) -> str:
@@ -297,9 +314,25 @@ def _select_time_codes(
     )
     sentence = f"no density is authored at {which} ({there})"
     if any_selected and config.allow_missing:
-        return selections, [sentence]
+        return selections, [
+            f"those of the requested timeCodes {config.frames} that do not exist ({there})"
+        ]
     otherwise = ", or pass --allow-missing" if any_selected else ""
     raise StageError(f"{sentence}. Choose frames among these{otherwise}.")
+
+
+def _gaps(outline: _Outline, selected: Sequence[float], ranges: Sequence[FrameRange]) -> list[str]:
+    """A sentence for each range in which timeCodes seem to be missing."""
+    found = []
+    for part in ranges:
+        if gaps := find_gaps(part, selected, outline.existing):
+            places = ", ".join(" and ".join(map(format_time_code, gap)) for gap in gaps)
+            found.append(
+                f"<{outline.prim.GetPath()}> has no timeCode between {places}, in the range "
+                f"{format_time_code(part.first)}-{format_time_code(part.last)}. Both ends of a "
+                "range, and every single timeCode, must exist; those in between need not"
+            )
+    return found
 
 
 def _split_by_file(
@@ -313,12 +346,21 @@ def _split_by_file(
 
 
 def _read_volume(
-    outline: _Outline, selected: Sequence[float], with_requests: bool, with_styles: bool
+    outline: _Outline,
+    selected: Sequence[float],
+    with_requests: bool,
+    with_styles: bool,
+    problems: list[str] | None,
 ) -> VolumeSource:
     frames = []
     request, controls = StyleRequest(), (FrameControls(),) * len(selected)
     if with_requests:
-        request, controls = read_request(outline.prim, selected, with_styles)
+        try:
+            request, controls = read_request(outline.prim, selected, with_styles)
+        except (ConfigError, StageError) as error:
+            if problems is None:
+                raise
+            problems.append(str(error))  # the Volume itself can be used
     for time_code, control in zip(selected, controls, strict=True):
         xforms = UsdGeom.XformCache(time_code)
         found = {

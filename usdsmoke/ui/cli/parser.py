@@ -1,0 +1,32 @@
+"""A parser of arguments whose errors name what was probably meant."""
+
+import argparse
+import difflib
+import re
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+
+class SuggestingParser(argparse.ArgumentParser):
+    """A parser that names the nearest command or option where one is not known."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As of ``argparse``; the command's own parser reports options that it does not have."""
+        arguments, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            own: argparse.ArgumentParser = arguments.parser
+            options = re.findall(r"--[\w-]+", own.format_usage())
+            hint = _closest(unknown[0].partition("=")[0], options)
+            own.error(f"unknown argument{'s' * (len(unknown) > 1)}: {' '.join(unknown)}.{hint}")
+        return arguments
+
+    def error(self, message: str) -> NoReturn:
+        """As of ``argparse``, with the nearest of the choices that it lists."""
+        found = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        hint = _closest(found[1], re.findall(r"[\w-]+", found[2])) if found else ""
+        super().error(f"{message}.{hint}" if hint else message)
+
+
+def _closest(word: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f" Did you mean {close[0]}?" if close else ""
