@@ -153,18 +153,6 @@ def test_missing_time_codes_are_left_out_by_name_where_that_is_allowed(tmp_path)
     assert "</World/smoke> has no file at timeCode 3" in source.missing[1]
 
 
-def test_a_gap_inside_a_range_is_named(tmp_path):
-    stage_file = plume_stage(tmp_path)
-    text = stage_file.read_text()
-    stage_file.write_text(text.replace("3: @./cache/smoke.0003.vdb@,", ""))
-    source = find_volumes(open_stage(stage_file), StageConfig(frames="1-4"))
-    assert codes_of(source.volumes[0]) == [1, 2, 4]
-    (sentence,) = source.missing
-    assert "between 2 and 4" in sentence and "1-4" in sentence
-    assert find_volumes(open_stage(stage_file), StageConfig(frames="1-2,4")).missing == ()
-    assert find_volumes(open_stage(stage_file), StageConfig()).missing == ()
-
-
 def test_files_outside_the_selection_may_be_missing(tmp_path):
     stage_file = plume_stage(tmp_path)
     (tmp_path / "cache/smoke.0001.vdb").unlink()

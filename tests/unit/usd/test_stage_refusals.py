@@ -246,6 +246,18 @@ def test_no_frame_at_all_is_refused_even_where_frames_may_be_missing(tmp_path, f
         find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig(allow_missing=True))
 
 
+def test_a_gap_inside_a_range_is_named(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    text = stage_file.read_text()
+    stage_file.write_text(text.replace("3: @./cache/smoke.0003.vdb@,", ""))
+    source = find_volumes(open_stage(stage_file), StageConfig(frames="1-4"))
+    assert [frame.time_code for frame in source.volumes[0].frames] == [1, 2, 4]
+    (sentence,) = source.missing
+    assert "between 2 and 4" in sentence and "1-4" in sentence
+    assert find_volumes(open_stage(stage_file), StageConfig(frames="1-2,4")).missing == ()
+    assert find_volumes(open_stage(stage_file), StageConfig()).missing == ()
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
 def test_an_unreadable_stage_is_refused(tmp_path):
     stage_file = plume_stage(tmp_path)
