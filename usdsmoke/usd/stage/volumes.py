@@ -95,7 +95,6 @@ def find_volumes(
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
-        gaps = _gaps(outline, selected, ranges)
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
             (missing if config.allow_missing else problems or []).extend(absent)
@@ -107,7 +106,6 @@ def find_volumes(
                 volumes.append(
                     _read_volume(outline, selected, with_requests, with_styles, problems)
                 )
-                missing += gaps
             continue
         codes = format_time_codes(outline.existing)
         if config.prims:
@@ -287,7 +285,7 @@ def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
 def _select_time_codes(
     outlines: Sequence[_Outline], ranges: Sequence[FrameRange], config: StageConfig
 ) -> tuple[list[tuple[float, ...]], list[str]]:
-    """The selected timeCodes of each Volume, and a sentence if requested ones are left out.
+    """The selected timeCodes of each Volume, and sentences on requested ones that are not there.
 
     A requested timeCode must exist on one Volume at least.
     """
@@ -299,8 +297,13 @@ def _select_time_codes(
         for (selected, _), outline in zip(found, outlines, strict=True)
     ]
     any_selected = any(selected for selected, _ in animated or found)
+    notes = [
+        sentence
+        for outline, selected in zip(outlines, selections, strict=True)
+        for sentence in _gaps(outline, selected, ranges)
+    ]
     if any_selected and not missing:
-        return selections, []
+        return selections, notes
     there = "; ".join(
         f"<{outline.prim.GetPath()}> has {format_time_codes(outline.existing)}"
         + ("" if outline.animated else " and is not animated")
@@ -315,7 +318,8 @@ def _select_time_codes(
     sentence = f"no density is authored at {which} ({there})"
     if any_selected and config.allow_missing:
         return selections, [
-            f"those of the requested timeCodes {config.frames} that do not exist ({there})"
+            f"those of the requested timeCodes {config.frames} that do not exist ({there})",
+            *notes,
         ]
     otherwise = ", or pass --allow-missing" if any_selected else ""
     raise StageError(f"{sentence}. Choose frames among these{otherwise}.")
