@@ -255,7 +255,8 @@ def _add_preview(commands: Any) -> None:
     )
     _add_selection(
         parser,
-        "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last)",
+        "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last; "
+        "all for an animation; the middle for a turn)",
     )
     parser.add_argument(
         "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"

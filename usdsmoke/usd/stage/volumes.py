@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdVol
@@ -297,11 +298,7 @@ def _select_time_codes(
         for (selected, _), outline in zip(found, outlines, strict=True)
     ]
     any_selected = any(selected for selected, _ in animated or found)
-    notes = [
-        sentence
-        for outline, selected in zip(outlines, selections, strict=True)
-        for sentence in _gaps(outline, selected, ranges)
-    ]
+    notes = _gaps(outlines, selections, ranges)
     if any_selected and not missing:
         return selections, notes
     there = "; ".join(
@@ -325,10 +322,14 @@ def _select_time_codes(
     raise StageError(f"{sentence}. Choose frames among these{otherwise}.")
 
 
-def _gaps(outline: _Outline, selected: Sequence[float], ranges: Sequence[FrameRange]) -> list[str]:
+def _gaps(
+    outlines: Sequence[_Outline],
+    selections: Sequence[Sequence[float]],
+    ranges: Sequence[FrameRange],
+) -> list[str]:
     """A sentence for each range in which timeCodes seem to be missing."""
     found = []
-    for part in ranges:
+    for (outline, selected), part in product(zip(outlines, selections, strict=True), ranges):
         if gaps := find_gaps(part, selected, outline.existing):
             places = ", ".join(" and ".join(map(format_time_code, gap)) for gap in gaps)
             found.append(
