@@ -84,13 +84,11 @@ def select_frames(
     return selected, missing
 
 
-def find_gaps(
-    part: FrameRange, selected: Sequence[float], existing: Sequence[float]
-) -> list[tuple[float, float]]:
-    """Neighbouring timeCodes of a range that are further apart than a timeCode and the usual step.
+def describe_gaps(part: FrameRange, selected: Sequence[float], existing: Sequence[float]) -> str:
+    """Where a range lacks timeCodes: steps longer than a timeCode and the usual step; or "".
 
-    >>> find_gaps(FrameRange(1, 6), [1, 2, 4, 5, 6], [1, 2, 4, 5, 6, 7])
-    [(2, 4)]
+    >>> describe_gaps(FrameRange(1, 6), [1, 2, 4, 5, 6], [1, 2, 4, 5, 6, 7]).partition(".")[0]
+    'no timeCode between 2 and 4, in the range 1-6'
 
     Args:
         part: one with a step has no gaps: what it requests must exist.
@@ -98,10 +96,18 @@ def find_gaps(
         existing: ascending; the usual step is the median of theirs.
     """
     if part.step is not None or len(existing) < 3:
-        return []
+        return ""
     usual = max(1.0, statistics.median(later - code for code, later in pairwise(existing)))
     held = [code for code in selected if part.holds(code)]
-    return [pair for pair in pairwise(held) if pair[1] - pair[0] > usual + _TOLERANCE]
+    gaps = [pair for pair in pairwise(held) if pair[1] - pair[0] > usual + _TOLERANCE]
+    if not gaps:
+        return ""
+    places = ", ".join(" and ".join(map(format_time_code, gap)) for gap in gaps)
+    return (
+        f"no timeCode between {places}, in the range {format_time_code(part.first)}-"
+        f"{format_time_code(part.last)}. Both ends of a range, and every single timeCode, must "
+        "exist; those in between need not"
+    )
 
 
 def _is_among(code: float, existing: Sequence[float]) -> bool:

@@ -18,7 +18,7 @@ from usdsmoke.base.errors import (
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
-    find_gaps,
+    describe_gaps,
     format_time_code,
     format_time_codes,
     parse_frames,
@@ -323,21 +323,14 @@ def _select_time_codes(
 
 
 def _gaps(
-    outlines: Sequence[_Outline],
-    selections: Sequence[Sequence[float]],
-    ranges: Sequence[FrameRange],
+    outlines: Sequence[_Outline], selections: Sequence[Sequence[float]], parts: Sequence[FrameRange]
 ) -> list[str]:
     """A sentence for each range in which timeCodes seem to be missing."""
-    found = []
-    for (outline, selected), part in product(zip(outlines, selections, strict=True), ranges):
-        if gaps := find_gaps(part, selected, outline.existing):
-            places = ", ".join(" and ".join(map(format_time_code, gap)) for gap in gaps)
-            found.append(
-                f"<{outline.prim.GetPath()}> has no timeCode between {places}, in the range "
-                f"{format_time_code(part.first)}-{format_time_code(part.last)}. Both ends of a "
-                "range, and every single timeCode, must exist; those in between need not"
-            )
-    return found
+    return [
+        f"<{outline.prim.GetPath()}> has {gaps}"
+        for (outline, selected), part in product(zip(outlines, selections, strict=True), parts)
+        if (gaps := describe_gaps(part, selected, outline.existing))
+    ]
 
 
 def _split_by_file(
