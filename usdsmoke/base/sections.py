@@ -254,7 +254,7 @@ class LayerConfig(Section):
     """What is written."""
 
     mode: Literal["sublayer", "reference", "layer"] = setting(
-        "sublayer", "form of the result: a root stage with the look over the source (sublayer), an "
+        "sublayer", "form of the result: a root layer with the look over the source (sublayer), an "
         "asset with a variant for each look that references the source (reference), or the look "
         "layer alone (layer)")
     look: str = setting(

@@ -243,7 +243,7 @@ def _add_submit(commands: Any) -> None:
 def _add_preview(commands: Any) -> None:
     parser = _add_command(commands, "preview", "draw the smoke of a stage, including its looks")
     parser.add_argument(
-        "stage", metavar="STAGE", help="a USD file; to draw a look, give its root stage"
+        "stage", metavar="STAGE", help="a USD file; to draw a look, give its root layer"
     )
     parser.add_argument(
         "-o",
