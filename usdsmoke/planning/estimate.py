@@ -16,9 +16,11 @@ Frames in an overlap of windows take twice the time, and two more files of 32-bi
 step, if there is one, costs the work of the octaves up to its share of the resolution.
 
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
-on the whole box, once per octave. Memory is that of the largest frame; frames are in memory one at
-a time. The constants of time are fitted to two threads of a server's processor, for plumes of 75
-thousand and a million voxels: errors of a factor of two are normal. The memory is an upper bound.
+on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
+is that of the largest at work; what the other two hold, their fields and results, is part of
+BOX_BYTES_WARM. The constants of time are fitted to two threads of a server's processor, for plumes
+of 75 thousand and a million voxels: errors of a factor of two are normal. The memory is an upper
+bound.
 """
 
 import math
@@ -43,7 +45,7 @@ BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
 BOX_BYTES = 48  # density before and after, RGB, and one temporary array
 BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back
 BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and the arrays of the transport
-BOX_BYTES_WARM = 90  # velocity, also in voxels per second, and the neighbour's displacement
+BOX_BYTES_WARM = 90  # velocity, also in voxels per second; displacements of the frames beside it
 MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
 VIEW_BYTES = 40  # four pixels and weights
