@@ -44,6 +44,11 @@ def test_more_work_takes_more_time(dear: list[str], cheap: list[str]) -> None:
     assert estimate(*dear).seconds > 1.2 * estimate(*cheap).seconds
 
 
+def test_an_iteration_draws_no_more_views_than_there_are() -> None:
+    four = ["views.pool=4", "views.count=4"]
+    assert estimate("views.pool=4", "views.count=9").seconds == estimate(*four).seconds
+
+
 @pytest.mark.parametrize(
     ("dear", "cheap"),
     [

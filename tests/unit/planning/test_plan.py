@@ -108,6 +108,20 @@ def test_what_is_needed_is_not_said_to_be_left_out(
     assert reason_for(plan_of(shot.stage, *settings), what) == ""
 
 
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        (["views.pool=4", "views.count=9"], "4 views per iteration, drawn from 4"),
+        (["views.pool=9", "views.count=4"], "4 views per iteration, drawn from 9"),
+        (["views.azimuth=0", "views.elevation=0"], "1 view per iteration, drawn from 1"),
+    ],
+)
+def test_the_views_are_those_that_the_run_draws(
+    shot: Shot, settings: list[str], sentence: str
+) -> None:
+    assert sentence in plan_of(shot.stage, *settings).needed
+
+
 def test_velocity_in_the_density_file_is_planned_for_frames_that_follow_on_others(
     tmp_path: Path,
 ) -> None:
