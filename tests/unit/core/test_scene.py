@@ -8,6 +8,7 @@ from tests.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.settings import Config
+from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views
@@ -171,6 +172,14 @@ def test_a_slab_has_one_view_whatever_is_asked_for():
     smoke = smoke_of(np.ones((5, 6, 1)))
     config = Config(views=ViewsConfig(pool=24))
     assert len(frame_views(smoke, config.views, Scene(1, 1, 1, "Y", 1, 6), 0)) == 1
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 1), (5, 6, 4)])
+@pytest.mark.parametrize("views", [{}, {"pool": 3, "count": 9}, {"azimuth": 0, "elevation": 0}])
+def test_there_are_as_many_views_as_the_plan_says(shape, views):
+    smoke, config = smoke_of(np.ones(shape)), ViewsConfig(**views)
+    found = frame_views(smoke, config, Scene(1, 1, 1, "Y", 1, 6), 0)
+    assert len(found) == pool_size(config, 1 in shape)
 
 
 def test_face_view_of_a_volume_is_a_programming_error():

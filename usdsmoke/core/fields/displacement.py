@@ -37,18 +37,6 @@ from usdsmoke.core.fields.sparse_map import (
 )
 from usdsmoke.core.smoke.levels import ranked
 
-__all__ = [
-    "MIXED_SHARE",
-    "SparseDisplacement",
-    "clamp_displacement",
-    "curl",
-    "from_mixed",
-    "from_potential",
-    "from_stream",
-    "slope_matrix",
-    "smooth_mask",
-]
-
 MIXED_SHARE = 0.5  # of the compressible part in a mixed displacement
 
 

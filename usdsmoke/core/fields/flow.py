@@ -16,8 +16,6 @@ from torch import Tensor
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
 from usdsmoke.core.fields.sparse_map import Nodes
 
-__all__ = ["flow", "flow_at"]
-
 DOUBLINGS = 2  # n
 
 

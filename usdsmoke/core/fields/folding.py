@@ -17,8 +17,6 @@ from usdsmoke.core.fields.sample import voxel_positions
 from usdsmoke.core.fields.sparse_map import Nodes, SparseMap, map_along
 from usdsmoke.core.smoke.memory import chunks
 
-__all__ = ["Evenness", "FoldingPenalty", "determinants", "measure_evenness", "softened"]
-
 LEAST_DETERMINANT = 0.3  # below it a voxel is penalised
 STEEPEST = 4.0  # below 0 by more than this the penalty is flat: its slope would drown all others
 UNREAD, TWICE = 0.05, 2.0  # how often a voxel is read, of 1

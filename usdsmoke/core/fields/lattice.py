@@ -16,8 +16,6 @@ from usdsmoke.core.fields.sample import Boundary, sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke, densify
 from usdsmoke.core.smoke.memory import chunks
 
-__all__ = ["Lattice", "field_from_box", "grow", "surround"]
-
 LATTICE_CHUNK = 2**16  # voxels
 LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
 

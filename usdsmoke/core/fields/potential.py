@@ -18,13 +18,6 @@ from usdsmoke.core.fields.displacement import (
 from usdsmoke.core.fields.gather import planar
 from usdsmoke.core.fields.lattice import Lattice
 
-__all__ = [
-    "Displacement",
-    "Potential",
-    "border_mask",
-    "unclamped_displacement",
-]
-
 
 @dataclass(frozen=True)
 class Potential:

@@ -45,8 +45,6 @@ from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
-__all__ = ["run_frames"]
-
 LEAST_SHARE_FROM = 0.5  # of the smoke that comes from the frame before's; else they are not alike
 Result = TypeVar("Result", bound=ShapedFrame)
 

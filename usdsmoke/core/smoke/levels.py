@@ -8,8 +8,6 @@ from torch import Tensor
 
 from usdsmoke.core.smoke.active import ActiveSmoke
 
-__all__ = ["bounded", "dense_level", "ranked"]
-
 DENSE_RANK = 0.99  # of the voxels
 DENSE_TIMES = 10.0  # the density at that rank: denser voxels are outliers
 

@@ -21,16 +21,6 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.views.visibility import EffectMask
 
-__all__ = [
-    "displacement_of",
-    "effect_on",
-    "fade_of",
-    "move_density",
-    "moves_along",
-    "shares_on",
-    "smoke_box",
-]
-
 FADE = 0.02  # of the smoke's longest side: sigma of the fade towards the border
 BEYOND = 1.2  # sigma; beyond a thin sheet the fade has ended there
 LEAST_PADDING = 2  # voxels: slopes reach one voxel beyond the effect

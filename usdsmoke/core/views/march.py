@@ -29,8 +29,6 @@ from usdsmoke.core.views.media import EXTINCTION, LIGHT, Medium
 from usdsmoke.core.views.optics import attenuation_ratio
 from usdsmoke.core.views.segments import Segments, depth_before
 
-__all__ = ["Picture", "march"]
-
 _CHUNK = 1 << 20  # numbers of each kind in memory at once, over all rays of a chunk
 _THICK = 0.1  # optical depth above which a segment is cut once more
 _MOST_PARTS = 64

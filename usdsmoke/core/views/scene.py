@@ -20,16 +20,6 @@ from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_a
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.visibility import nearest_footprint, visible_part
 
-__all__ = [
-    "Scene",
-    "crop_view",
-    "face_view",
-    "fit_view",
-    "frame_scene",
-    "frame_views",
-    "measure_scene",
-]
-
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
