@@ -34,7 +34,7 @@ from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.move import FADE
-from usdsmoke.core.steps.optimize import minimize
+from usdsmoke.core.steps.optimize import Descent, minimize
 from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.cameras import draw_views, orbit_view, sample_angles
 from usdsmoke.core.views.scene import Scene
@@ -235,7 +235,9 @@ def baseline_colour(
     def clip() -> None:
         unknown.clamp_(0, 1)
 
-    for _ in minimize(objective, [unknown], config.colour.learning_rate, n_iterations, clip):
+    for _ in minimize(
+        objective, [unknown], Descent(config.colour.learning_rate, n_iterations), clip
+    ):
         yield unknown.detach()
 
 

@@ -53,7 +53,9 @@ class StepReport:
     # From the losses of the last octave; None where it has too few iterations.
     fallen: float | None = None  # by how much the loss fell in all octaves
     fallen_in_last_octave: float | None = None
-    remaining: float | None = None  # by how much it would still fall, predicted
+    remaining: float | None = (
+        None  # by how much a run four times as long would end lower, predicted
+    )
     view_spread: float | None = None  # standard error of its mean over the views, relative to it
 
 

@@ -164,7 +164,8 @@ class LossesConfig(Section):
     style: float = setting(
         1.0, "weight of the style; 0 returns the source, whatever the other weights are", ge=0)
     statistic: Literal["gram", "sliced_wasserstein"] = setting(
-        "gram", "how feature maps are compared: by their Gram matrices or by their distributions",
+        "sliced_wasserstein", "how feature maps are compared: by their distributions or, as in the "
+        "paper, by their Gram matrices",
         request="statistic")
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
@@ -230,8 +231,9 @@ class OptimizeConfig(Section):
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
         "lists as they are", ge=1, unit="iterations", request="iterations")
     tolerance: float = setting(
-        2e-3, "stopping threshold of the optimiser: an octave stops when its loss falls by less "
-        "than this share; 0: never; not --tolerance, which is optimize.target_error", ge=0)
+        2e-3, "stopping threshold of the optimiser: a fall of the loss by less than this share over "
+        "a quarter of an octave is a plateau: the rate then falls early, and once it has fallen, "
+        "the octave ends; 0: never; not --tolerance, which is optimize.target_error", ge=0)
     target_error: float | None = setting(
         None, "largest acceptable error. Image size, views, iterations, transport and storage are "
         "chosen to meet it, except those that you set; unset: nothing is chosen; not the "

@@ -57,14 +57,20 @@ class CoarseCorner(EveryThird):
 @pytest.mark.parametrize("mask", [EveryThird(), CoarseCorner()])
 @pytest.mark.parametrize("iterations", [[1, 0], [1, 1]])
 def test_painted_voxels_that_no_coarser_one_stands_for_start_from_noise(mask, iterations, smoke):
-    """And not from black: of the coarser octave's colours there are none in reach."""
+    """And not from black: of the coarser octave's colours there are none in reach.
+
+    At the end of the finest octave, what hardly shows has the colours of what is near.
+    """
     config = config_of(colour={"learning_rate": 1e-9})
     colours, _ = run_colour_step(problem_of(smoke, config, mask), iterations)
     chosen = mask.at(smoke.positions) > 0
     noise = initial_colours(smoke.take(chosen), "noise", 0)
     apart = (smoke.positions[chosen] > 6).any(1)
     assert len(colours) == len(noise) and int(apart.sum()) > 50
-    assert torch.allclose(colours[apart], noise[apart], atol=1e-6)
+    if iterations[1]:
+        assert colours[apart].mean().item() == pytest.approx(0.5, abs=0.1)
+    else:
+        assert torch.allclose(colours[apart], noise[apart], atol=1e-6)
 
 
 def test_nothing_to_paint_gives_no_colours(smoke):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tests.smoke_fixtures import random_style
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.sections import FeaturesConfig, StyleConfig
+from usdsmoke.base.sections import FeaturesConfig, LossesConfig, StyleConfig
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import (
     EmbeddedFeatures,
@@ -222,13 +222,16 @@ def test_strange_styles_give_finite_losses_gradients_and_no_loss_for_themselves(
     style = scale_style(STRANGE[name], 32, StyleConfig(), torch.zeros(()))
     if grey:
         style = match_grey(style, 0.5, 0.2)
-    target = StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(EmbeddedFeatures.names, 1.0))
+    network, names = EmbeddedFeatures(style), dict.fromkeys(EmbeddedFeatures.names, 1.0)
+    target = StyleTarget(style, network, names)
     noise = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     loss = target.loss(noise, None)
     (gradient,) = torch.autograd.grad(loss, noise)
     assert 0.1 < loss.item() < 1e10  # the square of a gradient still fits float32
     assert torch.isfinite(gradient).all() and gradient.any()
-    assert target.loss(style, None).item() < 1e-3
+    by_matrices = StyleTarget(style, network, names, LossesConfig(statistic="gram"))
+    assert by_matrices.loss(style, None).item() < 1e-3
+    assert target.loss(style, None).item() < 0.5  # a table of 256 quantiles
 
 
 def test_flat_patches_teach_no_filters():

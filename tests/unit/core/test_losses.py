@@ -6,11 +6,13 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.smoke_fixtures import random_style
+from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.losses import StyleTarget, gram_matrix, total_variation
 
 DOUBLE = torch.float64
+GRAM = LossesConfig(statistic="gram")
 
 
 def random(*shape: int, seed: int = 0, dtype: torch.dtype = DOUBLE) -> Tensor:
@@ -81,13 +83,33 @@ def test_half_precision_sums_beyond_65504_stay_finite(dtype):
     gram = gram_matrix(maps, torch.ones(64, 64))
     assert gram.dtype == torch.float32
     assert gram.flatten().tolist() == pytest.approx([4e4] * 4, rel=1e-3)
-    target = StyleTarget(torch.full((64, 64, 3), 200.0, dtype=dtype), Pixels(), {"fine": 1.0})
-    assert torch.isfinite(target.loss(torch.full((64, 64, 3), 100.0, dtype=dtype), None))
+    style, picture = (torch.full((64, 64, 3), value, dtype=dtype) for value in (200.0, 100.0))
+    for losses in (GRAM, LossesConfig()):
+        target = StyleTarget(style, Pixels(), {"fine": 1.0}, losses)
+        assert torch.isfinite(target.loss(picture, None))
 
 
 def test_gram_gradients_agree_with_finite_differences():
     guide = random(4, 6, seed=1)
     assert gradcheck(lambda maps: gram_matrix(maps, guide), random(1, 3, 2, 3).requires_grad_())
+
+
+@pytest.mark.parametrize("guided", [False, True])
+def test_the_gram_distance_is_that_of_scaled_maps_with_a_channel_of_ones(guided):
+    """Value and gradient, by the matrices themselves."""
+    style, picture = random(12, 10, 3) - 0.4, (random(9, 8, 3, seed=1) - 0.3).requires_grad_()
+    guide = random(9, 8, seed=2) if guided else None
+    scale = 1 / (style.square().mean(dim=(0, 1)).sqrt() + 1e-3)
+
+    def gram(pixels: Tensor, guide: Tensor | None) -> Tensor:
+        maps = (pixels * scale).permute(2, 0, 1)[None]
+        return gram_matrix(torch.cat([maps, torch.ones_like(maps[:, :1])], dim=1), guide)
+
+    wanted = (gram(picture, guide) - gram(style, None)).norm() / gram(style, None).norm()
+    found = StyleTarget(style, Pixels(), {"fine": 1.0}, GRAM).loss(picture, guide)
+    assert found.item() == pytest.approx(wanted.item(), rel=1e-6)
+    gradients = [torch.autograd.grad(loss, picture)[0] for loss in (found, wanted)]
+    assert torch.allclose(*gradients, rtol=1e-6)
 
 
 def test_total_variation_of_a_step_and_of_one_pixel():
@@ -107,7 +129,7 @@ def test_total_variation_gradients_agree_with_finite_differences():
 def test_style_loss_of_the_style_itself_is_zero_and_of_others_is_not():
     style = torch.from_numpy(random_style(32, 40))
     names = EmbeddedFeatures.names
-    target = StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(names, 1.0))
+    target = StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(names, 1.0), GRAM)
     assert 0 <= target.loss(style, None).item() < 1e-3
     assert target.loss(style.flip(2), None).item() > 0.1  # other colours
     smooth = style.mean(dim=(0, 1)).expand_as(style).contiguous()
@@ -117,7 +139,7 @@ def test_style_loss_of_the_style_itself_is_zero_and_of_others_is_not():
 def test_style_loss_is_smaller_for_the_same_texture_elsewhere_than_for_another():
     style = torch.from_numpy(random_style(32, 40))
     layers = dict.fromkeys(default_layers(), 1.0)
-    target = StyleTarget(style, EmbeddedFeatures(style), layers)
+    target = StyleTarget(style, EmbeddedFeatures(style), layers, GRAM)
     same = torch.roll(style, 7, dims=1)
     other = torch.from_numpy(random_style(32, 40).transpose(1, 0, 2).copy())  # turned stripes
     assert target.loss(same, None).item() < 0.2 * target.loss(other, None).item()
@@ -143,6 +165,7 @@ def test_layers_of_weight_zero_are_not_asked_for():
 def test_style_loss_gradients_agree_with_finite_differences():
     """Through both halves of the embedded network, the guide and the Gram matrices."""
     style = random(16, 16, 3)
-    target = StyleTarget(style, EmbeddedFeatures(style), dict.fromkeys(EmbeddedFeatures.names, 1.0))
+    names = dict.fromkeys(EmbeddedFeatures.names, 1.0)
+    target = StyleTarget(style, EmbeddedFeatures(style), names, GRAM)
     picture, guide = random(7, 6, 3, seed=1).requires_grad_(), random(7, 6, seed=2)
     assert gradcheck(lambda p: target.loss(p, guide), picture, eps=1e-7, atol=1e-4, rtol=1e-3)

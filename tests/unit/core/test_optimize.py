@@ -1,13 +1,17 @@
 """The optimiser on problems with known answers, and on those that go wrong."""
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
-from usdsmoke.core.steps.optimize import Adam, Minimum, minimize
+from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
+from usdsmoke.core.views.cameras import draw_views
 
 GOAL = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
 SCALES = torch.tensor([1.0, 30.0, 0.1], dtype=torch.float64)
@@ -21,8 +25,10 @@ def bowl(x: Tensor) -> Tensor:
     return (SCALES * (x - GOAL) ** 2).sum()
 
 
-def run(x: Tensor, n: int, rate: float = 0.1, **options: object) -> list[Minimum]:
-    return list(minimize(lambda _: bowl(x), [x], rate, n, **options))  # type: ignore[arg-type]
+def run(
+    x: Tensor, n: int, rate: float = 0.1, tolerance: float = 0.0, **options: Any
+) -> list[Minimum]:
+    return list(minimize(lambda _: bowl(x), [x], Descent(rate, n, tolerance), **options))
 
 
 def test_a_quadratic_bowl_is_solved_to_round_off():
@@ -70,14 +76,53 @@ def test_no_iterations_change_and_yield_nothing():
 def test_it_stops_when_converged_and_not_while_the_loss_falls():
     x = start()
     ends = run(x, 4000, tolerance=1e-3)
-    assert ends[-1].reason == "converged" and ends[-1].iteration < 2000
+    assert ends[-1].reason == "converged" and ends[-1].iteration < 3000
     assert bowl(x).item() < 1e-3
     assert run(start(), 4, tolerance=0.5)[-1].reason == "iterations"
 
 
+def shaken(x: Tensor, iteration: int) -> Tensor:
+    """The bowl's edges, so that steps of one size hover above its bottom."""
+    return 1.0 + (SCALES * (x - GOAL).abs()).sum()
+
+
+def test_a_plateau_at_the_full_rate_is_not_the_end_but_starts_the_annealing():
+    """Steps of full size keep the loss up, and falling ones let it down."""
+    x = start()
+    ends = list(minimize(partial(shaken, x), [x], Descent(0.1, 2000, 1e-3)))
+    rates = torch.tensor([end.rate for end in ends])
+    n_full = int((rates == rates[0]).sum())
+    assert ends[-1].reason == "converged" and n_full < 1000
+    assert rates[-1] == pytest.approx(0.01) and (rates.diff() <= 1e-9).all()
+    falling = int((rates > 0.0101).sum()) - n_full
+    assert falling == pytest.approx(n_full, abs=2)  # as long as the rate was full
+    assert len(rates) > 2 * n_full + 10  # and not the end either, as the loss has just fallen
+    plateau = sum(end.loss for end in ends[n_full - 50 : n_full]) / 50
+    assert ends[-1].loss - 1 < 0.3 * (plateau - 1)
+
+
+@pytest.mark.parametrize("size", [0.05, 0.5])
+def test_views_that_differ_neither_hide_a_fall_nor_feign_an_end(size):
+    """Sixteen views in an order of their own in each passage, as a pool draws them."""
+    generator = torch.Generator().manual_seed(0)
+    views = 1 + size * torch.randn(16, generator=generator, dtype=torch.float64)
+
+    def run_views(loss: Callable[[Tensor], Tensor]) -> Minimum:
+        x = start()
+
+        def objective(iteration: int) -> Tensor:
+            return loss(x) + views[draw_views(iteration, 1, 16, 0)[0]]
+
+        return list(minimize(objective, [x], Descent(0.01, 640, 1e-3, passage=16)))[-1]
+
+    falling = run_views(lambda x: 0.5 * (GOAL[0] * 10 - x[0]).abs())
+    assert falling.iteration == 639 and falling.reason == "iterations"
+    assert run_views(lambda x: 0 * x.sum()).reason == "converged"
+
+
 def test_tolerance_zero_never_stops_early_even_when_the_loss_rises():
     x = start()
-    ends = list(minimize(lambda t: bowl(x) + 0.001 * t, [x], 1e-9, 60))
+    ends = list(minimize(lambda t: bowl(x) + 0.001 * t, [x], Descent(1e-9, 60)))
     assert ends[-1].iteration == 59 and ends[-1].reason == "iterations"
 
 
@@ -86,7 +131,7 @@ def test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported
         return (1e3 * (x - GOAL) ** 4).sum() + bowl(x)
 
     x = start()
-    end = list(minimize(lambda _: steep(x), [x], 100.0, 200))[-1]
+    end = list(minimize(lambda _: steep(x), [x], Descent(100.0, 200)))[-1]
     assert end.rollbacks >= 3 and end.rate < 100 / 2**3
     assert torch.isfinite(x).all()
     assert steep(x).item() <= steep(torch.zeros(3).double()).item()
@@ -95,7 +140,9 @@ def test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported
 def test_views_whose_losses_differ_a_thousandfold_are_no_divergence():
     """Whatever the step: such a loss was there before it, and no smaller step mends that."""
     x = start()
-    end = list(minimize(lambda t: bowl(x) * (1e3 if t % 7 == 6 else 1.0), [x], 0.05, 400))[-1]
+    end = list(minimize(lambda t: bowl(x) * (1e3 if t % 7 == 6 else 1.0), [x], Descent(0.05, 400)))[
+        -1
+    ]
     assert end.rollbacks == 0 and end.rate > 0.05 / 10 and bowl(x).item() < 1e-3
 
 
@@ -105,7 +152,7 @@ def test_a_step_that_goes_wrong_is_seen_among_views_that_differ_too():
     def objective(iteration: int) -> Tensor:
         return bowl(x) * (1e3 if iteration % 7 == 6 else 1.0) + (x.abs() > 3).sum() * 1e6
 
-    end = list(minimize(objective, [x], 20.0, 200))[-1]
+    end = list(minimize(objective, [x], Descent(20.0, 200)))[-1]
     assert end.rollbacks >= 3 and bool((x.abs() < 3).all())
 
 
@@ -117,7 +164,7 @@ def test_a_loss_that_is_not_finite_is_rolled_back(bad):
         seen.append(x.detach().clone())
         return bowl(x) + (bad if iteration == 10 else 0.0)
 
-    ends = list(minimize(objective, [x], 0.1, 40))
+    ends = list(minimize(objective, [x], Descent(0.1, 40)))
     assert ends[-1].rollbacks == 1 and [end.iteration for end in ends].count(10) == 0
     assert torch.equal(seen[11], seen[8])  # the last state that had been remembered
     assert bowl(x).item() < bowl(torch.zeros(3).double()).item()
@@ -130,29 +177,31 @@ def test_a_gradient_that_is_not_finite_is_rolled_back():
         trap = torch.sqrt((x * 0).sum()) if iteration == 5 else 0.0  # slope: 0 x infinity
         return bowl(x) + trap
 
-    end = list(minimize(objective, [x], 0.1, 40))[-1]
+    end = list(minimize(objective, [x], Descent(0.1, 40)))[-1]
     assert end.rollbacks == 1 and torch.isfinite(x).all()
 
 
 def test_the_moments_are_rolled_back_in_the_state_that_was_carried_in():
     x, adam = start(), Adam()
-    list(minimize(lambda t: bowl(x) + (math.nan if t == 3 else 0.0), [x], 0.1, 4, adam=adam))
+    list(
+        minimize(lambda t: bowl(x) + (math.nan if t == 3 else 0.0), [x], Descent(0.1, 4), adam=adam)
+    )
     assert adam.n_steps == 0  # back before the first step, where all was remembered
-    list(minimize(lambda _: bowl(x), [x], 0.1, 5, adam=adam))
+    list(minimize(lambda _: bowl(x), [x], Descent(0.1, 5), adam=adam))
     assert adam.n_steps == 5
 
 
 def test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings():
     x = start()
     with pytest.raises(NonFiniteError, match=r"12 times.* 0\.1\b"):
-        list(minimize(lambda t: bowl(x) * (math.nan if t else 1.0), [x], 0.1, 100))
+        list(minimize(lambda t: bowl(x) * (math.nan if t else 1.0), [x], Descent(0.1, 100)))
 
 
 @pytest.mark.parametrize("n", [1, 5])
 def test_few_iterations_without_a_single_finite_loss_are_not_passed_over_in_silence(n):
     x = start()
     with pytest.raises(NonFiniteError, match=f"all {n} iterations"):
-        list(minimize(lambda _: bowl(x) * math.nan, [x], 0.1, n))
+        list(minimize(lambda _: bowl(x) * math.nan, [x], Descent(0.1, n)))
 
 
 def test_the_last_step_is_looked_at_when_there_were_rollbacks_before():
@@ -163,7 +212,7 @@ def test_the_last_step_is_looked_at_when_there_were_rollbacks_before():
     def cliff(_: int) -> Tensor:
         return bowl(x) + (1e9 * (x.abs().max() > 500)).double()
 
-    end = list(minimize(cliff, [x], rate, 5))[-1]
+    end = list(minimize(cliff, [x], Descent(rate, 5)))[-1]
     assert end.rollbacks == 2 and end.restored
     assert not x.any()
     assert end.smoothed == pytest.approx(bowl(torch.zeros(3).double()).item())
@@ -176,7 +225,7 @@ def test_the_best_remembered_state_comes_back_when_the_end_is_clearly_worse():
     def objective(iteration: int) -> Tensor:
         return bowl(x) if iteration < 60 else bowl(x) + 0.5 * (x**2).sum() + 3.0
 
-    end = list(minimize(objective, [x], 0.1, 64))[-1]
+    end = list(minimize(objective, [x], Descent(0.1, 64)))[-1]
     assert end.restored
     assert bowl(x).item() < 0.2
     assert not run(start(), 64)[-1].restored
@@ -184,20 +233,20 @@ def test_the_best_remembered_state_comes_back_when_the_end_is_clearly_worse():
 
 def test_an_objective_without_the_parameters_leaves_them_alone():
     x = start()
-    end = list(minimize(lambda _: torch.tensor(0.0), [x], 0.1, 3))[-1]
+    end = list(minimize(lambda _: torch.tensor(0.0), [x], Descent(0.1, 3)))[-1]
     assert end.loss == 0 and not x.any()
 
 
 def test_a_zero_gradient_at_the_start_moves_nothing_and_is_no_error():
     """A flat place that is no minimum: Adam divides 0 by the root of 0 plus its epsilon."""
     x = start()
-    end = list(minimize(lambda _: (1 - x**2).sum(), [x], 0.1, 20))[-1]
+    end = list(minimize(lambda _: (1 - x**2).sum(), [x], Descent(0.1, 20)))[-1]
     assert end.loss == 3 and end.rollbacks == 0 and not x.any()
 
 
 def test_a_zero_loss_that_rises_later_is_no_divergence():
     x = start()
-    ends = list(minimize(lambda t: bowl(x) * (t > 2), [x], 0.1, 30))
+    ends = list(minimize(lambda t: bowl(x) * (t > 2), [x], Descent(0.1, 30)))
     assert len(ends) == 30 and ends[-1].rollbacks == 0
     assert ends[-1].loss < ends[3].loss
 
@@ -215,7 +264,7 @@ def test_the_projection_follows_each_step():
 def quartic_path(unit: float, dtype: torch.dtype) -> Tensor:
     """Parameters after some steps on an objective in another unit."""
     x = torch.tensor([2.0, -1.0, 0.3], dtype=dtype, requires_grad=True)
-    list(minimize(lambda t: unit * ((x - GOAL.to(x)) ** 4).sum(), [x], 0.05, 40))
+    list(minimize(lambda t: unit * ((x - GOAL.to(x)) ** 4).sum(), [x], Descent(0.05, 40)))
     return x.detach()
 
 

@@ -56,7 +56,7 @@ def test_the_loss_falls(step):
     run_core([FRAME], config, watch=told)
     assert [record.iteration for record in told] == list(range(30))
     assert {record.step for record in told} == {step}
-    assert told[-1].loss < 0.9 * told[0].loss
+    assert told[-1].loss < 0.95 * told[0].loss
 
 
 def test_the_same_run_gives_the_same_bits(stylized):
@@ -166,6 +166,7 @@ def test_smoke_moves_less_than_its_reach_and_keeps_its_mass(displacement, interp
             "learning_rate": 0.5,
             "iterations": [0, 4],
         },
+        losses={"statistic": "gram"},  # steps so long would be taken back, as no descent
         **SHAPE,
     )
     result = run_core([FRAME], config)[0]

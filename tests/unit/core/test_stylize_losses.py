@@ -11,7 +11,7 @@ from usdsmoke.core.style import losses
 DENSITY = puff(12)
 FRAME = frame_of(DENSITY)
 WEIGHTS = [
-    {"statistic": "sliced_wasserstein"},
+    {"statistic": "gram"},
     {"histogram": 1.0},
     {"content": 1.0},
     {"laplacian": 10.0},

@@ -28,6 +28,7 @@ from usdsmoke.core.sequence.picture_errors import fit_blocks, resolution_error
 from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.core.sequence.stylize import stylized_frame
 from usdsmoke.core.smoke.schedule import pool_size
+from usdsmoke.core.steps.loss_tail import LONGER
 from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
 __all__ = ["calibrate"]
@@ -192,6 +193,9 @@ def _step(report: StepReport) -> dict[str, Any]:
     loss, spread = report.loss[-1], report.view_spread or 0.0
     if fallen <= 3 * spread * loss or fallen <= 0:
         return {"why": "the pilot's loss fell by less than the spread between views"}
+    left /= (
+        1 - 1 / LONGER
+    )  # four times as many leave a quarter of what is left after a tail's start
     share = max(left / (fallen + left), LEAST_SHARE)
     return {
         "iterations": float(report.iterations[-1]),

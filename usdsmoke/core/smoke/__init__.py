@@ -6,5 +6,6 @@
 - ``memory``: long tensors in chunks, lazy lists, sums whose graph is freed term by term
 - ``noise``: white noise as a function of voxel, channel and seed
 - ``schedule``: iterations of each octave, number of views; without torch
+- ``spread``: colours for voxels of which too little is known, from those around them
 - ``srgb``: colour spaces
 """

@@ -15,6 +15,7 @@ __all__ = [
     "activate",
     "coarsen",
     "densify",
+    "flat_key",
     "make_octaves",
     "octaves_to_do",
     "sample_colours",
@@ -95,7 +96,8 @@ def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) ->
     return ActiveSmoke(ijk, torch.from_numpy(values.astype(np.float32)).to(device), matrix)
 
 
-def _flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:
+def flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:
+    """The number of each voxel [N 3] in a box, in C order, [N]."""
     shifted = ijk - low
     return (shifted[:, 0] * shape[1] + shifted[:, 1]) * shape[2] + shifted[:, 2]
 
@@ -114,7 +116,7 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     blocks = torch.div(smoke.ijk, divisor, rounding_mode="floor")
     first = blocks.amin(0)
     shape = blocks.amax(0) - first + 1
-    keys, inverse = torch.unique(_flat_key(blocks, first, shape), return_inverse=True)
+    keys, inverse = torch.unique(flat_key(blocks, first, shape), return_inverse=True)
     sums = torch.bincount(inverse, smoke.density.double(), minlength=len(keys))
     density = (sums / float(np.prod(factor))).to(smoke.density.dtype)
     ijk = torch.stack(
@@ -128,7 +130,7 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
 def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: Sequence[int]) -> Tensor:
     """Voxel values [N C] as a dense box [I J K C], zero elsewhere."""
     dense = values.new_zeros(shape[0] * shape[1] * shape[2], values.shape[1])
-    dense[_flat_key(ijk, low, torch.as_tensor(shape, device=ijk.device))] = values
+    dense[flat_key(ijk, low, torch.as_tensor(shape, device=ijk.device))] = values
     return dense.view(*shape, -1)
 
 

@@ -3,6 +3,10 @@ r"""The colour step: RGB on fixed density. [Christen2020, eq. 6 and section 3.1]
 Unknowns are the display-encoded colours of the active voxels, clipped to [0, 1]. Octaves go coarse
 to fine; a finer one starts from the interpolated colours of the one before. The first one starts
 from white noise, which density multiplies in the picture, as the paper does.
+
+At the end of an octave, voxels that hardly any light of the pictures comes from take the colours of
+the smoke around them: what no view sees would keep the noise that it starts with. Not so in a warm
+frame, to which its neighbour brings such colours: mixed anew in each frame, they would blur.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +20,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colour
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
+from usdsmoke.core.smoke.spread import spread_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
@@ -29,6 +34,7 @@ from usdsmoke.core.views.visibility import EffectMask
 
 __all__ = ["initial_colours", "optimize_colours", "run_colour_step"]
 
+DIM = 0.1  # share of a voxel's light that is seen where half of its colour is its neighbourhood's
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which start near their goal
@@ -74,8 +80,9 @@ def run_colour_step(
         seed = config.optimize.seed + number
         views = _octave_views(replace(problem, smoke=octave), share, factor, seed)
         octave_rate = rate * (LATER_RATE if number else 1.0)
+        pool = ViewPool(views, config.views.count, seed)
         colours, end = optimize_colours(
-            ViewPool(views, config.views.count, seed),
+            pool,
             _colours_on(here, before, colours, problem),
             targets.at(factor),
             targets.background,
@@ -83,7 +90,12 @@ def run_colour_step(
             partial(watch, number) if watch is not None else None,
         )
         before = here
-        ends += [end] if end is not None else []
+        if end is not None:
+            ends.append(end)
+        if end is not None and not warm:
+            part = None if share is None else share[share > 0]
+            seen = _seen(pool.drawn(end.iteration + 1), here, part, problem.scene, factor)
+            colours = spread_colours(here, colours, seen**2 / (seen**2 + DIM**2))
     return _colours_on(painted, before, colours, problem), ends
 
 
@@ -122,11 +134,7 @@ def optimize_colours(
         unknown.clamp_(0, 1)
 
     state = None
-    adam = Adam(epsilon=descent.epsilon)
-    steps = minimize(
-        objective, [unknown], descent.rate, descent.n_iterations, clip, descent.tolerance, adam
-    )
-    for state in steps:
+    for state in minimize(objective, [unknown], replace(descent, passage=pool.passage), clip):
         if watch is not None:
             watch(state)
     return unknown.detach(), state
@@ -164,6 +172,27 @@ def _octave_views(
         return replace(view, content=loss.content(picture))
 
     return LazyList(len(views), with_content)
+
+
+def _seen(
+    views: Sequence[ColourView],
+    painted: ActiveSmoke,
+    share: Tensor | None,
+    scene: Scene,
+    factor: int,
+) -> Tensor:
+    """The share of each voxel's light that reaches the pictures, mean over the views, [N]; >= 0.
+
+    About the transmittance in front of it; 1 is a voxel by itself with nothing in front.
+    """
+    light = views[0].image.weight.sum(dim=1)
+    for view in views[1:]:
+        light = light + view.image.weight.sum(dim=1)
+    face = painted.voxel_size**2
+    depth = painted.density * (scene.gamma_w * painted.voxel_volume / face)
+    alone = opacity(depth) * (face / (factor * scene.pixel_size) ** 2)
+    alone = alone if share is None else alone * share
+    return light / (len(views) * alone).clamp_min(torch.finfo(light.dtype).tiny)
 
 
 def _content_picture(

@@ -5,32 +5,34 @@ Plain numbers, no tensors: a few milliseconds for hundreds of iterations.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["FEWEST", "remaining_decrease", "spread_of_mean"]
+__all__ = ["FEWEST", "LONGER", "remaining_decrease", "spread_of_mean"]
 
 FEWEST = 10  # iterations from which a tail can be fitted
-_DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
-_SEPARABLE = 48  # iterations that separate a tail from the steps' own part
-_BOWL = 0.1  # weight of an exponential beside a tail of the other kind
+LONGER = 4.0  # times as long: the run that a loss is compared with
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
+_DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
+_BOWL = 0.03  # weight of an exponential beside a tail of the other kind
+_ALIKE = 4  # iterations that count as one: the same views come again
+_LEAST = 1e-3  # of the largest prediction; what a mean of logarithms takes for 0
 _SHORTEST = 8  # iterations that separate a spread from a slope
 
 
 def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float:
-    """How far the loss would still fall with infinitely many iterations, in its unit.
+    """By how much a run with four times as many iterations would end lower, in the loss's unit.
 
-    Tails L + A / (1 + s / a) + B r and L + A exp(-s / T) + B r with A, B >= 0 are fitted by least
-    squares to all but the first third of the history for several a and T. Here s is the length of
-    all steps so far: the optimiser's rate r falls towards the end, and counted in iterations any
-    loss would seem to converge. B r is what the steps add to the loss by their own size. Tails
-    with B = 0 count as well, and alone where the losses are too few to tell the two apart.
+    Tails L + A / (1 + s / a) and L + A exp(-s / T) with A >= 0 are fitted by least squares to all
+    but the first quarter of the history for several a and T, and followed to four times the length.
+    Here s is the length of all steps so far: the optimiser's rate r falls towards the end, and
+    counted in iterations any loss would seem to converge.
 
-    Style losses fall like the first kind, a quadratic bowl like the second. What each tail leaves
-    above L at the end is averaged with the weights w exp(-(S - S_least) / 2 v), S the sum of
-    squares, v = S_least / (n - 3), w = 1 for the first kind and 0.1 for the second: a clean history
-    is taken at its word, and a noisy one gets the mean of all tails that it allows.
+    Style losses fall like the first kind, a quadratic bowl like the second. What they predict is
+    averaged, in logarithms, with the weights w exp(-(S - S_least) / 2 v), S the sum of squares,
+    v = 8 S_least / (n - 3), w = 1 for the first kind and 0.03 for the second: a clean history is
+    taken at its word, and a noisy one gets the mean of all tails that it allows, never 0.
 
     Args:
         losses: one an iteration, in order.
@@ -42,23 +44,26 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     values, ways = np.asarray(losses, float), np.cumsum(np.asarray(rates, float))
     if len(values) < FEWEST or not np.isfinite(values).all():
         return math.nan
+    first, whole = len(values) // 4, ways[-1]
     ways = np.concatenate([[0.0], ways[:-1]])  # before each of the losses
-    first = len(values) // 3
-    here, whole, tail = ways[first:], ways[-1], values[first:]
-    shapes = [(1 + 1 / half) / (1 + here / (half * whole)) for half in _HALVINGS]
-    shapes += [np.exp((whole - here) / ((whole - here[0]) * decay)) for decay in _DECAYS]
-    prior = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
-    found = [_fit(shape, tail, None) for shape in shapes]
-    if len(values) >= _SEPARABLE:
-        sizes = np.asarray(rates, float)[first:]
-        found += [_fit(shape, tail, sizes) for shape in shapes]
-        prior = np.concatenate([prior, prior])
-    least = min(squares for _, squares in found)
+    here, tail = ways[first:] / whole, values[first:]
+    left = 1 - here[0]
+    shapes = [(1 / (1 + here / a), 1 / (1 + 1 / a) - 1 / (1 + LONGER / a)) for a in _HALVINGS]
+    for decay in _DECAYS:
+        t = decay * left
+        shapes.append((np.exp((1 - here) / t), -math.expm1((1 - LONGER) / t)))
+    fits = [_fit(shape, tail) for shape, _ in shapes]
+    least = min(fit.squares for fit in fits)
     variance = max(least / max(len(tail) - 3, 1), (1e-12 * float(np.abs(tail).max())) ** 2)
+    variance *= _ALIKE
     if variance == 0:
         return 0.0
-    weights = prior * np.exp([(least - squares) / (2 * variance) for _, squares in found])
-    return float(weights @ [height for height, _ in found] / weights.sum())
+    pairs = list(zip(shapes, fits, strict=True))
+    falls = np.array([gain * fit.height(variance / _ALIKE) for (_, gain), fit in pairs])
+    weights = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
+    weights *= [math.exp((least - fit.squares) / (2 * variance)) for fit in fits]
+    logarithms = np.log(np.maximum(falls, _LEAST * falls.max()))
+    return float(np.exp(weights @ logarithms / weights.sum()))
 
 
 def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
@@ -86,27 +91,35 @@ def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
     return deviation / math.sqrt(views) / abs(float(passage.mean()))
 
 
-def _fit(shape: np.ndarray, tail: np.ndarray, sizes: np.ndarray | None) -> tuple[float, float]:
-    """The tail's height above its limit at the end, and the sum of squares that is left.
+@dataclass(frozen=True)
+class _Fit:
+    """Of the tail L + A shape."""
 
-    Of the fits with the shape alone, with the steps' sizes alone and with both the best one without
-    a negative factor is taken.
-    """
+    factor: float  # A, of either sign
+    weight: float  # sum of the squares of the shape around its mean
+    squares: float  # sum of squares that is left with A >= 0
+    most: float  # of A: no style loss falls below 0
+
+    def height(self, variance: float) -> float:
+        """Mean of A, known to be >= 0, if the losses scatter so: small, not 0, where they rise."""
+        spread = math.sqrt(variance / self.weight)
+        z = self.factor / spread
+        below = math.erfc(-z / math.sqrt(2)) / 2
+        if below > 1e-200:
+            mean = self.factor + spread * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / below
+        else:
+            mean = -spread / z
+        return min(mean, self.most)
+
+
+def _fit(shape: np.ndarray, tail: np.ndarray) -> _Fit:
+    """By least squares."""
     centred, around = shape - shape.mean(), tail - tail.mean()
-    height, squares = 0.0, float(around @ around)
-    candidates = [[centred]]
-    if sizes is not None:
-        steps = (sizes - sizes.mean()) / sizes.max()
-        candidates += [[steps], [centred, steps]]
-    for columns in candidates:
-        matrix = np.stack(columns, axis=1)
-        factors = np.linalg.lstsq(matrix, around, rcond=None)[0]
-        rest = float(((around - matrix @ factors) ** 2).sum())
-        if (factors >= 0).all() and rest < squares:
-            height, squares = (float(factors[0]) if columns[0] is centred else 0.0), rest
-    if tail.mean() > 0:
-        height = min(height, float(tail.mean() / shape.mean()))  # no style loss falls below 0
-    return height * float(shape[-1]), squares
+    weight = float(centred @ centred)
+    factor = float(centred @ around) / weight
+    squares = float(((around - max(factor, 0.0) * centred) ** 2).sum())
+    most = float(tail.mean() / shape.mean()) if tail.mean() > 0 else math.inf
+    return _Fit(factor, weight, squares, most)
 
 
 def _detrended(values: np.ndarray) -> float:

@@ -1,10 +1,10 @@
-"""Adam that keeps the best state: it rolls back, slows down and stops when converged.
+"""Adam that keeps the best state: it rolls back, anneals its rate and stops when converged.
 
 It minimises any objective and knows nothing of smoke, so it can be tested on a quadratic bowl.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -20,6 +20,8 @@ BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wron
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
 MOST_ROLLBACKS = 12
 REMEMBER_EVERY = 8  # iterations between two states to roll back to
+ANNEALED = 0.1  # share of the rate at the end
+SHORTEST_SPAN = 10  # iterations over which a plateau shows
 WORSE = 1.05  # a last state this much above the best one is replaced by it; views differ by less
 
 
@@ -86,6 +88,7 @@ class Descent:
     n_iterations: int
     tolerance: float = 0.0
     epsilon: float = Adam.epsilon
+    passage: int = 1  # iterations whose losses together are free of noise
 
 
 @dataclass(frozen=True)
@@ -106,55 +109,54 @@ class Minimum:
 def minimize(
     objective: Callable[[int], Tensor],
     parameters: list[Tensor],
-    rate: float,
-    n_iterations: int,
+    descent: Descent,
     project: Callable[[], None] | None = None,
-    tolerance: float = 0.0,
     adam: Adam | None = None,
 ) -> Iterator[Minimum]:
     """Minimises ``objective`` over ``parameters`` in place; one item per good iteration.
 
+    The rate is full for the first half of the iterations and then falls linearly to a tenth. A
+    plateau in the first half starts the fall at once, which then takes as many iterations as there
+    were. Only after it the run can end early, as converged, which is checked until the iterations
+    are used up. A plateau, or convergence, is a loss that falls by less than ``tolerance``
+    (relative) over a quarter of the iterations; means over whole passages are compared.
+
     A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
     and moments back to the last good state and halves the rate; but not where that state has such a
-    loss in this iteration too: views differ, the more so the nearer a loss is to 0. The run ends
-    early when the smoothed loss has fallen by less than ``tolerance`` (relative) over a quarter of
-    the iterations. At the end the best remembered state is restored if the last one is clearly
-    worse.
+    loss in this iteration too: views differ, the more so the nearer a loss is to 0. At the end the
+    best remembered state is restored if the last one is clearly worse.
 
     Args:
         objective: iteration -> scalar loss; its random draws depend on that number.
         parameters: leaf tensors that require gradients; changed in place.
-        rate: Adam's step; full for the first half, then linearly down to a tenth.
-        n_iterations: at most this many; 0 yields nothing.
+        descent: at most so many iterations, 0 yields nothing; a tolerance of 0 never stops early.
         project: called after each step, e.g. to clip colours to their range.
-        tolerance: 0 never stops early.
-        adam: its settings and moments; changed in place. None starts a new one.
+        adam: its settings and moments; changed in place. None starts a new one with the descent's
+            epsilon.
 
     Raises:
         NonFiniteError: still not finite after many halvings, or in every iteration there was.
     """
     give_back_memory()  # what making the objective has left in pieces
-    state = _State(parameters, adam or Adam(), rate)
-    history: list[float] = []
+    n_iterations = descent.n_iterations
+    state = _State(parameters, adam or Adam(epsilon=descent.epsilon), descent.rate)
+    schedule = _Schedule(descent)
     losses: list[float] = []
     rates: list[float] = []
-    span = max(n_iterations // 4, 10)
     latest = None
     for iteration in range(n_iterations):
         value, gradients = _evaluate(objective, iteration, parameters)
         if not state.accept(iteration, value, gradients, partial(_loss, objective, iteration)):
             continue
-        now = state.rate * _schedule(iteration / n_iterations)
+        now = state.rate * schedule.share(iteration)
         with torch.no_grad():
             state.adam.step(parameters, gradients, now)
             if project is not None:
                 project()
-        history.append(state.smoothed)
         losses.append(value)
         rates.append(now)
         latest = Minimum(iteration, value, state.smoothed, state.rollbacks, now, "")
-        fallen = history[-1 - span] - state.smoothed if len(history) > span else math.inf
-        if fallen < tolerance * abs(state.smoothed) and tolerance > 0:
+        if schedule.ends(iteration, losses):
             latest = replace(latest, reason="converged")
             break
         if iteration < n_iterations - 1:
@@ -162,6 +164,40 @@ def minimize(
     if n_iterations > 0:
         end = state.settle(latest, partial(_loss, objective, n_iterations))
         yield replace(end, losses=tuple(losses), rates=tuple(rates))
+
+
+class _Schedule:
+    """The rate's share in each iteration, and when to stop; see ``minimize``."""
+
+    def __init__(self, descent: Descent) -> None:
+        self._tolerance, self._passage = descent.tolerance, max(descent.passage, 1)
+        self._annealed_at = descent.n_iterations  # the iteration in which the rate has fallen
+        span = max(descent.n_iterations // 4, SHORTEST_SPAN)
+        self._span = -(-span // self._passage) * self._passage
+
+    def share(self, iteration: int) -> float:
+        """Of the full rate, in [0.1, 1]."""
+        fraction = min(iteration / self._annealed_at, 1.0)
+        return 1.0 if fraction < 0.5 else 1.0 - (1.0 - ANNEALED) * (fraction - 0.5) / 0.5
+
+    def ends(self, iteration: int, losses: Sequence[float]) -> bool:
+        """Whether the last iteration was enough; notes a plateau at the full rate."""
+        done, falls = iteration + 1, 2 * iteration >= self._annealed_at
+        if (falls and done < self._annealed_at) or not self._is_flat(losses):
+            return False
+        if not falls:
+            self._annealed_at = 2 * done
+            return False
+        return True
+
+    def _is_flat(self, losses: Sequence[float]) -> bool:
+        """Whether the last whole passage lies hardly below the one a span before it."""
+        passage, span = self._passage, self._span
+        if self._tolerance <= 0 or len(losses) % passage or len(losses) < passage + span:
+            return False
+        last = math.fsum(losses[-passage:])
+        before = math.fsum(losses[-passage - span : -span])
+        return before - last < self._tolerance * max(abs(last), NOISE * passage * abs(losses[0]))
 
 
 def _evaluate(
@@ -185,11 +221,6 @@ def _loss(objective: Callable[[int], Tensor], iteration: int) -> float:
             return float(objective(iteration))
     except NonFiniteError:
         return math.nan
-
-
-def _schedule(fraction: float) -> float:
-    """Share of the rate: full for the first half, then linearly down to a tenth."""
-    return 1.0 if fraction < 0.5 else 1.0 - 0.9 * (fraction - 0.5) / 0.5
 
 
 class _State:

@@ -36,6 +36,21 @@ class ViewPool(Generic[AnyView]):
     n_drawn: int = 1  # in one iteration
     seed: int = 0  # of the order
 
+    @property
+    def passage(self) -> int:
+        """Iterations in which every view is drawn: the mean of their losses has no noise of views.
+
+        With several views an iteration that do not divide the pool, some are drawn twice.
+        """
+        return -(-len(self.views) // min(self.n_drawn, len(self.views)))
+
+    def drawn(self, n_iterations: int) -> list[AnyView]:
+        """The views that so many iterations have drawn, each once."""
+        n, seen = min(self.n_drawn, len(self.views)), set[int]()
+        for iteration in range(min(n_iterations, self.passage)):
+            seen.update(draw_views(iteration, n, len(self.views), self.seed))
+        return [self.views[number] for number in sorted(seen)]
+
     def mean_loss(
         self, shared: Tensor, iteration: int, loss: Callable[[AnyView, Tensor], Tensor]
     ) -> Tensor:

@@ -143,6 +143,11 @@ class _Octave:
         """Whether the potential has an effect on any voxel."""
         return moves_along(self.lattice.shape, self._kind) and bool((self.effect > 0).any())
 
+    @property
+    def passage(self) -> int:
+        """Iterations that see every view once."""
+        return self._pool.passage
+
     def displacement(self, potential: Tensor) -> Tensor:
         """The displacement of the active voxels, [N 3] index units.
 
@@ -276,8 +281,9 @@ def _optimize_octave(
 
     steps = minimize(
         lambda iteration: octave.loss(base_there + pyramid.expand(scaled()), iteration),
-        unknowns, descent.rate, descent.n_iterations, tolerance=descent.tolerance,
-    )  # fmt: skip
+        unknowns,
+        replace(descent, passage=octave.passage),
+    )
     state = None
     for state in steps:
         if watch is not None:

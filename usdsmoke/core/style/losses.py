@@ -19,6 +19,7 @@ channel (the histogram loss [Risser2017]), or along random directions (sliced Wa
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
@@ -29,10 +30,12 @@ from usdsmoke.core.smoke.srgb import luminance
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
+from usdsmoke.core.style.sliced import sliced_distance
 
 __all__ = ["Content", "PictureLoss", "StyleTarget", "gram_matrix", "total_variation"]
 
-N_DRAWS = 16  # sets of directions of sliced Wasserstein, taken in turn
+N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
+N_DRAWS = 16  # sets of directions, taken in turn
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -149,13 +152,12 @@ class StyleTarget:
         total = picture.new_zeros(())
         for name, weight in self._weights.items():
             layer = self._layers[name]
-            scaled = maps[name] * layer.scale
             if losses.statistic == "sliced_wasserstein":
-                distance = layer.sliced_distance(scaled, guide, draw % N_DRAWS)
+                distance = layer.sliced_distance(maps[name], guide, draw % N_DRAWS)
             else:
-                distance = layer.gram_distance(scaled, guide)
+                distance = layer.gram_distance(maps[name], guide)
             if losses.histogram:
-                distance = distance + losses.histogram * layer.histogram_distance(scaled, guide)
+                distance = distance + losses.histogram * layer.histogram_distance(maps[name], guide)
             total = total + weight * distance
         return total
 
@@ -178,43 +180,78 @@ class StyleTarget:
 class _LayerTarget:
     """One layer's features of the style; each statistic is made when it is first used.
 
-    The distances take a picture's maps [1 C h w], multiplied by ``scale``.
+    Distances take a picture's maps [1 C h w], and measure channels in units of the style's rms.
     """
 
     def __init__(self, maps: Tensor, seed: int) -> None:
         rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
-        self.scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(maps.dtype)[None, :, None, None]
-        self._style, self._seed = (maps * self.scale)[0].flatten(1), seed  # [C P]
+        self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(_wide(maps))
+        self._style = _wide(maps[0].flatten(1)) * self._scale[:, None]  # [C P]
+        self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 
     @cached_property
     def _gram(self) -> Tensor:
-        return gram_matrix(_with_ones(self._style[None, :, :, None]))
+        ones = torch.ones_like(self._style[:1])
+        return gram_matrix(torch.cat([self._style, ones])[None, :, :, None])
 
     @cached_property
     def _table(self) -> Tensor:
         return quantile_table(self._style)
 
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
-        """|G - G_S| / |G_S|, smoothed at 0."""
-        difference = gram_matrix(_with_ones(maps), guide) - self._gram
-        return torch.sqrt(difference.square().sum() + 1e-8) / self._gram.square().sum().sqrt()
+        """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
+        flat = _wide(maps[0].flatten(1))
+        small = None if guide is None else _small(guide, flat.new_empty(1, *maps.shape[1:]))[0]
+        return cast(Tensor, _GramDistance.apply(flat, small, self._scale, self._gram))
 
     def histogram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """Root mean square way from the picture's features to the style's, channel by channel."""
         weights = None if guide is None else _small(guide, maps).square()[0]
-        return torch.sqrt(quantile_distance(maps[0].flatten(1), weights, self._table) + 1e-8)
+        scaled = _wide(maps[0].flatten(1)) * self._scale[:, None]
+        return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
         """The same along a draw of random directions."""
         if draw not in self._slices:
-            n = len(self._style)
-            axes = random_directions(n, n, self._seed + draw, self._style)
-            self._slices[draw] = axes, quantile_table(axes @ self._style.to(axes))
+            seed = self._seed + draw
+            axes = random_directions(len(self._style), N_DIRECTIONS, seed, self._style)
+            table = quantile_table(axes @ self._style)
+            self._slices[draw] = axes * self._scale, table
         axes, table = self._slices[draw]
         weights = None if guide is None else _small(guide, maps).square()[0]
-        values = axes @ maps[0].flatten(1).to(axes)
-        return torch.sqrt(quantile_distance(values, weights, table) + 1e-8)
+        return torch.sqrt(sliced_distance(maps[0].flatten(1), weights, axes, table) + 1e-8)
+
+
+class _GramDistance(torch.autograd.Function):
+    """|G - G_S| / |G_S| of features F [C P] under a guide T [P]; one product in each direction.
+
+    With S the channels' scales, A = F T^2 F^T / sum T^2 and b = F T^2 1 / sum T^2 the Gram matrix
+    is G = [[S A S, S b], [b^T S, 1]]: neither scaled maps nor a channel of ones are made.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, flat: Tensor, guide: Tensor | None, scale: Tensor, wanted: Tensor
+    ) -> Tensor:
+        guide = torch.ones_like(flat[0]) if guide is None else guide
+        area, guided = guide.square().sum().clamp_min(1e-12), flat * guide
+        gram = torch.empty_like(wanted)
+        gram[:-1, :-1] = scale[:, None] * (guided @ guided.T) * scale / area
+        gram[-1, :-1] = gram[:-1, -1] = scale * (guided @ guide) / area
+        gram[-1, -1] = guide.square().sum() / area
+        difference = gram - wanted
+        root, size = torch.sqrt(difference.square().sum() + 1e-8), wanted.square().sum().sqrt()
+        pull = difference[:-1] * (scale[:, None] * (2 / (root * size * area)))
+        pull[:, :-1] *= scale
+        ctx.save_for_backward(guided, guide, pull)
+        return root / size
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+        guided, guide, pull = ctx.saved_tensors
+        found = torch.addmm(pull[:, -1:] * guide, pull[:, :-1], guided)
+        return found.mul_(guide * upstream), None, None, None
 
 
 def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
@@ -228,9 +265,7 @@ def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
 
     Gradients: through ``maps``.
     """
-    flat = maps[0].flatten(1)
-    if flat.dtype in (torch.float16, torch.bfloat16):
-        flat = flat.float()
+    flat = _wide(maps[0].flatten(1))
     if guide is None:
         return flat @ flat.T / flat.shape[1]
     small = _small(guide, maps)
@@ -248,9 +283,9 @@ def total_variation(picture: Tensor) -> Tensor:
     return (across.sum() + down.sum()) / max(across.numel() + down.numel(), 1)
 
 
-def _with_ones(maps: Tensor) -> Tensor:
-    """The maps [1 C h w] and a constant channel, whose products are the others' means."""
-    return torch.cat([maps, torch.ones_like(maps[:, :1])], dim=1)
+def _wide(maps: Tensor) -> Tensor:
+    """At least float32, as sums of halves lose the small ones."""
+    return maps.float() if maps.dtype in (torch.float16, torch.bfloat16) else maps
 
 
 def _small(guide: Tensor, maps: Tensor) -> Tensor:

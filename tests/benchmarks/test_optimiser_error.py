@@ -1,0 +1,30 @@
+"""The optimiser's rows of the error budget against longer runs, on a few voxels."""
+
+import pytest
+
+from benchmarks.optimiser_error import measure_step
+from tests.smoke_fixtures import frame_of, puff, random_style
+from usdsmoke.base.resolve import resolve_config
+
+SETTINGS = {
+    "views": {"pool": 8, "image_size": 24},
+    "features": {"layers": ["oriented1", "oriented2", "learned1"]},
+    "shape": {"iterations": [30, 32]},
+    "colour": {"iterations": [30, 40]},
+    "optimize": {"threads": 1},
+}
+WITHIN = 3.0  # times too large or too small; the benchmark's larger scenes stay within 2
+
+
+@pytest.mark.parametrize(
+    ("step", "limit"),
+    [("shape", "default"), ("colour", "cut short"), ("colour", "stopped early")],
+)
+def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str) -> None:
+    """Also where a run is cut short or stops early: what it leaves is told, never nothing."""
+    config = resolve_config(SETTINGS)
+    row = measure_step(frame_of(puff(16)), random_style(32, 32), config, step, limit)
+    assert row.true > 0.02, row
+    assert 1 / WITHIN < row.ratio < WITHIN, row
+    if limit == "stopped early":
+        assert row.ended == "converged" and row.iterations[-1] <= 2 * 40, row
