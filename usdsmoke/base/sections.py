@@ -231,7 +231,7 @@ class OptimizeConfig(Section):
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
         "lists as they are", ge=1, unit="iterations", request="iterations")
     tolerance: float = setting(
-        2e-3, "stopping threshold of the optimiser: a fall of the loss by less than this share over "
+        2e-3, "stopping threshold of the optimiser: a loss that falls by less than this share over "
         "a quarter of an octave is a plateau: the rate then falls early, and once it has fallen, "
         "the octave ends; 0: never; not --tolerance, which is optimize.target_error", ge=0)
     target_error: float | None = setting(
