@@ -118,7 +118,7 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
                 return _pillow_pixels(where, ImageOps.exif_transpose(image))
     except UnidentifiedImageError:
         raise ImageError(
-            f"cannot read the style image {where}: it is not EXR, {', '.join(formats)}. "
+            f"the style image {where} is not a supported image (EXR, {', '.join(formats)}). "
             "Save it as PNG."
         ) from None
     except Image.DecompressionBombError as error:

@@ -196,7 +196,7 @@ def test_other_files_are_refused_with_the_formats_that_are_read(
     tmp_path: Path, packed: bytes
 ) -> None:
     (tmp_path / "a.png").write_bytes(packed)
-    with pytest.raises(ImageError, match=r"a\.png.* not EXR, PNG, JPEG, TIFF"):
+    with pytest.raises(ImageError, match=r"a\.png.*EXR, PNG, JPEG, TIFF"):
         read_style_image(tmp_path / "a.png")
 
 

@@ -14,7 +14,13 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import TIGHT, make_field, uniform
-from usdsmoke.base.errors import BindingMissing, DamagedFile, UsdSmokeError, WriteFailed
+from usdsmoke.base.errors import (
+    BindingMissing,
+    DamagedFile,
+    PlanError,
+    UsdSmokeError,
+    WriteFailed,
+)
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.child import ChildFailure, end_worker, run_child
@@ -32,6 +38,15 @@ def fresh_worker() -> Iterator[None]:
     end_worker()
     yield
     end_worker()
+
+
+def test_a_python_that_cannot_be_started_is_not_a_full_disk(
+    tmp_path: Path, good_file: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "good.vdb").write_bytes(good_file)
+    monkeypatch.setattr(child, "python_command", lambda code: [str(tmp_path / "no-python"), code])
+    with pytest.raises(PlanError, match="cannot start"):
+        read_grids(tmp_path / "good.vdb", DENSITY, GridsConfig())
 
 
 @pytest.fixture(scope="module")

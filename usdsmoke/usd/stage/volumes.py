@@ -98,7 +98,7 @@ def find_volumes(
     for outline, selected in zip(outlines, selections, strict=True):
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
-            (missing if config.allow_missing else problems or []).extend(absent)
+            (missing if config.allow_missing or problems is None else problems).extend(absent)
             if absent and not selected:
                 omitted[str(outline.prim.GetPath())] = absent[0]
                 continue

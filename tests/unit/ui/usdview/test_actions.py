@@ -90,11 +90,13 @@ def test_inspection_tells_the_selected_volumes_and_sees_edits_of_the_session(
     assert "Volume </World/a>" in text and "/World/b" not in text
 
 
-def test_inspection_of_a_missing_file_names_it_in_a_message(two_plumes: Path) -> None:
+def test_inspection_names_a_missing_file_beside_the_rest(two_plumes: Path) -> None:
     (two_plumes.parent / "cache/smoke.0003.vdb").unlink()
     api, _ = open_in_usdview(two_plumes)
-    message = refusal("inspect", api)
-    assert "timeCode 3" in message and "./cache/smoke.0003.vdb" in message
+    ((_, text),) = do("inspect", api).texts
+    problems = [line for line in text.splitlines() if line.startswith("problem: ")]
+    assert problems and "timeCode 3" in problems[0]
+    assert "smoke.0002.vdb" in text
 
 
 @needs_usd(26, 5)
