@@ -120,6 +120,8 @@ class Smoke:
             light = None if light is None else self._absolute(volume, density, light)
             if density.is_empty:
                 continue
+            if light is not None and volume.rescale != 1:
+                light = replace(light, values=light.values * np.float32(volume.rescale))
             lit = light is not None and bool(light.values.any())
             gamma_w = self._extinction(volume, lit)
             place = None if volume.emission is None else volume.emission.field_to_stage

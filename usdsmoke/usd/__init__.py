@@ -9,6 +9,7 @@
 - `volume_requests`, `request_values`: style requests on prims
 - `volume_settings`: the settings of each Volume, and where each comes from
 - `materials`: the materials that a Volume is bound to, and what they read
+- `units`: what one unit of a Volume's space is on its stage
 - `gate`: findings of a look apart from those of its source
 - `source_stage`: a stage made from bare VDB files
 - `inspect`: everything that a stage holds, as one report

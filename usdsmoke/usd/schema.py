@@ -14,6 +14,7 @@ LOOK_API = "UsdSmokeLookAPI"  # the schemas' names, as they stand in apiSchemas
 STYLE_API = "UsdSmokeStyleAPI"
 
 EXTINCTION_PER_DENSITY = "usdSmoke:extinctionPerDensity"  # float, 1/(stage unit) per density
+STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"  # float, of that stage in one unit of the Volume's space
 EMISSION_MODE = "usdSmoke:emissionMode"  # token
 COLOR_SPACE = "usdSmoke:colorSpace"  # token
 RUN = "usdSmoke:run"  # string

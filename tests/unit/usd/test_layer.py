@@ -45,6 +45,7 @@ def test_the_volume_carries_the_look_schema_with_every_value_authored(tmp_path):
     assert prim.HasAPI("UsdSmokeLookAPI")
     values = {
         "extinctionPerDensity": 0.5,
+        "stageUnitsPerUnit": 1.0,
         "emissionMode": "absolute",
         "colorSpace": "lin_rec709",
         "run": "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34",

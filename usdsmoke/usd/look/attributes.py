@@ -9,25 +9,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Vt
+from pxr import Sdf, Usd, Vt
 
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import SOFTWARE_PACKAGE, RunRecord, short_run_id
 from usdsmoke.usd import schema
 from usdsmoke.usd.look.records import StylizedVolume
+from usdsmoke.usd.units import stage_units_over_time
 
 _TYPES = Sdf.ValueTypeNames
 _DIGITAL_SOURCE = "http://cv.iptc.org/newscodes/digitalsourcetype/"
 
 
 def author_attributes(
-    volume_spec: Sdf.PrimSpec, volume: StylizedVolume, digital_source_type: str, record: RunRecord
+    volume_spec: Sdf.PrimSpec,
+    prim: Usd.Prim,
+    volume: StylizedVolume,
+    digital_source_type: str,
+    record: RunRecord,
 ) -> None:
     """Apply UsdSmokeLookAPI and one authorship record, every value authored.
 
-    The extinction has time samples besides its default where it changes over time. The instance
-    name of the authorship is new with every run: authorships add up down the namespace, and two of
-    one name in different layers hide one another.
+    Extinction and scale have time samples besides their defaults where they change over time. The
+    instance name of the authorship is new with every run: authorships add up down the namespace,
+    and two of one name in different layers hide one another.
     """
     instance = f"usdsmoke_{short_run_id(record.run)}"
     volume_spec.SetInfo(
@@ -37,8 +42,11 @@ def author_attributes(
     styles = volume.styles
     if styles is None:
         styles = tuple(f"{style.name} {style.sha256}" for style in record.styles)
+    codes = volume.source.time_codes if volume.source.animated else ()
+    units, unit_samples = stage_units_over_time(prim, volume.first_frame.time_code, codes)
     look = {
         schema.EXTINCTION_PER_DENSITY: (_TYPES.Float, volume.extinction_per_density),
+        schema.STAGE_UNITS: (_TYPES.Float, units),
         schema.EMISSION_MODE: (_TYPES.Token, volume.emission_mode),
         schema.COLOR_SPACE: (_TYPES.Token, schema.LIN_REC709),
         schema.RUN: (_TYPES.String, record.run),
@@ -47,9 +55,13 @@ def author_attributes(
     }
     for name, (type_name, value) in look.items():
         Sdf.AttributeSpec(volume_spec, name, type_name).default = value
-    extinction = volume_spec.attributes[schema.EXTINCTION_PER_DENSITY].path
-    for time_code, value in sorted(volume.extinction_samples.items()):
-        volume_spec.layer.SetTimeSample(extinction, time_code, value)
+    for name, samples in (
+        (schema.EXTINCTION_PER_DENSITY, volume.extinction_samples),
+        (schema.STAGE_UNITS, unit_samples),
+    ):
+        path = volume_spec.attributes[name].path
+        for time_code, value in sorted(samples.items()):
+            volume_spec.layer.SetTimeSample(path, time_code, value)
     for name, text in _authorship(digital_source_type, record).items():
         is_list = isinstance(text, list)
         Sdf.AttributeSpec(

@@ -100,7 +100,7 @@ def _author_look_layer(
         prim = stage.GetPrimAtPath(volume.source.prim_path)
         spec = Sdf.CreatePrimInLayer(layer, prim.GetPath())
         targets = choose_field_prims(stage, volume, uses, taken)
-        author_attributes(spec, volume, config.digital_source_type, record)
+        author_attributes(spec, prim, volume, config.digital_source_type, record)
         author_extent(spec, prim, targets[0].beside, volume)
         for target in targets:
             author_field(layer, target, volume, folder)

@@ -16,6 +16,7 @@ from usdsmoke.base.sections import LayerConfig
 from usdsmoke.usd.look.networks import Input, Network, Node, Smoke, Varying, network
 from usdsmoke.usd.look.records import StylizedVolume, shader_name
 from usdsmoke.usd.materials import BINDING
+from usdsmoke.usd.units import stage_units_over_time
 
 _TYPES = Sdf.ValueTypeNames
 _NAME = "look_material"
@@ -82,7 +83,7 @@ def _smoke(prim: Usd.Prim, volume: StylizedVolume) -> Smoke:
         density=volume.source.density,
         extinction=_varying(volume.extinction_per_density, extinctions),
         albedo=_varying(0.0, albedos),
-        stage_units=_varying(_stage_units(prim, first), _units_over_time(prim, codes)),
+        stage_units=Varying(*stage_units_over_time(prim, first, codes)),
         meters_per_unit=UsdGeom.GetStageMetersPerUnit(prim.GetStage()),
         is_per_density=volume.emission_mode == "perDensity",
     )
@@ -91,16 +92,6 @@ def _smoke(prim: Usd.Prim, volume: StylizedVolume) -> Smoke:
 def _varying(default: float, samples: Mapping[float, float]) -> Varying:
     """Without samples where all of them are the default."""
     return Varying(default, samples if any(v != default for v in samples.values()) else {})
-
-
-def _units_over_time(prim: Usd.Prim, codes: tuple[float, ...]) -> dict[float, float]:
-    return {code: _stage_units(prim, code) for code in codes}
-
-
-def _stage_units(prim: Usd.Prim, time_code: float) -> float:
-    """Stage units in one unit of the Volume's space, as a geometric mean; 1 for a flat one."""
-    matrix = UsdGeom.XformCache(time_code).GetLocalToWorldTransform(prim)
-    return float(abs(matrix.GetDeterminant3()) ** (1 / 3)) or 1.0
 
 
 def _author_network(material: Sdf.PrimSpec, found: Network, shader_file: str) -> None:

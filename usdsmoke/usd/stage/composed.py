@@ -10,9 +10,12 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FieldSource, StageSource
 from usdsmoke.usd.field_samples import field_targets
-from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY
+from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY, STAGE_UNITS
 from usdsmoke.usd.stage.fields import check_assets, field_source
+from usdsmoke.usd.units import stage_units
 from usdsmoke.usd.values import value_at
+
+_SAME_SCALE = 1e-6  # relative difference that single precision leaves
 
 
 @dataclass(frozen=True)
@@ -22,8 +25,11 @@ class ComposedVolume:
     prim_path: str
     density: FieldSource
     emission: FieldSource | None  # None: it has no such field, or a gap there
-    extinction: float | None  # usdSmoke:extinctionPerDensity; None if not authored
+    extinction: float | None  # usdSmoke:extinctionPerDensity, rescaled; None if not authored
     emission_mode: str = ""  # usdSmoke:emissionMode; "" if not authored
+    # Of the stage that the look was made for: its units in one stage unit. The emission is per unit
+    # of that stage.
+    rescale: float = 1.0
 
 
 def composed_volumes(
@@ -52,13 +58,15 @@ def composed_volumes(
         if density is None:
             continue
         light = _composed_field(prim, emission, time_code, xforms)
+        extinction, rescale = _extinction(prim, time_code), _rescale(prim, time_code)
         composed.append(
             ComposedVolume(
                 volume.prim_path,
                 density,
                 light,
-                _extinction(prim, time_code),
+                None if extinction is None else extinction * rescale,
                 str(_authored(prim, EMISSION_MODE, time_code) or ""),
+                rescale,
             )
         )
     return composed
@@ -81,6 +89,15 @@ def _authored(prim: Usd.Prim, name: str, time_code: float) -> Any:
     """An attribute's value; None for the schema's fallback, which says nothing about this smoke."""
     attribute = prim.GetAttribute(name)
     return value_at(attribute, time_code) if attribute and attribute.HasAuthoredValue() else None
+
+
+def _rescale(prim: Usd.Prim, time_code: float) -> float:
+    """1 where the Volume's scale is the one that its look was made for, or has no look."""
+    made_for = _authored(prim, STAGE_UNITS, time_code)
+    if not made_for or not (math.isfinite(made_for) and made_for > 0):
+        return 1.0
+    ratio = float(made_for) / stage_units(prim, time_code)
+    return 1.0 if abs(ratio - 1) < _SAME_SCALE else ratio
 
 
 def _extinction(prim: Usd.Prim, time_code: float) -> float | None:
