@@ -18,7 +18,7 @@ from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import EarlierLooks
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.rules import validate
-from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.usd.stage import composed_volumes, find_volumes, open_stage
 
 RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")
 SMOKE, OURS = "/World/smoke", "/World/smoke/look_material"
@@ -266,3 +266,21 @@ def test_no_material_of_an_earlier_look_is_left_under_a_look_without(tmp_path, t
     layers = "@second/look.usda@, @first/look.usda@, @shot.usda@"
     both = write_text(tmp_path / "both.usda", f"#usda 1.0\n(subLayers = [{layers}])\n")
     assert bound(both) == left
+
+
+def test_a_look_under_another_scale_is_rescaled_for_previews(tmp_path):
+    root = look(shot(tmp_path), tmp_path / "out").root_stage
+    scaled = write_text(
+        tmp_path / "scaled.usda",
+        '#usda 1.0\ndef Xform "World" (\nprepend references = @out/shot_look.usda@</World>\n)\n'
+        "{\ndouble3 xformOp:scale = (8, 8, 8)\n"
+        'uniform token[] xformOpOrder = ["xformOp:scale"]\n}\n',
+    )
+    found = {}
+    for stage_file in (root, scaled):
+        stage = open_stage(stage_file)
+        source = find_volumes(stage, StageConfig())
+        (found[stage_file],) = composed_volumes(stage, source, 1.0)
+    assert (found[root].extinction, found[root].rescale) == (0.5, 1.0)
+    assert found[scaled].rescale == pytest.approx(1 / 8)
+    assert found[scaled].extinction == pytest.approx(0.5 / 8)

@@ -28,6 +28,7 @@ GENERATOR = PROJECT / "tools" / "generate_schema.py"
 
 ATTRIBUTES = {  # name: (type, fallback)
     schema.EXTINCTION_PER_DENSITY: ("float", 1.0),
+    schema.STAGE_UNITS: ("float", 1.0),
     schema.EMISSION_MODE: ("token", schema.EMISSION_ABSOLUTE),
     schema.COLOR_SPACE: ("token", schema.LIN_REC709),
     schema.RUN: ("string", ""),
