@@ -31,8 +31,6 @@ from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.loss_tail import LONGER
 from usdsmoke.core.views.scene import Scene, frame_views, measure_scene
 
-__all__ = ["calibrate"]
-
 MOST_VOXELS = 8  # a pixel's side
 SHARES = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # of the mass, to be pruned
 FINEST_ITERATIONS = 32  # of the pilot's last octave: fewer tell little of a tail

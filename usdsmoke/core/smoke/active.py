@@ -10,17 +10,6 @@ from torch import Tensor
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
-__all__ = [
-    "ActiveSmoke",
-    "activate",
-    "coarsen",
-    "densify",
-    "flat_key",
-    "make_octaves",
-    "octaves_to_do",
-    "sample_colours",
-]
-
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
 
 

@@ -32,8 +32,6 @@ from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, frame_views
 from usdsmoke.core.views.visibility import EffectMask
 
-__all__ = ["initial_colours", "optimize_colours", "run_colour_step"]
-
 DIM = 0.1  # share of a voxel's light that is seen where half of its colour is its neighbourhood's
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["FEWEST", "LONGER", "remaining_decrease", "spread_of_mean"]
-
 FEWEST = 10  # iterations from which a tail can be fitted
 LONGER = 4.0  # times as long: the run that a loss is compared with
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way

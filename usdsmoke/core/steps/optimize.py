@@ -14,8 +14,6 @@ from torch import Tensor
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.machine import give_back_memory
 
-__all__ = ["Adam", "Descent", "Minimum", "minimize"]
-
 BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wrong
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
 MOST_ROLLBACKS = 12

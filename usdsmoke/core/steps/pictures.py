@@ -20,8 +20,6 @@ from usdsmoke.core.views.cameras import View, draw_views
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import SparseImage, colour_map
 
-__all__ = ["ColourView", "GreyView", "ViewPool", "grey_view", "prepare_views"]
-
 # Exposed opacity at which the guidance mask is one half, and a pixel half background
 THIN = 0.05
 

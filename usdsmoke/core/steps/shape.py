@@ -52,8 +52,6 @@ from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views
 
-__all__ = ["Start", "max_displacement", "run_shape_step"]
-
 Start = Callable[[Lattice], Tensor]
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}  # of the potential

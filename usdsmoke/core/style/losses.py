@@ -32,8 +32,6 @@ from usdsmoke.core.style.features import Network
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 
-__all__ = ["Content", "PictureLoss", "StyleTarget", "gram_matrix", "total_variation"]
-
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 N_DRAWS = 16  # sets of directions, taken in turn
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more

@@ -13,8 +13,6 @@ from torch import Tensor
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.core.style.quantiles import quantile_distance
 
-__all__ = ["N_BINS", "sliced_distance"]
-
 N_BINS = 512  # of a direction, over the range of its samples
 FEWEST_PER_BIN = 4  # samples; fewer are sorted, which is as fast, as bins would blur their ranks
 HALVES = (torch.float16, torch.bfloat16)
