@@ -50,7 +50,11 @@ class Run:
 
 
 def stylize_in_child(
-    stage: Path, style: Path, out_folder: Path, settings: Sequence[str]
+    stage: Path,
+    style: Path,
+    out_folder: Path,
+    settings: Sequence[str],
+    options: Sequence[str] = (),
 ) -> tuple[float, float, float]:
     """Run the installed command and return its wall seconds, CPU seconds and peak memory in GiB.
 
@@ -58,7 +62,7 @@ def stylize_in_child(
         RuntimeError: the command failed; its own message went to stderr.
     """
     command = [sys.executable, "-m", "usdsmoke", "stylize", str(stage), "--style", str(style)]
-    command += ["-o", str(out_folder), "--force"]
+    command += ["-o", str(out_folder), "--force", *options]
     command += [word for setting in settings for word in ("--set", setting)]
     print("$", " ".join(command[1:]), file=sys.stderr, flush=True)
     begin = time.perf_counter()

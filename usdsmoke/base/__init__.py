@@ -6,6 +6,7 @@ Nothing here loads USD, OpenVDB or torch.
 - ``sections``: every setting with its default, limits and meaning
 - ``setting_model``, ``settings``: what a setting is; all settings of a run, and which are explicit
 - ``resolve``: settings from files, mappings and texts, in order of precedence
+- ``presets``: settings files for a purpose
 - ``volume``: records of Volumes, fields and frames
 - ``storage``: pruning and 16-bit floats: what a file keeps of values
 - ``frame_report``: what the core reports of a frame, and while it works

@@ -1,7 +1,7 @@
 """Settings from YAML files, mappings and texts, merged once into a ``Config``, and records of them.
 
-The precedence is: default, a file of settings (``--config``), a Volume's own request, what is given
-explicitly for this run (options, mappings, texts).
+The precedence is: default, files of settings (``--preset``, then ``--config``), a Volume's own
+request, what is given explicitly for this run (options, mappings, texts).
 """
 
 import difflib

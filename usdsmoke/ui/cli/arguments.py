@@ -1,17 +1,18 @@
 """The arguments of each command. Defaults and limits of settings come from the settings."""
 
 import argparse
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.presets import PRESETS, preset_file
 from usdsmoke.base.resolve import GivenSettings, read_settings
 from usdsmoke.base.setting_model import allowed_values
 from usdsmoke.base.settings import SECTIONS, declared_settings
 from usdsmoke.ui.cli.parser import SuggestingParser
+from usdsmoke.ui.cli.record_arguments import add_record_commands
 from usdsmoke.ui.cli.values import count_value, duration_value, repair_value, size_value
 
 _OPTIONS = {  # that stand for a setting
@@ -79,17 +80,19 @@ def build_parser() -> argparse.ArgumentParser:
     _add_preview(commands)
     _add_report(commands)
     add_record_commands(partial(_add_command, commands))
-    _add_command(commands, "settings", "print all settings with their meanings, as YAML")
+    settings = _add_command(commands, "settings", "print all settings with their meanings, as YAML")
+    _add_preset(settings, "print this preset's settings file instead")
     return parser
 
 
 def given_settings(arguments: argparse.Namespace) -> list[Path | GivenSettings]:
-    """The file of ``--config``, and the settings of all other options; the strongest last.
+    """The files of ``--preset`` and ``--config``, and all other options; the strongest last.
 
     Raises:
         ConfigError: the file of ``--overrides`` or an option cannot be read.
     """
-    config = [Path(arguments.config)] if arguments.config else []
+    files = [preset_file(arguments.preset)] if arguments.preset else []
+    files += [Path(arguments.config)] if arguments.config else []
     overrides = read_settings(Path(arguments.overrides) if arguments.overrides else None)
     options = {
         option: vars(arguments).get(option.strip("-").replace("-", "_")) for option in _OPTIONS
@@ -102,7 +105,7 @@ def given_settings(arguments: argparse.Namespace) -> list[Path | GivenSettings]:
         if "=" not in text:
             raise ConfigError(f"--set {text} has no '='. Write NAME=VALUE, such as windows.size=3.")
     texts = read_settings(arguments.set, "--set")
-    return [*config, read_settings([overrides, GivenSettings(given, sources), texts])]
+    return [*files, read_settings([overrides, GivenSettings(given, sources), texts])]
 
 
 def _add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
@@ -332,7 +335,12 @@ def _add_style(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_preset(parser: argparse.ArgumentParser, summary: str) -> None:
+    parser.add_argument("--preset", choices=PRESETS, help=summary)
+
+
 def _add_settings(parser: argparse.ArgumentParser) -> None:
+    _add_preset(parser, "settings for a purpose; all other settings override it")
     parser.add_argument(
         "--config",
         metavar="FILE.yaml",
@@ -372,25 +380,3 @@ def _settings_summary() -> str:
     for section, model in SECTIONS.items():
         lines.append(f"  {section}: {', '.join(model.model_fields)}")
     return "\n".join(lines)
-
-
-_FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or its folder"
-
-
-def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> None:
-    """Add ``provenance``, ``verify`` and ``rerun`` to the parser."""
-    parser = add("provenance", "show how a result was made, and from which inputs")
-    parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser.add_argument("--prov", action="store_true", help="print W3C PROV-JSON")
-    parser = add("verify", "report what has changed since a result was made")
-    parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser = add("rerun", "repeat a run from its provenance record")
-    parser.add_argument("file", metavar="FILE", help=_FILE)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="OUT", help="the folder for the new result"
-    )
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="accept inputs that have changed, and replace any result in OUT",
-    )

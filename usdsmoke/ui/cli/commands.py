@@ -8,8 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.resolve import settings_yaml
+from usdsmoke.base.resolve import resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.ui.cli.arguments import given_settings
@@ -102,7 +103,12 @@ def run_plugin_path(arguments: argparse.Namespace) -> int:
 def run_settings(arguments: argparse.Namespace) -> int:
     """``usdsmoke settings``; the exit code."""
     config = Config()
-    show(arguments, config.model_dump, lambda: settings_yaml(config).removesuffix("\n"))
+    if arguments.preset:
+        file_path = preset_file(arguments.preset)
+        config, text = resolve_config(file_path), file_path.read_text(encoding="utf-8")
+    else:
+        text = settings_yaml(config)
+    show(arguments, config.model_dump, lambda: text.removesuffix("\n"))
     return 0
 
 
