@@ -1,5 +1,6 @@
 """Contact sheets: pictures with labels in rows, beside the style images, in one picture."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -55,13 +56,15 @@ def compose_sheet(
     for picture in (*pictures, *styles):
         _check_picture(picture)
     tall = max((picture.shape[0] for picture in pictures), default=_STYLE)
+    font = ImageFont.load_default(_TEXT_SIZE)
     wide = max((picture.shape[1] for picture in pictures), default=_STYLE)
+    labels = [math.ceil(font.getlength(label)) for row in rows for label, _ in row]
+    wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
     width = 2 * _MARGIN + n_columns * (wide + _GAP) + bool(styles) * (_STYLE + _GAP) - _GAP
     height = 2 * _MARGIN + _LABEL + max(len(rows), 1) * (tall + _LABEL + _GAP)
     sheet = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(_TEXT_SIZE)
     draw.text((_MARGIN, _MARGIN), title, _INK, font)
     for number, row in enumerate(rows):
         top = _MARGIN + _LABEL + number * (tall + _LABEL + _GAP)

@@ -72,3 +72,11 @@ def test_one_volume_has_one_plain_name_and_several_have_their_own() -> None:
     assert sheet_files(["plume"], Path("out")) == (Path("out/contact_sheet.png"),)
     names = [path.name for path in sheet_files(["a", "b"], Path("out"))]
     assert names == ["contact_sheet_a.png", "contact_sheet_b.png"]
+
+
+def test_labels_wider_than_their_pictures_do_not_run_into_each_other() -> None:
+    row = [("a label that is longer than its picture is wide", flat(RED)), ("b", flat(GREEN))]
+    sheet = compose_sheet("", [row])
+    top, left = where(sheet, RED)[0].start, where(sheet, GREEN)[1].start
+    ink = (sheet[top - 20 : top, :left].max(axis=(0, 2)) > 0.5).nonzero()[0]
+    assert ink.max() < left - 4
