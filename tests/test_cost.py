@@ -42,7 +42,11 @@ def test_work_grows_with_the_smoke_and_not_with_the_box_around_it() -> None:
 
 
 def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box() -> None:
-    """Two lumps one behind the other: the pictures are equal, the box between them is not."""
+    """Two lumps one behind the other: the pictures are equal, the box between them is not.
+
+    But for the velocity's look-ups, which write it into the box twice (decision 018): 52 numbers a
+    voxel, forward and backward.
+    """
 
     def iterations(length: int, number: int) -> int:
         density = np.zeros((length, 12, 12), np.float32)
@@ -55,7 +59,8 @@ def test_an_iteration_of_the_shape_step_costs_the_same_in_any_box() -> None:
         ).made
 
     short, long = (iterations(length, 8) - iterations(length, 4) for length in (160, 640))
-    assert short > 0 and long == pytest.approx(short, rel=1e-3)
+    more_voxels = (640 - 160) * 18 * 18
+    assert 0 < short <= long <= short + 4 * 56 * more_voxels
 
 
 def test_an_empty_frame_calls_neither_renderer_nor_network() -> None:

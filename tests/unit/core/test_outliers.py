@@ -56,7 +56,7 @@ def test_smoke_around_one_dense_voxel_moves_and_is_painted_as_ever(level):
         assert found.keys() == wanted.keys()
         size = sum(np.abs(x).sum() for x in wanted.values())
         missed = sum(np.abs(found[v] - wanted[v]).sum() for v in wanted)
-        assert missed < (1e-5 if name == "density" else 0.1) * size
+        assert missed < (1e-5 if name == "density" else 0.15) * size
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -64,8 +64,10 @@ def test_one_dense_voxel_deletes_no_smoke_and_the_mass_of_both_is_kept(level):
     found, source = stylized(level).density.values, spoiled(level)
     assert (found > 0).sum() >= (source > 0).sum()
     assert found.sum(dtype=float) == pytest.approx(source.sum(dtype=float), rel=1e-4)
-    smoke = np.sort(found, axis=None)[:-64].sum(dtype=float)
-    assert smoke == pytest.approx(puff(20).sum(dtype=float), rel=0.1)
+    usual = stylized(10.0).density.values
+    rest, wanted = (np.sort(x, axis=None)[:-64].sum(dtype=float) for x in (found, usual))
+    assert rest == pytest.approx(wanted, rel=0.02)
+    assert rest > 0.85 * puff(20).sum(dtype=float)
 
 
 @pytest.mark.parametrize("level", LEVELS)
