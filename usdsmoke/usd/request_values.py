@@ -48,15 +48,19 @@ def values_at(
 
 
 def plain_value(value: Any) -> Any:
-    """Arrays as lists; a text, a number or None as it is."""
-    return value if value is None or isinstance(value, (str, bool, int, float)) else list(value)
+    """Arrays as lists; a text, a number or None as it is; a value of no known type as text."""
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    return list(value) if hasattr(value, "__iter__") else str(value)
 
 
 def image_paths(value: Any) -> list[tuple[str, str]] | None:
     """Resolved and authored path of each image; a single asset is a list of one."""
     if value is None:
         return None
-    assets = [value] if isinstance(value, Sdf.AssetPath) else value
+    assets = [value] if isinstance(value, Sdf.AssetPath) else plain_value(value)
+    if not all(isinstance(asset, Sdf.AssetPath) for asset in assets):
+        return [("", str(value))]
     return [(str(asset.resolvedPath), authored_path(asset)) for asset in assets]
 
 

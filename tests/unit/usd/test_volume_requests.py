@@ -146,6 +146,7 @@ def test_time_samples_are_interpolated_into_a_control_for_each_frame(tmp_path: P
             r"is 0\.7 \(from </smoke\.usdSmoke:request:reach>\).* at most 0\.5",
         ),
         ('token @@displacement = "swirl"', "is 'swirl' .*displacement>.* stream"),
+        ("swirl @@strength = 0.5", r"0\.5.*strength>"),  # a type that USD does not know
         ('string @@seed = "one"', "is 'one' .*seed>"),
         ("int[] @@shapeIterations = []", r"is \[\] .*shapeIterations>.* one or more"),
         ("double @@stength = 1", "'usdSmoke:request:strength'"),
