@@ -53,7 +53,7 @@ def test_borders_are_compared_with_all_other_steps() -> None:
 def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
     first = [make_outcome(code, 0.2, 1.0) for code in (1, 2, 3, 4)]
     second = [make_outcome(code, 0.6, 2.0, density=2.0) for code in (3, 4, 5)]
-    windows = [Window(0, (1, 2), (3, 4)), Window(1, (3, 4, 5), joined=True)]
+    windows = [Window(0, (1, 2), (3, 4)), Window(1, (3, 4, 5), continues=True)]
     run = _joined(windows, [first, second])
     assert [item.source.time_code for item in run.outcomes] == [1, 2, 3, 4, 5]
     assert run.starts == (2,)

@@ -45,7 +45,7 @@ def difference(first: DenseField, other: DenseField, step: int) -> float:
 def test_displacements_follow_the_velocity_from_frame_to_frame():
     """The one warm iteration changes little of what the neighbour's potential brings along."""
     config = quick_config(
-        shape={"iterations": [4], "learning_rate": 0.5, "reach": 0.1},
+        shape={"iterations": [24], "learning_rate": 0.1, "reach": 0.1, "warm_rate": 0.01},
         windows={"warm_iterations": 1e-9},
         **SHAPE,
     )

@@ -130,7 +130,7 @@ def test_the_style_loss_takes_the_network_like_the_embedded_one(pth_file):
     loss = target.loss(picture, None)
     (gradient,) = torch.autograd.grad(loss, picture)
     assert loss.item() > 0.05 and torch.isfinite(gradient).all()
-    assert target.loss(PICTURE, None).item() < 1e-3
+    assert target.loss(PICTURE, None).item() < 0.2 * loss.item()
 
 
 @pytest.fixture
