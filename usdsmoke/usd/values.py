@@ -19,6 +19,15 @@ def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
     return None if isinstance(value, Sdf.ValueBlock) else value
 
 
+def ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
+    """A prim and all above it, without the pseudo-root."""
+    found = []
+    while prim and not prim.IsPseudoRoot():
+        found.append(prim)
+        prim = prim.GetParent()
+    return found
+
+
 def authored_path(asset: Sdf.AssetPath) -> str:
     """The path as the layer spells it. Before 25.05, OpenUSD only keeps an expression's value."""
     return str(getattr(asset, "authoredPath", asset.path))

@@ -18,8 +18,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.style.quantiles import at_least_single
 
-HALVES = (torch.float16, torch.bfloat16)
 LEAST_RMS = 5e-3  # of a content's features; flatter ones are compared as if they had it
 SMALL = 1e-8  # under the root, so that its slope at 0 is finite; 1e-4 of a relative distance
 SIDE = 3  # of a window, pixels
@@ -139,7 +139,7 @@ def photorealism_distance(
 def _relative(maps: Tensor, content: Tensor, guide: Tensor | None) -> Tensor:
     """|T (F - F_C)| / |T F_C| of one layer, smoothed at 0."""
     n_channels, height, width = maps.shape[1:]
-    maps, content = _single(maps), _single(content.detach())
+    maps, content = at_least_single(maps), at_least_single(content.detach())
     difference, area = maps - content, maps.new_tensor(float(height * width))
     if guide is not None:
         small = F.adaptive_avg_pool2d(guide.detach().to(maps)[None, None], (height, width))
@@ -199,7 +199,7 @@ def _ridge_fit(colours: Tensor, values: Tensor, share: Tensor, ridge: float) -> 
 
 def _planes(picture: Tensor) -> Tensor:
     """[H W C] as [1 C H W]."""
-    return _single(picture).permute(2, 0, 1)[None]
+    return at_least_single(picture).permute(2, 0, 1)[None]
 
 
 def _guide_planes(guide: Tensor | None, planes: Tensor) -> Tensor:
@@ -212,11 +212,6 @@ def _guide_planes(guide: Tensor | None, planes: Tensor) -> Tensor:
 def _positive(values: Tensor) -> Tensor:
     """To divide by: what is 0 comes with a numerator of 0."""
     return values.clamp_min(LEAST_AREA)
-
-
-def _single(values: Tensor) -> Tensor:
-    """At least float32, as sums of halves lose the small ones."""
-    return values.float() if values.dtype in HALVES else values
 
 
 def _check_same(what: str, found: Tensor, expected: Tensor) -> None:

@@ -42,7 +42,7 @@ def quantile_table(values: Tensor, n: int = 256) -> Tensor:
             f"quantile_table: values are {list(values.shape)} and n is {n}. "
             "Give [C P] with P >= 1, and n >= 1."
         )
-    ascending = _ascending(_single(values.detach()))
+    ascending = _ascending(at_least_single(values.detach()))
     return _at_shares(ascending, _middles(n, ascending))
 
 
@@ -71,7 +71,7 @@ def quantile_distance(values: Tensor, weights: Tensor | None, table: Tensor) -> 
         kept = (weights > 0).nonzero().squeeze(1)
         if kept.numel() < weights.numel():
             values, weights = values.index_select(1, kept), weights.index_select(0, kept)
-    values = _single(values)
+    values = at_least_single(values)
     if values.shape[1] == 0:
         return values.sum()  # of nothing: 0, and its gradient is 0
     with torch.no_grad():
@@ -104,7 +104,7 @@ def random_directions(n_channels: int, n: int, seed: int, like: Tensor) -> Tenso
         basis, triangle = torch.linalg.qr(normal)
         # QR leaves the signs to the library; a positive diagonal makes the result unique.
         blocks.append((basis * triangle.diagonal().sign()).T)
-    return torch.cat(blocks).to(_single(like.detach().new_zeros(())))
+    return torch.cat(blocks).to(at_least_single(like.detach().new_zeros(())))
 
 
 def _match(order: Tensor, share: Tensor | None, table: Tensor) -> Tensor:
@@ -161,7 +161,7 @@ def _ascending_order(values: Tensor) -> Tensor:
     return torch.argsort(values, dim=1)
 
 
-def _single(values: Tensor) -> Tensor:
+def at_least_single(values: Tensor) -> Tensor:
     """At least float32, as sums of halves lose the small ones."""
     return values.float() if values.dtype in HALVES else values
 

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.core.style.quantiles import quantile_distance
+from usdsmoke.core.style.quantiles import at_least_single, quantile_distance
 
 N_BINS = 512  # of a direction, over the range of its samples
 FEWEST_PER_BIN = 4  # samples; fewer are sorted, which is as fast, as bins would blur their ranks
-HALVES = (torch.float16, torch.bfloat16)
 
 
 def sliced_distance(
@@ -55,7 +54,7 @@ def sliced_distance(
             f"sliced_distance: weights are {list(weights.shape)} for {values.shape[1]} samples. "
             "Give one weight for each sample."
         )
-    values = values.float() if values.dtype in HALVES else values
+    values = at_least_single(values)
     axes, table = axes.to(values), table.to(values)
     if values.shape[1] < FEWEST_PER_BIN * n_bins:
         return quantile_distance(axes @ values, weights, table)

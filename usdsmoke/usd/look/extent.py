@@ -7,7 +7,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.look.records import StylizedVolume
-from usdsmoke.usd.values import value_at
+from usdsmoke.usd.values import ancestors, value_at
 
 Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
@@ -99,25 +99,17 @@ def _density_to_volume(density: Usd.Prim, volume: Usd.Prim, time_code: float) ->
 
 def _relative_codes(density: Usd.Prim, volume: Usd.Prim) -> set[float]:
     """Time samples of the xforms that move the field prim against the Volume."""
-    chain = _ancestors(density)
+    chain = ancestors(density)
     if volume in chain:
         chain = chain[: chain.index(volume)]
     else:
-        chain += _ancestors(volume)
+        chain += ancestors(volume)
     return {
         code
         for prim in chain
         if prim.IsA(UsdGeom.Xformable)
         for code in UsdGeom.Xformable(prim).GetTimeSamples()
     }
-
-
-def _ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
-    chain = []
-    while prim and not prim.IsPseudoRoot():
-        chain.append(prim)
-        prim = prim.GetParent()
-    return chain
 
 
 def _source_box(extent: Usd.Attribute, time_code: float) -> Box | None:

@@ -44,7 +44,7 @@ from usdsmoke.usd.stage.fields import (
 )
 from usdsmoke.usd.stage.opening import named_prim, type_words
 from usdsmoke.usd.stage.originals import is_look_layer
-from usdsmoke.usd.values import value_at
+from usdsmoke.usd.values import ancestors, value_at
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
@@ -215,19 +215,10 @@ def _why_not_chosen(prim: Usd.Prim) -> str:
     shown = UsdGeom.Imageable(prim)
     if shown.ComputePurpose() == UsdGeom.Tokens.guide:
         return "its purpose is guide, which renderers do not draw. Name it with --prim to use it."
-    hidden = [part for part in _ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
+    hidden = [part for part in ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
     if hidden:
         return f"<{hidden[0].GetPath()}> is invisible. Name the Volume with --prim to use it."
     return ""
-
-
-def _ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
-    """A prim and all above it."""
-    found = []
-    while prim and not prim.IsPseudoRoot():
-        found.append(prim)
-        prim = prim.GetParent()
-    return found
 
 
 def _is_hidden(item: UsdGeom.Imageable) -> bool:
