@@ -4,6 +4,7 @@
 - `schema`: the names of usdsmoke's schemas, and their registration
 - `diagnostics`: OpenUSD's warnings and errors as messages
 - `layer_record`: the record of a run in a look layer, and its digests
+- `field_tokens`: USD's tokens for what a grid holds
 - `field_samples`: a Volume's fields, and the file and grid that each shows at a time
 - `values`: attribute values, alike in every version of OpenUSD; asset paths
 - `volume_requests`, `request_values`: style requests on prims

@@ -9,19 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdVol, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
-from usdsmoke.usd.values import FRAME_PATTERN
+from usdsmoke.usd.field_tokens import data_type, field_class
+from usdsmoke.usd.values import FRAME_PATTERN, extent_value
+from usdsmoke.vdb.boxes import corners_extent, union_extent
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
-
-_DATA_TYPES = {
-    "float": "float", "double": "double", "int32": "int", "int64": "int64", "bool": "bool",
-    "vec3s": "float3", "vec3d": "double3", "vec3i": "int3", "mask": "mask",
-}  # fmt: skip
-_CLASSES = {"fog volume": "fogVolume", "level set": "levelSet", "staggered": "staggered"}
 
 
 @dataclass(frozen=True)
@@ -151,7 +147,7 @@ def _choose_fields(
     for header in headers.values():
         for grid in header.grids:
             name = Tf.MakeValidIdentifier(grid.label) if grid.name else ""
-            if grid.value_type not in _DATA_TYPES:
+            if data_type(grid) is None:
                 left_out[f"{grid.label}: USD has no field of type {grid.value_type}"] = None
             elif not name:
                 left_out["a grid without a name"] = None
@@ -176,10 +172,8 @@ def _author_field(
     asset.CreateFieldNameAttr(grid.name)
     if grid.index:
         asset.CreateFieldIndexAttr(grid.index)
-    data_type = _DATA_TYPES[grid.value_type]
-    halves = {"float": "half", "float3": "half3"}
-    asset.CreateFieldDataTypeAttr(halves.get(data_type, data_type) if grid.half else data_type)
-    asset.CreateFieldClassAttr(_CLASSES.get(grid.grid_class, "unknown"))
+    asset.CreateFieldDataTypeAttr(data_type(grid) or "")
+    asset.CreateFieldClassAttr(field_class(grid))
     volume.CreateFieldRelationship(name, path)
 
 
@@ -187,23 +181,18 @@ def _author_extent(volume: UsdVol.Volume, headers: dict[int | None, FileHeader])
     """The box of each file's grids, from the headers; a file that does not say it has none."""
     attribute = volume.CreateExtentAttr()
     for code, header in headers.items():
-        corners = [box for grid in header.grids if (box := _corners(grid)) is not None]
-        if not corners:
-            continue
-        points = np.concatenate(corners)
-        low, high = points.min(axis=0), points.max(axis=0)
-        value = Vt.Vec3fArray([Gf.Vec3f(*map(float, low)), Gf.Vec3f(*map(float, high))])
-        attribute.Set(value, Usd.TimeCode.Default() if code is None else Usd.TimeCode(code))
+        boxes = [box for grid in header.grids if (box := _grid_box(grid)) is not None]
+        if boxes:
+            time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
+            attribute.Set(extent_value(*union_extent(boxes)), time)
 
 
-def _corners(grid: GridHeader) -> np.ndarray | None:
-    """The corners of a grid's active box, voxels whole, [8 3], in the file's world space."""
+def _grid_box(grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:
+    """Corners of a grid's active box, voxels whole, in the file's world space."""
     if grid.bbox_min is None or grid.bbox_max is None or grid.index_to_world is None:
         return None
-    choose = np.array([[n >> axis & 1 for axis in range(3)] for n in range(8)], dtype=bool)
-    low, high = np.array(grid.bbox_min) - 0.5, np.array(grid.bbox_max) + 0.5
-    ijk = np.hstack([np.where(choose, high, low), np.ones((8, 1))])
-    return np.asarray((ijk @ grid.index_to_world)[:, :3])
+    half = np.full(3, 0.5)
+    return corners_extent(grid.bbox_min - half, grid.bbox_max + half, grid.index_to_world)
 
 
 def _prim_name(pattern: str) -> str:

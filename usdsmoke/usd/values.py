@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from pxr import Ar, Sdf, Usd
+import numpy as np
+from pxr import Ar, Gf, Sdf, Usd, Vt
 
 from usdsmoke.base.naming import relative_asset_path
 
@@ -17,6 +18,14 @@ def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
     """
     value = attribute.Get(time_code)
     return None if isinstance(value, Sdf.ValueBlock) else value
+
+
+def extent_value(low: np.ndarray, high: np.ndarray) -> Vt.Vec3fArray:
+    """A box from its corners, [3] float64 each, as an ``extent``: rounded outwards to floats."""
+    least, most = low.astype(np.float32), high.astype(np.float32)
+    least = np.where(least > low, np.nextafter(least, np.float32(-np.inf)), least)
+    most = np.where(most < high, np.nextafter(most, np.float32(np.inf)), most)
+    return Vt.Vec3fArray([Gf.Vec3f(least.tolist()), Gf.Vec3f(most.tolist())])
 
 
 def ancestors(prim: Usd.Prim) -> list[Usd.Prim]:

@@ -97,10 +97,24 @@ def box_extent(
     A voxel is centred on its index and reaches half a voxel to each side.
     """
     low = np.asarray(ijk_min, np.float64) - 0.5
-    high = low + np.asarray(shape[:3], np.float64)
+    return corners_extent(low, low + np.asarray(shape[:3], np.float64), matrix)
+
+
+def corners_extent(
+    low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner, [3] each, of a box that a [4 4] matrix takes elsewhere."""
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1)
-    corners_xyz = index_to_world(corners.reshape(-1, 3), matrix)
-    return corners_xyz.min(axis=0), corners_xyz.max(axis=0)
+    moved = index_to_world(corners.reshape(-1, 3), matrix)
+    return moved.min(axis=0), moved.max(axis=0)
+
+
+def union_extent(
+    boxes: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner, [3] each, of one box or more."""
+    low, high = zip(*boxes, strict=True)
+    return np.min(low, axis=0), np.max(high, axis=0)
 
 
 def union_box(fields: Iterable[DenseField]) -> tuple[Ijk, Ijk]:

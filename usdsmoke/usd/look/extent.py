@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.look.records import StylizedVolume
-from usdsmoke.usd.values import ancestors, value_at
+from usdsmoke.usd.values import ancestors, extent_value, value_at
+from usdsmoke.vdb.boxes import corners_extent, union_extent
 
 Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
@@ -29,13 +30,13 @@ def author_extent(
     if all_boxes is None:
         return
     attribute = Sdf.AttributeSpec(volume_spec, "extent", Sdf.ValueTypeNames.Float3Array)
-    attribute.default = _extent(all_boxes)
+    attribute.default = extent_value(*all_boxes)
     codes = sorted(boxes)
     enclosing = [
         _union([boxes[code], boxes[codes[max(n - 1, 0)]]]) or all_boxes
         for n, code in enumerate(codes)
     ]
-    extents = [_extent(box) for box in enclosing]
+    extents = [extent_value(*box) for box in enclosing]
     if all(value == attribute.default for value in extents):
         return
     for code, value in zip(codes, extents, strict=True):
@@ -78,10 +79,7 @@ def _frame_box(frame: WrittenFrame, density_to_volume: np.ndarray | None) -> Box
     """The box around a frame's eight transformed corners."""
     if frame.extent_min is None or frame.extent_max is None or density_to_volume is None:
         return None
-    low, high = np.array(frame.extent_min), np.array(frame.extent_max)
-    choose = np.array([[n >> axis & 1 for axis in range(3)] for n in range(8)], dtype=bool)
-    corners = np.hstack([np.where(choose, high, low), np.ones((8, 1))]) @ density_to_volume
-    return corners[:, :3].min(axis=0), corners[:, :3].max(axis=0)
+    return corners_extent(frame.extent_min, frame.extent_max, density_to_volume)
 
 
 def _density_to_volume(density: Usd.Prim, volume: Usd.Prim, time_code: float) -> np.ndarray | None:
@@ -123,16 +121,4 @@ def _source_box(extent: Usd.Attribute, time_code: float) -> Box | None:
 
 def _union(boxes: Sequence[Box | None]) -> Box | None:
     known = [box for box in boxes if box is not None]
-    if not known:
-        return None
-    low = np.min([box[0] for box in known], axis=0)
-    high = np.max([box[1] for box in known], axis=0)
-    return low, high
-
-
-def _extent(box: Box) -> Vt.Vec3fArray:
-    """The box as USD's float3[], rounded outwards."""
-    low, high = box[0].astype(np.float32), box[1].astype(np.float32)
-    low = np.where(low > box[0], np.nextafter(low, np.float32(-np.inf)), low)
-    high = np.where(high < box[1], np.nextafter(high, np.float32(np.inf)), high)
-    return Vt.Vec3fArray([Gf.Vec3f(low.tolist()), Gf.Vec3f(high.tolist())])
+    return union_extent(known) if known else None

@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdVol
 from usdsmoke.base.errors import GridError, StageError, UnsupportedGrid
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.field_samples import FieldSamples, field_targets, target_prim, usd_time
+from usdsmoke.usd.field_tokens import DATA_TYPES, GRID_CLASSES
 from usdsmoke.usd.rules.facts import (
     DENSITY,
     FieldFacts,
@@ -25,19 +26,6 @@ from usdsmoke.usd.values import value_at
 from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
-_DATA_TYPES = {  # of a grid's values: the fieldDataType tokens that describe them
-    "float": ("float", "half"),
-    "double": ("double",),
-    "int32": ("int",),
-    "int64": ("int64",),
-    "bool": ("bool",),
-    "mask": ("mask",),
-    "string": ("string",),
-    "vec3s": ("float3", "half3"),
-    "vec3d": ("double3",),
-    "vec3i": ("int3",),
-}
-_CLASSES = {"levelSet": "level set", "fogVolume": "fog volume", "staggered": "staggered"}
 _TOKENS = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
 # A step of more than this many usual steps is a gap: a frame or more is missing. A cut, over which
 # nothing is carried, takes more than two steps: see ``planning.windows``.
@@ -158,7 +146,7 @@ def check_types(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
         wrong, missing = {}, {}
         for code, grid in _grids(field):
             token = _token(field.prim, "fieldDataType", code)
-            fitting = _DATA_TYPES.get(grid.value_type, ())
+            fitting = DATA_TYPES.get(grid.value_type, ())
             if not token:
                 missing[code] = (
                     f'fieldDataType is not authored; the grid "{grid.label}" is {grid.value_type}. '
@@ -180,8 +168,8 @@ def check_classes(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     for field in collect_fields(volume, interval):
         troubles = {}
         for code, grid in _grids(field):
-            meant = _CLASSES.get(_token(field.prim, "fieldClass", code))
-            if meant and grid.grid_class in _CLASSES.values() and grid.grid_class != meant:
+            meant = GRID_CLASSES.get(_token(field.prim, "fieldClass", code))
+            if meant and grid.grid_class in GRID_CLASSES.values() and grid.grid_class != meant:
                 troubles[code] = (
                     f'fieldClass means a {meant} but the grid "{grid.label}" is a '
                     f"{grid.grid_class}. Correct one of them."
