@@ -78,6 +78,7 @@ class Process:
         self.log = log
         log.touch()  # it is read even if the fork is killed before it has opened it
         self.code: int | None = None
+        self.memory_mib = 0.0  # the most that it and its children had, once it has ended
         self.pid = os.fork()
         if self.pid == 0:
             _be_child(action, log)
@@ -89,9 +90,10 @@ class Process:
     def poll(self) -> int | None:
         """Its exit code; None while it runs."""
         if self.code is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid:
                 self.code = os.waitstatus_to_exitcode(status)
+                self.memory_mib = usage.ru_maxrss / 1024
         return self.code
 
     def kill(self) -> None:

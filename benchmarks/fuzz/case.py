@@ -5,10 +5,8 @@ import json
 import os
 import resource
 import shutil
-import signal
-import sys
+import tempfile
 import time
-import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fuzz.seeds import KINDS
+from benchmarks.warm_processes import Process
 
-__all__ = ["Case", "Outcome", "call_forked", "faults", "run_case"]
+__all__ = ["Case", "Outcome", "faults", "run_case"]
 
 WALL_S = 120.0  # a command that takes longer is stuck; the files are tiny
 MEMORY_MIB = 3072  # of a process; torch alone has 500
@@ -91,7 +90,7 @@ def run_case(case: Case, seeds: Path, folder: Path) -> Outcome:
     before = _contents(place)
     start = time.monotonic()
     arguments = [*command, "--json"]
-    code, memory = call_forked(arguments, place, temporary, folder.with_name(folder.name + ".log"))
+    code, memory = _call_forked(arguments, place, temporary, folder.with_name(folder.name + ".log"))
     after = _contents(place)
     output = folder.with_name(folder.name + ".log").read_text(errors="replace")
     return Outcome(
@@ -133,55 +132,38 @@ def faults(outcome: Outcome) -> list[str]:
     return found
 
 
-def call_forked(
+def _call_forked(
     arguments: Sequence[str], place: Path, temporary: Path, log: Path
 ) -> tuple[int | None, float]:
     """Exit code and peak memory in MiB of a command, run in a fork within a folder.
 
     A fork need not import anything again. This process must have no other threads.
     """
-    pid = os.fork()
-    if pid == 0:
-        _be_command(arguments, place, temporary, log)
+    process = Process(lambda: _run_command(arguments, place, temporary), log)
     end = time.monotonic() + WALL_S
-    while True:
-        found, status, usage = os.wait4(pid, os.WNOHANG)
-        if found:
-            return os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024
+    while process.poll() is None:
         if time.monotonic() > end:
-            os.killpg(pid, signal.SIGKILL)
-            os.wait4(pid, 0)
+            process.kill()
             return None, 0.0
         time.sleep(0.002)
+    return process.code, process.memory_mib
 
 
-def _be_command(arguments: Sequence[str], place: Path, temporary: Path, log: Path) -> None:
-    """The fork's whole life."""
-    code = 70
+def _run_command(arguments: Sequence[str], place: Path, temporary: Path) -> int:
+    """The command itself, in the fork; its exit code."""
+    from usdsmoke.ui.cli.main import main
+    from usdsmoke.vdb.child import end_worker
+
+    os.chdir(place)
+    os.environ["TMPDIR"] = str(temporary)
+    tempfile.tempdir = None
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
-        os.setpgid(0, 0)
-        handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        os.dup2(handle, 1)
-        os.dup2(handle, 2)
-        os.chdir(place)
-        os.environ["TMPDIR"] = str(temporary)
-        import tempfile
-
-        from usdsmoke.ui.cli.main import main
-        from usdsmoke.vdb.child import end_worker
-
-        tempfile.tempdir = None
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         code = main(list(arguments))
-        end_worker()
     except SystemExit as stop:
         code = int(stop.code or 0)
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    end_worker()
+    return code
 
 
 def _contents(folder: Path) -> dict[str, str]:

@@ -173,8 +173,13 @@ def _check_shapes(values: Tensor, weights: Tensor | None, table: Tensor) -> None
             f"quantile_distance: values are {list(values.shape)} and the table is "
             f"{list(table.shape)}. Give [C P] and [C n] of the same channels, n >= 1."
         )
+    check_weights("quantile_distance", values, weights)
+
+
+def check_weights(caller: str, values: Tensor, weights: Tensor | None) -> None:
+    """Raise ShapeError unless weights are None or have one number for each of [C P] samples."""
     if weights is not None and weights.shape != values.shape[1:]:
         raise ShapeError(
-            f"quantile_distance: weights are {list(weights.shape)} for {values.shape[1]}"
-            " samples. Give one weight for each sample."
+            f"{caller}: weights are {list(weights.shape)} for {values.shape[1]} samples. Give one "
+            "weight for each sample."
         )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.core.style.quantiles import at_least_single, quantile_distance
+from usdsmoke.core.style.quantiles import at_least_single, check_weights, quantile_distance
 
 N_BINS = 512  # of a direction, over the range of its samples
 FEWEST_PER_BIN = 4  # samples; fewer are sorted, which is as fast, as bins would blur their ranks
@@ -49,11 +49,7 @@ def sliced_distance(
             f"sliced_distance: values are {list(values.shape)}, axes {list(axes.shape)}, the table "
             f"{list(table.shape)}, and there are {n_bins} bins. Give [C P], [D C] and [D n]."
         )
-    if weights is not None and weights.shape != values.shape[1:]:
-        raise ShapeError(
-            f"sliced_distance: weights are {list(weights.shape)} for {values.shape[1]} samples. "
-            "Give one weight for each sample."
-        )
+    check_weights("sliced_distance", values, weights)
     values = at_least_single(values)
     axes, table = axes.to(values), table.to(values)
     if values.shape[1] < FEWEST_PER_BIN * n_bins:
