@@ -7,7 +7,8 @@ import pytest
 
 from tests.usd_fixtures import needs_usd
 from usdsmoke.base.resolve import read_settings, resolve_config
-from usdsmoke.ui.cli.arguments import build_parser, given_settings
+from usdsmoke.ui.cli.arguments import build_parser
+from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.usd.rules import register_validators
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

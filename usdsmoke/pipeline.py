@@ -8,11 +8,11 @@ from pathlib import Path
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Job, Request, prepare_job
-from usdsmoke.planning.output_folder import settle_output
+from usdsmoke.planning.output_folder import resolve_output
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
-from usdsmoke.runs.coarse import run_coarse_step, settle_scenes
+from usdsmoke.runs.coarse import record_scenes, run_coarse_step
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
@@ -125,10 +125,10 @@ def stylize(
             hashes = hash_frames(opened, to_do, tell)
         opened.begin()
         # What all windows share, then the windows; these keep their own time.
-        settle_scenes(opened)
+        record_scenes(opened)
         with clock.part(ELSEWHERE):
             run_coarse_step(opened, tell)
-            stylize_windows(opened, to_do, hashes, tell, again=True)
+            stylize_windows(opened, to_do, hashes, tell, redo=True)
         # Frames of two windows are blended, and the look layer is written last.
         return assemble_run(opened, tell, clock)
 
@@ -157,7 +157,7 @@ def run_coarse(
         had_scenes = bool(opened.run.scenes)
         if not had_scenes:
             hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used
-            settle_scenes(opened)
+            record_scenes(opened)
         was_done = not run_coarse_step(opened, tell) and had_scenes
     return _task_result(opened, None, was_done)
 
@@ -167,7 +167,7 @@ def run_window(
     window: int,
     progress: RunProgressCallback | None = None,
     planned: _Planned | None = None,
-    again: bool = False,
+    redo: bool = False,
 ) -> TaskResult:
     """One window of a run, for a queue; the coarse step before it, if no one has done it yet.
 
@@ -181,7 +181,7 @@ def run_window(
         window: its number, from 0, in the order of the plan's ``windows``.
         progress: called often, with how far the window is.
         planned: called once with the plan.
-        again: do it once more though it is finished.
+        redo: do it once more though it is finished.
 
     Raises:
         ConfigError: there is no such window.
@@ -191,14 +191,14 @@ def run_window(
     """
     job, tell = _prepare(request, planned), progress or _tell_nobody
     with join_run(job, tell, job.plan.task(window)) as opened:
-        was_done = opened.run.window(window) is not None and not again
+        was_done = opened.run.window(window) is not None and not redo
         if not was_done:
             task = opened.plan.task(window)
             opened.check_disk([task])
             hashes = hash_frames(opened, [task], tell)
-            settle_scenes(opened)
+            record_scenes(opened)
             run_coarse_step(opened, tell, task.frames)
-            stylize_windows(opened, [task], hashes, tell, again)
+            stylize_windows(opened, [task], hashes, tell, redo)
     return _task_result(opened, window, was_done)
 
 
@@ -228,7 +228,7 @@ def assemble(
         Interrupted: by Ctrl-C.
     """
     clock, tell = PartClock(), progress or _tell_nobody
-    with open_run_to_assemble(settle_output(output), look, mode, tell) as opened:
+    with open_run_to_assemble(resolve_output(output), look, mode, tell) as opened:
         if is_whole(opened):
             return summarize_result(opened)
         return assemble_run(opened, tell, clock)

@@ -20,19 +20,19 @@ class Tasks:
         request: with a fixed number of threads and, if some frames of a result are selected, with
             all of its frames.
         plan: of the whole run.
-        again: windows to compute once more though they are finished.
+        redo: windows to compute once more though they are finished.
     """
 
     request: Request
     plan: Plan
-    again: frozenset[int] = frozenset()
+    redo: frozenset[int] = frozenset()
 
     @property
     def windows(self) -> dict[int, float]:
         """The first timeCode of each window to do, by its number, in order."""
         windows = [window for volume in self.plan.volumes for window in volume.windows]
         starts = {window.index: min(window.time_codes) for window in windows}
-        return {number: starts[number] for number in sorted(self.again or starts)}
+        return {number: starts[number] for number in sorted(self.redo or starts)}
 
     def run(self, window: int | None, progress: RunProgressCallback | None = None) -> None:
         """Do a window, or the coarse step; in any process that sees the same files.
@@ -44,7 +44,7 @@ class Tasks:
             run_coarse(self.request, progress)
         else:
             request = replace(self.request, force=False)
-            run_window(request, window, progress, again=window in self.again)
+            run_window(request, window, progress, redo=window in self.redo)
 
 
 def divide_run(

@@ -29,7 +29,7 @@ from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.output_folder import (
     check_output_folder,
     check_writable,
-    settle_output,
+    resolve_output,
 )
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
@@ -137,7 +137,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         binding_name()  # raises if there is none
     request = request.settled()
     config = request.config
-    output = settle_output(request.output)
+    output = resolve_output(request.output)
     if fits:
         check_writable(output)
     style_files = tuple(Path(image) for image in style_paths(request.style))

@@ -9,7 +9,7 @@ from usdsmoke.base.errors import LayerError, WriteFailed
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
 
-def settle_output(output: str | os.PathLike[str]) -> Path:
+def resolve_output(output: str | os.PathLike[str]) -> Path:
     """The output folder, absolute and without links.
 
     Paths in a result's files are relative to it, whichever link was used.

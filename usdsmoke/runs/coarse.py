@@ -62,7 +62,7 @@ def read_scene(run: Run, volume_number: int) -> "Scene":
     return Scene(**run.scenes[volume_number])
 
 
-def settle_scenes(opened: OpenRun) -> None:
+def record_scenes(opened: OpenRun) -> None:
     """Measure the scenes of a run that has begun, if no process has.
 
     Raises:

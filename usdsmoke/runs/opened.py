@@ -22,7 +22,7 @@ class OpenRun:
     run: Run
     job: Job  # with what the run has settled of the machine
     lock: OutputLock  # on the output folder
-    again: Collection[int] = ()  # windows that are to be done though they are finished
+    redo: Collection[int] = ()  # windows that are to be done though they are finished
     task: str = ""  # the one that is done here, such as "window 3"; "": the whole run
 
     @cached_property
@@ -41,7 +41,7 @@ class OpenRun:
         return [
             task
             for task in self.plan.tasks
-            if task.number in self.again or self.run.window(task.number) is None
+            if task.number in self.redo or self.run.window(task.number) is None
         ]
 
     def begin(self) -> None:

@@ -47,7 +47,7 @@ def stylize_windows(
     tasks: Sequence[WindowTask],
     source_hashes: Mapping[str, Mapping[str, str]],
     tell: RunProgressCallback,
-    again: bool = False,
+    redo: bool = False,
 ) -> None:
     """Stylize windows, write their frames and, behind each window, its manifest.
 
@@ -56,7 +56,7 @@ def stylize_windows(
     Args:
         opened: the run; it has begun, and the coarse step is done.
         tell: called for every iteration and every file.
-        again: do them all, also those that are finished.
+        redo: do them all, also those that are finished.
 
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
@@ -67,7 +67,7 @@ def stylize_windows(
     tell = _never_back(tell)
     for place, task in enumerate(tasks):
         with opened.run.claim(task.number):
-            if again or opened.run.window(task.number) is None:
+            if redo or opened.run.window(task.number) is None:
                 progress = _Counter(meter, done, len(warm), tell)
                 _stylize_window(opened, task, source_hashes, progress)
         done += len(task.frames)

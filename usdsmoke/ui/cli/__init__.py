@@ -1,7 +1,9 @@
 """The command line.
 
 - ``main``: arguments in, one call of the package, results out; exit codes and signals
-- ``arguments``, ``record_arguments``, ``values``, ``parser``: what each command takes
+- ``arguments``, ``record_arguments``: what each command takes
+- ``options``: what several commands take, and the settings that their options stand for
+- ``parser``, ``values``: hints for misspelt words; numbers and sizes from text
 - ``work_commands`` (stylize, submit, assemble), ``commands`` (all others): one call of the package
   each
 - ``text``, ``record_text``: what they print

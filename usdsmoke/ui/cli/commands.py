@@ -13,7 +13,7 @@ from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
 from usdsmoke.ui.cli.text import (
     inspection_text,

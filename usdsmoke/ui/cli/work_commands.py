@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from usdsmoke.ui.cli.arguments import given_settings
+from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.text import (
     budget_text,
     job_text,

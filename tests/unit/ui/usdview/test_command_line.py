@@ -20,7 +20,8 @@ from tests.usd_fixtures import (
 )
 from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
 from usdsmoke.base.resolve import resolve_config
-from usdsmoke.ui.cli.arguments import build_parser, given_settings
+from usdsmoke.ui.cli.arguments import build_parser
+from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.usd.layer_record import put_record, read_record
 from usdsmoke.usd.look import LookFiles
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
