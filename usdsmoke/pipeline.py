@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from usdsmoke.base.machine import prepare_torch_environment
@@ -14,7 +14,7 @@ from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summar
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import record_scenes, run_coarse_step
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.opening import join_run, open_run, open_run_to_assemble
+from usdsmoke.runs.opening import find_growth, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
@@ -73,7 +73,7 @@ def plan(
 def plan_request(request: Request, fits: bool = True) -> Plan:
     """``plan`` of a request."""
     job = prepare_job(request, fits)
-    return foresee_tolerance(job, job.with_config).plan
+    return _told_plan(foresee_tolerance(job, job.with_config))
 
 
 def stylize(
@@ -90,8 +90,8 @@ def stylize(
 
     A run that was stopped, however rudely, is continued by the same call: finished windows are
     kept. Where the output folder holds a result of equal settings with more frames
-    (``stage.frames``), the windows of the selected ones are done again and the others stay. Input
-    files are only read.
+    (``stage.frames``), the windows of the selected ones are done again and the others stay. Where
+    it holds one with fewer frames, it is made longer. Input files are only read.
 
     Args:
         stage: a .usda, .usdc or .usd file, or an open stage without unsaved edits.
@@ -247,8 +247,14 @@ def _prepare(request: Request, planned: _Planned | None) -> Job:
     job = prepare_job(request)
     job = settle_tolerance(job, job.with_config)
     if planned is not None:
-        planned(job.plan)
+        planned(_told_plan(job))
     return job
+
+
+def _told_plan(job: Job) -> Plan:
+    """The plan, with a note where a result is made longer."""
+    growth = find_growth(job)
+    return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, growth.note))
 
 
 def _tell_nobody(report: RunProgress) -> None:

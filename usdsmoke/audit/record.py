@@ -139,7 +139,7 @@ def _of_grids(path: Path) -> list[FoundRecord]:
         return []
     output = path.parents[2] if len(path.parents) > 2 else path.parent  # OUT/vdb/KEY/NAME.vdb
     looks = _in_folder(output)
-    looks = [look for look in looks if look.layer and record_values(look.layer)["run"] == run]
+    looks = [look for look in looks if run in (look.record.run, *look.record.grown_from)]
     beside = path.with_name(RECORD_FILE)
     if not looks and beside.is_file() and (found := _of_run(beside)).record.run == run:
         return [found]

@@ -30,7 +30,16 @@ A message has two parts: what is wrong (what was found), and what to do.
 
 
 class UsdSmokeError(Exception):
-    """Base of every named error; the command line prints its text and exits with 1."""
+    """Base of every named error; the command line prints its text and exits with 1.
+
+    Args:
+        message: what is wrong, and what to do.
+        details: what only some readers want, such as hashes; printed with ``--verbose``.
+    """
+
+    def __init__(self, message: str = "", details: str = "") -> None:
+        super().__init__(message)
+        self.details = details
 
 
 class ConfigError(UsdSmokeError, ValueError):

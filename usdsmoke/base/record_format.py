@@ -93,6 +93,7 @@ class RunRecord(JsonRecord):
     tool: str = "usdsmoke"
     created: str = ""  # when the run was begun, UTC, ISO 8601
     finished: str = ""  # when the record was made
+    grown_from: tuple[str, ...] = ()  # UUIDs of the runs of fewer frames before it
     look: str = ""  # name of the look
     stage: str = ""  # the source; "" where it is not known
     packages: Mapping[str, str] = field(default_factory=dict)  # versions by name
@@ -106,6 +107,7 @@ class RunRecord(JsonRecord):
     features: str = ""  # the feature networks
     features_hash: str = ""
     stage_values: Mapping[str, str] = field(default_factory=dict)  # see ``stage_values``
+    variants: Mapping[str, str] = field(default_factory=dict)  # selected ones, by </prim>{set}
     source_files: Mapping[str, str] = field(default_factory=dict)  # SHA-256, by path from the stage
     frames: tuple[FrameRecord, ...] = ()
     results: Mapping[str, str] = field(default_factory=dict)  # content hash by file written

@@ -126,6 +126,9 @@ class OpticsConfig(Section):
         4.0, "optical depth that the thick columns should have; used to choose gamma if it is "
         "unset", gt=0)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
+    frames: str = setting(
+        "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
+        "of those that are stylized, and for a look that grows its own")
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
 

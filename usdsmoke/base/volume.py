@@ -107,6 +107,7 @@ class VolumeSource:
     other_fields: tuple[str, ...] = ()  # relationship names that are not used
     request: StyleRequest = StyleRequest()
     materials: tuple[BoundMaterial, ...] = ()  # bound to it, one for each purpose
+    variants: Mapping[str, str] = field(default_factory=dict)  # selected here and above, by set
 
 
 @dataclass(frozen=True)

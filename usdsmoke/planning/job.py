@@ -176,8 +176,14 @@ def describe_request(job: Job) -> dict[str, Any]:
     return {
         "stage": stage,
         "styles": styles,
+        "variants": selected_variants(job.plan.source),  # for people: it is the stage that counts
         **settings_record(job.config, job.output),
     }
+
+
+def selected_variants(source: StageSource) -> dict[str, str]:
+    """The variants that are selected on the Volumes and above, by variant set."""
+    return {name: value for volume in source.volumes for name, value in volume.variants.items()}
 
 
 def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None = None) -> Request:

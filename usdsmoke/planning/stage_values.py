@@ -74,6 +74,7 @@ def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     values = dataclasses.asdict(volume)
     del values["request"]
     del values["materials"]  # they decide what the layer binds, not what the files hold
+    del values["variants"]  # what they select counts
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]

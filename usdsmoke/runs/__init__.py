@@ -4,9 +4,10 @@ The files are imported by name, because most of them load OpenUSD.
 
 - ``run``: the run on disk: folder, record, manifests, claims of processes on its tasks
 - ``manifests``: what a finished window or the coarse step has left
-- ``identity``: what decides a result, and what differs between two runs
+- ``identity``: what decides a result, and whether a call asks for a run's
 - ``run_machine``: threads, device and kind of processor of a run
-- ``opening``: which run a call belongs to: begun, continued, joined, repeated or refused
+- ``changes``: what differs between two runs, in words
+- ``opening``: which run a call belongs to, and results that are made longer (a folder)
 - ``opened``: a run that this process works on: what is left to do, disk, how far
 - ``coarse``: the measured scenes, and the coarse step that all windows start from
 - ``window``: frames are checked, stylized and written, window by window

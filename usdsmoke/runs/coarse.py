@@ -15,6 +15,7 @@ from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name
@@ -46,13 +47,22 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     describe_machine(plan.config.optimize)  # sets threads: sums depend on the number of threads
     scenes = []
     for volume in plan.volumes:
-        frames = [reader.read(volume, frame) for frame in sample_frames(volume)]
+        frames = [reader.read(volume, frame) for frame in _measured_frames(volume)]
         config = volume.config
         scene = measure_scene(
             frames, config.views, config.optics, plan.source.up_axis, config.grids.refine
         )
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
+
+
+def _measured_frames(volume: VolumePlan) -> list[FramePlan]:
+    """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
+    none of this Volume's."""
+    ranges = parse_frames(volume.config.optics.frames)
+    codes, _ = select_frames(ranges, (frame.source.time_code for frame in volume.frames))
+    named = [frame for frame in volume.frames if frame.source.time_code in codes]
+    return sample_frames(dataclasses.replace(volume, frames=tuple(named))) or sample_frames(volume)
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":

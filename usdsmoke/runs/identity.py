@@ -7,8 +7,7 @@ What a job leaves to the machine (threads, device) is as the run has settled it:
 import copy
 import json
 import os
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,20 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
-from usdsmoke.planning.job import Job
+from usdsmoke.planning.job import Job, selected_variants
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
+from usdsmoke.runs.changes import Changes, find_changes
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import machine_of
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 
-# Values of ``optimize`` that leave a choice to the machine on which a run begins.
-_OPEN = {"threads": 0, "device": "auto"}
+# Values that leave a choice to the machine on which a run begins, or to the run that a look grew
+# from; by section.
+_OPEN: dict[str, dict[str, Any]] = {
+    "optimize": {"threads": 0, "device": "auto"},
+    "optics": {"frames": ""},
+}
 
 # Settings that change when or whether a result comes about, but not the result.
 _NEUTRAL = {
@@ -36,9 +40,8 @@ _NEUTRAL = {
     "layer": ("mode", "contact_sheet"),
 }
 
-_MOST_CHANGES = 6  # that a message names
-_LONGEST = 60  # letters of a value
-_DIGEST = re.compile(r"\b([0-9a-f]{12})[0-9a-f]{52}\b")
+# What follows from which frames are selected, of a description's ``stage``.
+_FOLLOW_FRAMES = ("startTimeCode", "endTimeCode", "leftOut")
 
 
 class Identity:
@@ -77,9 +80,18 @@ class Identity:
         """Whether a run is the one that is asked for."""
         return self.beside(run) == run.description
 
-    def changes(self, run: Run) -> str:
-        """What differs from a run, in words; empty where nothing does."""
-        return list_changes(run.description, self.beside(run))
+    def changes(self, run: Run, whatever_frames: bool = False) -> Changes:
+        """What differs from a run; false where nothing does.
+
+        Args:
+            whatever_frames: the selections may differ: the job's frames are those of the run.
+        """
+        earlier, later = run.description, self.beside(run)
+        if whatever_frames:
+            earlier, later = _without_selection(earlier), _without_selection(later)
+        source = self._job.plan.source
+        variants = (run.request.get("variants", {}), selected_variants(source))
+        return find_changes(earlier, later, Path(source.file_path).parent, variants)
 
 
 def describe_run(
@@ -169,50 +181,26 @@ def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
     return settings
 
 
-def list_changes(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> str:
-    """What differs between two descriptions, in words; empty where nothing does.
-
-    >>> list_changes({"optimize": {"seed": 0}}, {"optimize": {"seed": 1}})
-    'optimize.seed was 0, now 1'
-    >>> list_changes({"styles": ["a.png 0f"]}, {"styles": ["a.png 0f", "b.png 1e"]})
-    'styles[1] was absent, now "b.png 1e"'
-    """
-    before, after = dict(_flatten(earlier)), dict(_flatten(later))
-    changes = [
-        f"{name} was {_shown(before, name)}, now {_shown(after, name)}"
-        for name in sorted({*before, *after})
-        if before.get(name) != after.get(name)
-    ]
-    more = len(changes) - _MOST_CHANGES
-    return ", ".join(changes[:_MOST_CHANGES]) + (f" and {more} more" if more > 0 else "")
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flatten(value, f"{prefix}{name}.")
-        elif name == "styles" and isinstance(value, list):  # images: each for itself
-            yield from ((f"{prefix}{name}[{n}]", item) for n, item in enumerate(value))
-        else:
-            yield f"{prefix}{name}", value
-
-
-def _shown(values: Mapping[str, Any], name: str) -> str:
-    """A value as people read it: of digests the first digits, of long texts the beginning."""
-    if name not in values:
-        return "absent"
-    text = _DIGEST.sub(r"\1...", json.dumps(values[name], ensure_ascii=False))
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
-
-
 def _settled(description: dict[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:
     """A description in which what is left to the machine is as it was when a run began."""
     taken = copy.deepcopy(description)
-    before = earlier.get("settings", {}).get("optimize", {})
-    optimize = taken["settings"]["optimize"]
-    for name, value in _OPEN.items():
-        if name in before and optimize.get(name) == value:
-            optimize[name] = before[name]
+    for section, values in _OPEN.items():
+        before = earlier.get("settings", {}).get(section, {})
+        for name, value in values.items():
+            if name in before and taken["settings"][section].get(name) == value:
+                taken["settings"][section][name] = before[name]
+    return taken
+
+
+def _without_selection(description: Mapping[str, Any]) -> dict[str, Any]:
+    """A description without the selected frames and what follows from them alone."""
+    taken = copy.deepcopy(dict(description))
+    taken["settings"]["stage"].pop("frames", None)
+    for name in _FOLLOW_FRAMES:
+        taken["stage"].pop(name, None)
+    for pieces in taken["stage"].values():
+        if isinstance(pieces, dict):
+            pieces.pop("timeCodes", None)
     return taken
 
 

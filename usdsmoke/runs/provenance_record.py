@@ -78,6 +78,7 @@ def make_record(
         version=__version__,
         created=run.created,
         finished=utc_now(),
+        grown_from=tuple(run.grown_from),
         look=config.layer.look,
         stage=request["stage"],
         packages=_versions(config.grids),
@@ -94,6 +95,7 @@ def make_record(
         features=", ".join(networks),
         features_hash=run.description["features_hash"],
         stage_values=stage_values(plan.source),
+        variants=request["variants"],
         source_files=run.description["files"],
         frames=tuple(
             _frame_record(run, volume, frame) for volume in plan.volumes for frame in volume.frames

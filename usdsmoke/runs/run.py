@@ -58,6 +58,7 @@ class Run:
     frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # of the result, by file name
     files: list[str] = field(default_factory=list)  # outside this folder, relative to the output
     complete: bool = False  # the look points here and nothing is left to do
+    grown_from: Sequence[str] = ()  # ids of the runs of fewer frames that it was made longer from
     plan: Mapping[str, Any] = field(default_factory=dict)  # what was planned, for the record
     request: Mapping[str, Any] = field(default_factory=dict)  # what it takes to make the job again
     scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume; empty: not yet

@@ -54,8 +54,9 @@ def settle_threads(
 
 
 def with_settled(job: Job, run: Run) -> Job:
-    """The job with the threads and the device that its run was begun with."""
+    """The job with what was left open as its run was begun: threads, device, measured frames."""
     settled = _optimize(run)
+    measured = run.description.get("settings", {}).get("optics", {}).get("frames", "")
 
     def settle(config: Config) -> Config:
         device = config.optimize.device
@@ -65,7 +66,8 @@ def with_settled(job: Job, run: Run) -> Job:
             # a device of the same kind may be another one of several GPUs
             device=device if device.partition(":")[0] == settled_device else settled_device,
         )
-        return config.replace(optimize=optimize)
+        optics = config.optics.replace(frames=config.optics.frames or measured)
+        return config.replace(optimize=optimize, optics=optics)
 
     volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)

@@ -18,6 +18,10 @@ SETTINGS = {
     if "control" in (extra := extra_of(field))
 }
 
+# A frame's coarse start may depend on so many frames after it: its colours are averaged with the
+# next frame's, on density that is averaged with the one after it, whose strength may be 0.
+FRAMES_AHEAD = 3
+
 
 def frame_config(
     config: Config, controls: FrameControls, time_code: float, n_styles: int | None = None

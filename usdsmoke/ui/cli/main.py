@@ -134,5 +134,7 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
     elif not isinstance(error, UsdSmokeError):
         message = f"unexpected {kind}: {message}. Run with --verbose to see where, and report it."
     print(f"usdsmoke: {message}", file=sys.stderr)
+    if arguments.verbose and (details := getattr(error, "details", "")):
+        print(details, file=sys.stderr)
     if arguments.json:
         print_json({"error": {"type": kind, "message": message}})

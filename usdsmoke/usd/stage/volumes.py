@@ -15,6 +15,7 @@ from usdsmoke.base.errors import (
     StageError,
     VolumeNotFound,
 )
+from usdsmoke.base.naming import VARIANT_SET
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
@@ -372,7 +373,18 @@ def _read_volume(
         other_fields=outline.fields.others,
         request=request,
         materials=find_materials(outline.prim),
+        variants=_selected_variants(outline.prim),
     )
+
+
+def _selected_variants(volume: Usd.Prim) -> dict[str, str]:
+    """The variants that are selected on a Volume and the prims above it, by ``</prim>{set}``."""
+    found = {}
+    for prim in (volume, *ancestors(volume)):
+        sets = prim.GetVariantSets()
+        for name in set(sets.GetNames()) - {VARIANT_SET}:
+            found[f"<{prim.GetPath()}>{{{name}}}"] = sets.GetVariantSelection(name)
+    return found
 
 
 def _check_mask(outline: _Outline, fields: Mapping[str, FieldSource], time_code: float) -> None:

@@ -1,4 +1,4 @@
-"""Which run a call belongs to: begun, continued, joined by several processes, or done again."""
+"""Which run a call belongs to: begun, continued, joined, done again, made longer, or refused."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,8 +10,10 @@ from usdsmoke.base.publish import remove_empty
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
+from usdsmoke.runs.changes import Changes
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
+from usdsmoke.runs.opening.growth import Growth, find_growth, take_over
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, find_runs, new_run
 from usdsmoke.runs.run_machine import with_settled
@@ -29,6 +31,7 @@ def open_run(job: Job) -> Iterator[OpenRun]:
     """The run of a whole job; no other process is in the output folder.
 
     A selection of a result's own frames means these frames once more: the job becomes the result's.
+    One of these and more makes the result longer.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
@@ -40,8 +43,11 @@ def open_run(job: Job) -> Iterator[OpenRun]:
         if again is not None:
             opened = OpenRun(again[1], again[0], lock, again[2])
         else:
-            run = _choose_run(job, Identity(job))
+            growth = find_growth(job)
+            job = growth.job if growth else job
+            run = _choose_run(job, Identity(job), growth=growth)
             opened = OpenRun(run, with_settled(job, run), lock)
+            _take_over(opened, growth)
         with _tidy_end(opened):
             yield opened
 
@@ -65,7 +71,7 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
             whole = job.with_config(config)
             if numbers := _windows_of(whole.plan, job.plan):
                 if changes := Identity(whole).changes(run):
-                    raise OutputExists(_other_result(run.output, changes))
+                    raise _other_result(run.output, changes)
                 return with_settled(whole, run), run, numbers
     return None
 
@@ -120,6 +126,8 @@ def join_run(
     def waits() -> None:
         tell(WAITING)
 
+    growth = find_growth(job)
+    job = growth.job if growth else job
     identity = Identity(job, reads)
     if job.request.force and _find_equal(job.output, identity) is None:
         # Unfinished runs of other settings are removed: no other process may be at work on them.
@@ -128,12 +136,14 @@ def join_run(
     with lock_output(job.output, alone=False, waits=waits) as lock:
         run = _find_equal(job.output, identity)
         if run is None:
-            _choose_run(job, identity, alone=False)  # or be refused
+            _choose_run(job, identity, alone=False, growth=growth)  # or be refused
             with _beginning(job.output, lock):
                 run = _find_equal(job.output, identity)
                 if run is None:
-                    run = _choose_run(job, identity, alone=False)
-                    OpenRun(run, with_settled(job, run), lock).begin()
+                    run = _choose_run(job, identity, alone=False, growth=growth)
+                    opened = OpenRun(run, with_settled(job, run), lock)
+                    opened.begin()
+                    _take_over(opened, growth)
         doing = "the coarse step" if task is None else f"window {task.number}"
         opened = OpenRun(run, with_settled(job, run), lock, task=doing)
         with _tidy_end(opened):
@@ -151,6 +161,14 @@ def _beginning(output: Path, lock: OutputLock) -> Iterator[None]:
             (output / _BEGINNING).unlink(missing_ok=True)
             remove_empty([output / "vdb"])
         raise
+
+
+def _take_over(opened: OpenRun, growth: Growth | None) -> None:
+    """Begin a run that makes a result longer with what stays of it; once."""
+    if growth is not None and not opened.run.scenes:
+        opened.run.grown_from = (*growth.earlier.grown_from, growth.earlier.run_id)
+        opened.begin()
+        take_over(growth, opened.run)
 
 
 @contextmanager
@@ -197,7 +215,8 @@ def open_run_to_assemble(
         if changes:
             raise OutputExists(
                 f"the inputs of the run in {run.folder} have changed: {changes}. "
-                "Restore them, or stylize again with --force."
+                "Restore them, or stylize again with --force.",
+                changes.details,
             )
         try:
             yield OpenRun(run, job, lock)
@@ -241,7 +260,9 @@ def _find_equal(output: Path, identity: Identity) -> Run | None:
     return min(runs, key=lambda run: run.complete, default=None)
 
 
-def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
+def _choose_run(
+    job: Job, identity: Identity, alone: bool = True, growth: Growth | None = None
+) -> Run:
     """The run to begin or to continue; with ``force``, runs that never became a result go away.
 
     Runs of other looks in the same folder do not matter. A look layer may point to a run that was
@@ -249,6 +270,7 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
 
     Args:
         alone: no other process is in the folder; otherwise its unfinished runs stay.
+        growth: the result that may be in the way, because it is made longer.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
@@ -259,15 +281,19 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
     results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if not identity.is_of(run)]
+    if growth is not None:
+        results -= {growth.earlier.run_id}
     if results and not force:
         known = [runs[run_id] for run_id in sorted(results) if run_id in runs]
-        raise OutputExists(_result_in_the_way(output, known, identity))
+        raise _result_in_the_way(output, known, identity)
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
+        changes = identity.changes(others[0])
         raise OutputExists(
-            f"{output} holds an unfinished run with different settings or inputs: "
-            f"{identity.changes(others[0])}. Finish it with its own settings, choose another "
-            "output folder, or discard it with --force."
+            f"{output} holds an unfinished run with different settings or inputs: {changes}. "
+            "Finish it with its own settings, choose another output folder, or discard it with "
+            "--force.",
+            changes.details,
         )
     for run in given_up:
         run.remove()
@@ -275,14 +301,16 @@ def _choose_run(job: Job, identity: Identity, alone: bool = True) -> Run:
         if run not in others:
             run.complete = False
             return run
+    if growth is not None:  # the machine stays the same too
+        return new_run(output, identity.beside(growth.earlier))
     return new_run(output, identity.alone())
 
 
-def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> str:
+def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:
     """Why a result stays as it is, and what can be done instead."""
     advice = "choose another output folder or look, or replace it with --force."
     if not known:
-        return f"{output} already holds a result. {advice[0].upper()}{advice[1:]}"
+        return OutputExists(f"{output} already holds a result. {advice[0].upper()}{advice[1:]}")
     run = known[0]
     if changes := identity.changes(run):
         return _other_result(output, changes)
@@ -292,18 +320,21 @@ def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -
         more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
         codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
         are = "is" if len(lost) == 1 else "are"
-        return (
+        return OutputExists(
             f"{named}{more} {are} missing or changed in {run.folder}. Run the same command with "
             f"--frames={codes} to repair the result."
         )
-    return (
+    return OutputExists(
         f"{output} already holds this result. Change its mode with 'usdsmoke assemble', redo "
         f"frames with --frames, {advice}"
     )
 
 
-def _other_result(output: Path, changes: str) -> str:
-    return (
-        f"{output} already holds a result with different settings or inputs: {changes}. Restore "
-        "them, choose another output folder or look, or replace the result with --force."
+def _other_result(output: Path, changes: Changes) -> OutputExists:
+    longer = "select the result's frames and more to make it longer, " if changes.frames else ""
+    return OutputExists(
+        f"{output} already holds a result with different settings or inputs: {changes}. "
+        f"Restore them, {longer}choose another output folder or look, or replace the result with "
+        "--force.",
+        changes.details,
     )

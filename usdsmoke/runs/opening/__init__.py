@@ -1,0 +1,15 @@
+"""Which run a call belongs to.
+
+- ``choose``: a run that is begun, continued, joined, repeated or refused
+- ``growth``: a result that is made longer: what stays, what is done
+"""
+
+from usdsmoke.runs.opening.choose import (
+    frames_again,
+    join_run,
+    open_run,
+    open_run_to_assemble,
+)
+from usdsmoke.runs.opening.growth import find_growth
+
+__all__ = ["find_growth", "frames_again", "join_run", "open_run", "open_run_to_assemble"]
