@@ -88,6 +88,7 @@ class FakeScene:
     gamma_w: float = 2.0
     gamma_w_shape: float = 1.0
     up_axis: str = "Z"
+    reference_voxel_size: float = 0.5  # stage units
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import find_growth, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run_machine import machine_of, processor_note
-from usdsmoke.runs.tolerance import foresee_tolerance, settle_tolerance
 from usdsmoke.runs.window import hash_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
 
@@ -57,9 +56,6 @@ def plan(
 ) -> Plan:
     """What ``stylize`` with the same arguments would do. No voxel is read, no file is written.
 
-    With ``optimize.target_error`` a calibration in the output folder is used. Without one, the plan
-    is the one before the choice and says so.
-
     Args:
         stage, style, output, settings: as in ``stylize``.
         fits: whether the memory and disk of this machine must be sufficient.
@@ -72,8 +68,7 @@ def plan(
 
 def plan_request(request: Request, fits: bool = True) -> Plan:
     """``plan`` of a request."""
-    job = prepare_job(request, fits)
-    return _told_plan(foresee_tolerance(job, job.with_config))
+    return _told_plan(prepare_job(request, fits))
 
 
 def stylize(
@@ -242,10 +237,9 @@ def _task_result(opened: OpenRun, window: int | None, was_done: bool) -> TaskRes
 
 
 def _prepare(request: Request, planned: _Planned | None) -> Job:
-    """The job with the settings that a tolerance comes to; the plan is told."""
+    """The job; the plan is told."""
     prepare_torch_environment()
     job = prepare_job(request)
-    job = settle_tolerance(job, job.with_config)
     if planned is not None:
         planned(_told_plan(job))
     return job

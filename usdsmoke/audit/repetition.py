@@ -69,8 +69,6 @@ def rerun(
                 f"{output} holds the result that is to be repeated. Give another folder with -o."
             )
     config = recorded_config(item)
-    # the settings that were chosen for a tolerance are in the record, and are not chosen again
-    config = config.replace(optimize=config.optimize.replace(target_error=None))
     result = stylize(
         item.place(record.stage),
         [item.place(name) for name in record.style_request],

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 
 from usdsmoke.base.json_records import JsonRecord
 
-LEAST_MOVE = 0.05  # voxels; smoke that moved less says nothing about its transport
-
 
 @dataclass(frozen=True)
 class Progress:
@@ -140,6 +138,7 @@ class FrameReport(JsonRecord):
     # Between the steps: the density is moved, and results are averaged and compared with those of
     # neighbouring frames. Without the estimate of the error.
     transport_seconds: float = 0.0
+    voxels_written: int | None = None  # with smoke in the result; None: not written yet
 
     def with_transport_time(self, seconds: float) -> "FrameReport":
         """The report with more seconds of transport."""

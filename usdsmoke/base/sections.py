@@ -236,11 +236,7 @@ class OptimizeConfig(Section):
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser: a loss that falls by less than this share over "
         "a quarter of an octave is a plateau: the rate then falls early, and once it has fallen, "
-        "the octave ends; 0: never; not --tolerance, which is optimize.target_error", ge=0)
-    target_error: float | None = setting(
-        None, "largest acceptable error. Image size, views, iterations, transport and storage are "
-        "chosen to meet it, except those that you set; unset: nothing is chosen; not the "
-        "optimiser's stopping threshold, which is optimize.tolerance", gt=0, le=1)
+        "the octave ends; 0: never", ge=0)
     strength: float = setting(
         1.0, "share of the effect that is kept; 0 returns the source",
         ge=0, le=1, request="strength", control="strength")

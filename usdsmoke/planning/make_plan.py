@@ -29,6 +29,7 @@ from usdsmoke.planning.frames import (
 )
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import visible_share
 from usdsmoke.planning.windows import Window, coarse_runs, find_cuts, split_windows
 from usdsmoke.usd.volume_settings import VolumeSettings
@@ -66,6 +67,7 @@ def make_plan(
         needed=list_needed(config, volumes),
         omitted=list_omitted(source, config, volumes),
         estimate=add_estimates([_estimate(planned) for planned in volumes]),
+        notes=list_remarks(volumes),
     )
 
 

@@ -105,7 +105,7 @@ class Plan:
     needed: tuple[str, ...]
     omitted: tuple[Omission, ...]
     estimate: CostEstimate
-    notes: tuple[str, ...] = ()  # how settings were chosen (optimize.target_error)
+    notes: tuple[str, ...] = ()  # what may surprise at the end, a sentence each
 
     @property
     def n_frames(self) -> int:

@@ -16,6 +16,5 @@ The files are imported by name, because most of them load OpenUSD.
 - ``provenance_record``: the record of a finished run, and the metadata of a frame's file
 - ``sheet``: contact sheets
 - ``progress``: how far a run is, as a record
-- ``tolerance``: settings that follow from ``optimize.target_error``
 - ``budget``: the error budget (a folder)
 """

@@ -16,7 +16,15 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.materials import hidden_look_warnings
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.runs.budget import ErrorBudget, PartClock, mean_entries, run_budget, run_seconds
+from usdsmoke.planning.remarks import measured_on_part
+from usdsmoke.runs.budget import (
+    ErrorBudget,
+    PartClock,
+    finding_texts,
+    mean_entries,
+    run_budget,
+    run_seconds,
+)
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import (
@@ -132,7 +140,7 @@ def _assemble(
         collect_volume(run, volume, scene["gamma_w"], job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
-    run.error_budget = run_budget(job.plan, run.reports).to_json()
+    run.error_budget = run_budget(job.plan, run.reports, run.scenes).to_json()
     record = make_record(job, run, windows, result_hashes(volumes, run.output))
     keep_record(run, record)
     source, layer = job.plan.source, job.config.layer
@@ -162,14 +170,18 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
     job, run = opened.job, opened.run
     names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
     budget, reports = ErrorBudget.from_json(run.error_budget), run.reports.values()
-    broken = budget.tolerance.warnings if budget.tolerance is not None else ()
     return StylizeResult(
         root_stage=job.targets.root_stage,
         look_layer=job.targets.look_layer,
         frames=tuple(run.folder / name for name in names),
         contact_sheets=tuple(sheet for sheet in job.sheets if sheet.is_file()),
         plan=job.plan,
-        warnings=(*job.earlier.notes, *_warnings(job.plan, run), *broken, *more),
+        warnings=(
+            *job.earlier.notes,
+            *_warnings(job.plan, run),
+            *finding_texts(budget.findings),
+            *more,
+        ),
         temporal_error=mean_entries(
             reports, lambda report: report.temporal, "colour", "displacement"
         ),
@@ -259,6 +271,17 @@ def _read_part(run: Run, pair: _Versions, window: WindowRecord) -> list[DenseFie
     return read_grids(part, [GridRequest(name) for name in names], config.grids)
 
 
+def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
+    """The extinctions that a run of other frames of the shot would need for the same look."""
+    voxel = scene["reference_voxel_size"]
+    return (
+        f"<{volume.source.prim_path}>: measured on the selected timeCodes: "
+        f"optics.gamma={scene['gamma_w'] * voxel:.6g}, "
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}. Set both for other parts of "
+        "the shot"
+    )
+
+
 def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
     """The contact sheets; what went wrong, as the result is whole without them."""
     job, run, plan, warnings = opened.job, opened.run, opened.plan, []
@@ -279,6 +302,11 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         f"{name}: {warning}" for name, report in run.reports.items() for warning in report.warnings
     ]
     found += processor_warnings(run)
+    found += [
+        _measured(scene, volume)
+        for volume, scene in zip(plan.volumes, run.scenes, strict=True)
+        if measured_on_part(volume)
+    ]
     found += hidden_look_warnings(plan.volumes)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):

@@ -36,7 +36,7 @@ _OPEN: dict[str, dict[str, Any]] = {
 _NEUTRAL = {
     "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("memory_limit_gib", "error_budget", "target_error"),
+    "optimize": ("memory_limit_gib", "error_budget"),
     "layer": ("mode", "contact_sheet"),
 }
 

@@ -55,7 +55,9 @@ def result_fields(
         for grid in make_colour_grids(density, emission, gamma_w, config.layer)
     ]
     lost = storage_errors(fields, config.grids, report.errors, kept)
-    return [density, *colours, *copied], dataclasses.replace(report, errors=lost)
+    written = int(np.count_nonzero(density.values > 0))
+    report = dataclasses.replace(report, errors=lost, voxels_written=written)
+    return [density, *colours, *copied], report
 
 
 def write_result(

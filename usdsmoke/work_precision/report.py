@@ -20,7 +20,6 @@ from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.planning.plan import Omission
-from usdsmoke.runs.tolerance import settle_tolerance
 from usdsmoke.usd.stage.opening import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
@@ -98,13 +97,12 @@ def make_report(
     tell = progress or (lambda sweep, point, share: None)
     target = Path(output).absolute()
     tell("scene", "reading", 0.0)
-    first = prepare_job(Request(stage, style, target, settings), fits=False)
-    check_network(first.plan)
+    job = prepare_job(Request(stage, style, target, settings), fits=False)
+    check_network(job.plan)
     names = [*(f"{sweep.name}.png" for sweep in sweeps), DATA, PAGE]
     with _report_folder(target, names) as old:
         try:
             # The scene, and its sweeps as far as the time goes.
-            job = settle_tolerance(first, first.with_config, keep=False)
             longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
             case, budget = open_case(job, longest, seconds), Budget(seconds)
             results, omitted = run_sweeps(sweeps, case, budget, _clock_of(case), tell)

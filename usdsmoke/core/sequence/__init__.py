@@ -11,5 +11,4 @@
 - ``coarse``: the shared coarse step and its files
 - ``motion``, ``motion_energy``: the velocity of smoke that comes without one
 - ``error_estimates``, ``picture_errors``, ``storage_error``: what is left of a frame's errors
-- ``calibrate``: the errors of other settings, measured on one frame
 """

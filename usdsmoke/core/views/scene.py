@@ -44,6 +44,7 @@ class Scene:
     exposure_shape: float = 1.0
     camera: CameraSource | None = None  # of the current frame; None: around up
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
+    thick_share: float = 1.0  # share of all columns with smoke that are as thick
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:
@@ -157,15 +158,17 @@ def _middle_view(
     return fit_view(view, smoke)
 
 
-def _columns(smoke: ActiveSmoke, view: View) -> np.ndarray:
-    """Column integrals of density where there is smoke, [P], density x stage unit.
+def _columns(smoke: ActiveSmoke, view: View) -> tuple[np.ndarray, int]:
+    """Column integrals of density where there is smoke, [P], density x stage unit; and how many
+    there are with those that are left out.
 
     Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
     densest one may be that of one voxel.
     """
     image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
     columns = image.apply(bounded(smoke).density.double()[:, None])
-    return columns[columns > FRINGE * ranked(columns[columns > 0], DENSE_COLUMNS)].numpy()
+    some = columns[columns > 0]
+    return some[some > FRINGE * ranked(some, DENSE_COLUMNS)].numpy(), len(some)
 
 
 def measure_scene(
@@ -202,11 +205,13 @@ def measure_scene(
     visible = [(part, camera) for part, camera in parts if len(part.ijk)]
     pixel_size = _pixel_size(longest, voxel, visible, views, refine)
     coarse = max(pixel_size, voxel)
-    columns = [
+    found = [
         _columns(smoke, _middle_view(smoke, views, up_axis, coarse, camera))
         for smoke, camera in visible or filled
     ]
+    columns = [dense for dense, _ in found]
     thick = float(np.median([np.percentile(c, optics.percentile) for c in columns]))
+    share = float(np.median([(dense >= thick).sum() / n for dense, n in found]))
     gamma_w, gamma_w_shape = (
         per_voxel / voxel if per_voxel is not None else depth / thick
         for per_voxel, depth in (
@@ -220,7 +225,8 @@ def measure_scene(
     image_size = math.ceil(longest / pixel_size - 1e-6)
     return Scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
-        float(inside.mean()), float(inside.std()), exposure, exposure_shape, thick=thick,
+        float(inside.mean()), float(inside.std()), exposure, exposure_shape,
+        thick=thick, thick_share=share,
     )  # fmt: skip
 
 

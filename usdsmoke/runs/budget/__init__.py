@@ -1,10 +1,9 @@
 """The error budget and the time of a run, from the reports of its frames.
 
-``rows`` declares every error once. ``error_budget`` puts a run's figures together and judges them
-by a tolerance. ``choice`` chooses settings for one. ``clock`` measures the parts of a run.
+``rows`` declares every error once. ``error_budget`` puts a run's figures together and ``findings``
+says what deserves a look. ``clock`` measures the parts of a run.
 """
 
-from usdsmoke.runs.budget.choice import choose_settings
 from usdsmoke.runs.budget.clock import (
     ELSEWHERE,
     PartClock,
@@ -19,14 +18,16 @@ from usdsmoke.runs.budget.error_budget import (
     run_budget,
     summarize_figures,
 )
+from usdsmoke.runs.budget.findings import Finding, finding_texts
 from usdsmoke.runs.budget.rows import ROWS
 
 __all__ = [
     "ELSEWHERE",
     "ROWS",
     "ErrorBudget",
+    "Finding",
     "PartClock",
-    "choose_settings",
+    "finding_texts",
     "make_budget",
     "mean_entries",
     "run_budget",

@@ -3,12 +3,14 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.json_records import JsonRecord
 from usdsmoke.base.record_format import Figure
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.clock import step_seconds
+from usdsmoke.runs.budget.findings import Finding, find_volume
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow, PlannedVolume, temporal_note
 
 
@@ -58,9 +60,6 @@ def mean_entries(
     return {name: sum(found) / len(found) for name, found in values.items() if found} or None
 
 
-_ADVICE = {row.name: row.advice for row in ROWS}
-
-
 @dataclass(frozen=True)
 class ErrorEstimate:
     """One error over the frames that have it."""
@@ -75,62 +74,6 @@ class ErrorEstimate:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """A bounded error at the end of a run."""
-
-    name: str
-    value: float  # the largest over the frames that have it
-    bound: float
-    kept: bool  # whether the value is not above the bound
-
-    def __str__(self) -> str:
-        return f"{self.value:.2%}, bound {self.bound:.2%}"
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Whether a run kept the tolerance that its settings were chosen for."""
-
-    target: float
-    kept: bool  # whether all rows are
-    rows: tuple[Verdict, ...]
-    unknown: Mapping[str, str]  # bounded errors that were not estimated, and why
-
-    @property
-    def broken(self) -> tuple[Verdict, ...]:
-        """What is above its bound."""
-        return tuple(verdict for verdict in self.rows if not verdict.kept)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is above its bound, with what to do and the tolerance that would be kept."""
-        return tuple(
-            f"the tolerance of {self.target:g} is not kept: {item.name} is {item}. "
-            f"{_ADVICE[item.name][:1].upper()}{_ADVICE[item.name][1:]}. {self._least(item)}"
-            for item in self.broken
-        )
-
-    def _least(self, item: Verdict) -> str:
-        """The smallest tolerance, in hundredths, that an error of a result keeps."""
-        least = math.ceil(100.0 * self.target * item.value / item.bound) / 100.0
-        if least > 1.0:
-            return "No tolerance up to 1, the maximum, would be kept with this error."
-        return f"With this error, a tolerance of {least:g} would be kept."
-
-    def __str__(self) -> str:
-        if self.broken:
-            names = "; ".join(f"{item.name} ({item})" for item in self.broken)
-            found = f"{self.target:g}: NOT kept by {names}"
-        else:
-            found = f"{self.target:g}: kept by all {len(self.rows)} bounded errors"
-        names_of: dict[str, list[str]] = {}
-        for name, why in self.unknown.items():
-            names_of.setdefault(why, []).append(name)
-        unknown = "; ".join(f"{'; '.join(names)} ({why})" for why, names in names_of.items())
-        return f"{found}; not estimated: {unknown}" if unknown else found
-
-
-@dataclass(frozen=True)
 class ErrorBudget(JsonRecord):
     """The errors of a run, why it has no figure for others, and the time of its parts."""
 
@@ -138,36 +81,54 @@ class ErrorBudget(JsonRecord):
     left_out: Mapping[str, str]  # why, by name
     seconds: Mapping[str, float]  # of the steps, and of the estimates
     notes: Mapping[str, str] = field(default_factory=dict)  # what an estimate leaves out
-    tolerance: Tolerance | None = None  # None without ``optimize.target_error``
+    findings: tuple[Finding, ...] = ()  # what deserves a look
 
     def __getitem__(self, name: str) -> ErrorEstimate:
         """The estimate of this name; KeyError if there is none."""
         return {estimate.name: estimate for estimate in self.estimates}[name]
 
+    def verdict(self, name: str) -> str:
+        """What to make of a row: it is fine, deserves a look, or asks for another setting."""
+        found = [finding for finding in self.findings if finding.row == name]
+        if not found:
+            return "fine"
+        settings = [finding.setting for finding in found if finding.setting]
+        return f"change {settings[0]}" if settings else "look at it"
 
-def run_budget(plan: Plan, reports: Mapping[str, FrameReport]) -> ErrorBudget:
-    """The errors of a run, with the reason for each that has no figure."""
+
+def run_budget(
+    plan: Plan,
+    reports: Mapping[str, FrameReport],
+    scenes: Sequence[Mapping[str, Any]] = (),
+) -> ErrorBudget:
+    """The errors of a run, with the reason for each that has no figure.
+
+    Args:
+        plan: of the run.
+        reports: of the frames, by file name.
+        scenes: what was measured of each Volume; none: nothing is found out about them.
+    """
     volumes = [
-        PlannedVolume(volume, tuple(reports.get(frame.file_name) for frame in volume.frames))
-        for volume in plan.volumes
+        PlannedVolume(
+            volume,
+            tuple(reports.get(frame.file_name) for frame in volume.frames),
+            scenes[number] if number < len(scenes) else {},
+        )
+        for number, volume in enumerate(plan.volumes)
     ]
     # In the order of names: the last bits of a sum must not depend on who ran which window.
     ordered = [reports[name] for name in sorted(reports)]
-    return make_budget(ordered, volumes, plan.config.optimize.target_error)
+    return make_budget(ordered, volumes)
 
 
 def make_budget(
-    reports: Iterable[FrameReport],
-    volumes: Sequence[PlannedVolume] = (),
-    target: float | None = None,
+    reports: Iterable[FrameReport], volumes: Sequence[PlannedVolume] = ()
 ) -> ErrorBudget:
     """The budget of frames whose reports are given.
 
     Args:
         reports: of the frames.
-        volumes: those of the run, for the reason where there is no figure.
-        target: the tolerance that the settings were chosen for. Each error that it bounds is
-            judged by its largest value.
+        volumes: those of the run, for the reason where there is no figure, and for findings.
     """
     reports = list(reports)
     estimates, left_out, notes = [], {}, {}
@@ -182,8 +143,8 @@ def make_budget(
             notes[row.name] = note
     seconds = step_seconds(reports)
     seconds["estimates"] = math.fsum(estimate.seconds for estimate in estimates)
-    tolerance = None if target is None else _judge(target, estimates, left_out)
-    return ErrorBudget(tuple(estimates), left_out, seconds, notes, tolerance)
+    findings = tuple(finding for volume in volumes for finding in find_volume(volume))
+    return ErrorBudget(tuple(estimates), left_out, seconds, notes, findings)
 
 
 def _over_frames(row: ErrorRow, reports: Sequence[FrameReport]) -> ErrorEstimate | None:
@@ -203,17 +164,3 @@ def _over_frames(row: ErrorRow, reports: Sequence[FrameReport]) -> ErrorEstimate
         seconds,
         row.how,
     )
-
-
-def _judge(
-    target: float, estimates: Sequence[ErrorEstimate], left_out: Mapping[str, str]
-) -> Tolerance:
-    largest = {estimate.name: estimate.largest for estimate in estimates}
-    rows, unknown = [], {}
-    for row in ROWS:
-        if row.share is not None and row.name in largest:
-            value, bound = largest[row.name], row.bound(target)
-            rows.append(Verdict(row.name, value, bound, value <= bound))
-        elif row.share is not None:
-            unknown[row.name] = left_out[row.name]
-    return Tolerance(target, all(row.kept for row in rows), tuple(rows), unknown)

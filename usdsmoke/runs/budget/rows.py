@@ -1,14 +1,15 @@
 """The rows of the error budget: each error, and why it may be missing, is declared here, once.
 
 To add an error: put its estimate into ``FrameReport``, and declare a row here and in ``ROWS``. The
-table at the end of a run, the provenance record and ``--tolerance`` take it from there.
+table at the end of a run, the provenance record and the findings (``findings``) take it from there.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 from usdsmoke.base.frame_report import Estimate, FrameReport, StepReport
 from usdsmoke.planning.plan import FramePlan, VolumePlan
@@ -22,6 +23,7 @@ class PlannedVolume:
 
     plan: VolumePlan
     reports: tuple[FrameReport | None, ...]  # of ``plan.frames``; None without one
+    scene: Mapping[str, Any] = field(default_factory=dict)  # as measured; empty: not known
 
     def without_step(self, step: str) -> str:
         """Why a step is not run: shape or colour."""
@@ -69,7 +71,7 @@ class PlannedVolume:
             return "there is one frame only"
         if self.plan.config.windows.size == 1:
             return "windows.size is 1: frames are stylized one by one, without the frame before"
-        if not list(_neighbours(self.plan)):
+        if not list(neighbours(self.plan)):
             return "there is a cut between any two frames"
         if all(len(window.time_codes) + len(window.overlap) == 1 for window in windows):
             return "no two frames share a window"
@@ -103,7 +105,7 @@ def temporal_note(volumes: Sequence[PlannedVolume], kind: str, step: str) -> str
             continue
         names = [frame.file_name for frame in volume.plan.frames]
         reports = dict(zip(names, volume.reports, strict=True))
-        for before, after in _neighbours(volume.plan):
+        for before, after in neighbours(volume.plan):
             report = reports[after.file_name]
             if report and report.temporal and getattr(report.temporal, kind) is not None:
                 measured += 1
@@ -138,7 +140,7 @@ def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
     return texts
 
 
-def _neighbours(volume: VolumePlan) -> Iterator[tuple[FramePlan, FramePlan]]:
+def neighbours(volume: VolumePlan) -> Iterator[tuple[FramePlan, FramePlan]]:
     """Frames that follow each other without a cut, in whatever windows."""
     for pair in pairwise(volume.frames):
         if tuple(frame.source.time_code for frame in pair) not in volume.cuts:
@@ -158,10 +160,6 @@ def _shortened(texts: Sequence[str]) -> str:
     return f"{', '.join(texts[: _MOST_NAMED - 1])} and {len(texts) - _MOST_NAMED + 1} more"
 
 
-SAFETY = 2.0  # between an estimate before the run and its bound
-PICTURE_SAFETY = 4.0  # of the resolution: strokes get finer while the optimiser goes on
-
-
 @dataclass(frozen=True)
 class ErrorRow:
     """One error of a run."""
@@ -173,20 +171,10 @@ class ErrorRow:
     # Why no frame of a Volume has the figure; "" where the Volume gives no reason.
     why_absent: Callable[[PlannedVolume], str]
     without: str  # why no frame has it, where no Volume gives a reason
-    share: float | None = None  # of a tolerance, that this error may have; None: not bounded
-    advice: str = ""  # what to set where the bound is not kept
-    safety: float = SAFETY  # factor between an estimate before the run and the bound
+    advice: str  # what to do about a large one
+    setting: str = ""  # that the advice is about; "" where input or result is to be looked at
+    most: float = 1.0  # above it the figure says that something is wrong: its natural bound
     temporal: tuple[str, str] | None = None  # field of ``TemporalErrors``, and its step
-
-    def bound(self, tolerance: float) -> float:
-        """The part of a tolerance that this error may have.
-
-        Raises:
-            ValueError: it is not bounded.
-        """
-        if self.share is None:
-            raise ValueError(f"a tolerance does not bound {self.name}")
-        return self.share * tolerance
 
 
 def _figure(part: object | None, name: str) -> Estimate | None:
@@ -221,8 +209,8 @@ QUADRATURE = ErrorRow(
         else volume.no_estimates
     ),
     without="no colour step: opacity needs no sum along the ray",
-    share=1 / 2,  # slabs are part of what the resolution's estimate changes
     advice="set grids.refine=2: the step along the rays is a voxel",
+    setting="grids.refine",
 )
 RESOLUTION = ErrorRow(
     name="resolution",
@@ -231,10 +219,8 @@ RESOLUTION = ErrorRow(
     of_frame=lambda report: report.errors.resolution,
     why_absent=lambda volume: volume.no_estimates,
     without=_NO_FRAME,
-    share=1 / 2,
-    advice="the strokes are about as fine as the pixels, so larger pictures and finer voxels "
-    "hardly change it; a tolerance that can be kept is larger",
-    safety=PICTURE_SAFETY,
+    advice="set grids.refine=2, or look at the result closely: strokes are as fine as the pixels",
+    setting="grids.refine",
 )
 TRANSPORT = ErrorRow(
     name="transport",
@@ -243,8 +229,8 @@ TRANSPORT = ErrorRow(
     of_frame=lambda report: None if report.transport is None else report.transport.error,
     why_absent=lambda volume: volume.no_shape,
     without=_NO_SHAPE,
-    share=1 / 4,
     advice="set grids.refine=2, or a smaller shape.reach",
+    setting="shape.reach",
 )
 LINEAR_TRANSPORT = ErrorRow(
     name="optimiser's transport",
@@ -253,33 +239,38 @@ LINEAR_TRANSPORT = ErrorRow(
     of_frame=lambda report: _figure(report.transport, "linear_difference"),
     why_absent=lambda volume: volume.no_shape or volume.one_scheme,
     without="no shape step, or the same scheme",
+    advice="set a smaller shape.reach",
+    setting="shape.reach",
 )
 
 
-def _of_transport(name: str, relative_to: str, how: str, field: str) -> ErrorRow:
+def _of_transport(name: str, how: str, field: str, most: float) -> ErrorRow:
     """A figure of the report of the transport that is measured where there is a shape step."""
     return ErrorRow(
         name=name,
-        relative_to=relative_to,
+        relative_to=_SMOKE if field == "folded" else _DENSITY,
         how=how,
         of_frame=lambda report: _figure(report.transport, field),
         why_absent=lambda volume: volume.no_shape,
         without=_NO_SHAPE,
+        advice="leave the step out with optimize.steps=[colour]"
+        if field == "motionless"
+        else "set a smaller shape.reach",
+        setting="optimize.steps" if field == "motionless" else "shape.reach",
+        most=most,
     )
 
 
-MASS = _of_transport("mass", _DENSITY, "measured before it is corrected", "mass_error")
+MASS = _of_transport("mass", "measured before it is corrected", "mass_error", 0.25)
 FOLDED = _of_transport(
-    "folded smoke", _SMOKE, "voxels at which the determinant is not above 0", "folded"
+    "folded smoke", "voxels at which the determinant is not above 0", "folded", 0.05
 )
-UNREAD = _of_transport(
-    "mass, unread", _DENSITY, "mass of which less than a twentieth is read", "unread"
-)
+UNREAD = _of_transport("mass, unread", "mass of which less than a twentieth is read", "unread", 0.1)
 READ_TWICE = _of_transport(
-    "mass, read twice", _DENSITY, "mass that is read more than twice", "read_twice"
+    "mass, read twice", "mass that is read more than twice", "read_twice", 0.2
 )
 MOTIONLESS = _of_transport(
-    "motionless mass", _DENSITY, "mass that the shape step cannot move", "motionless"
+    "motionless mass", "mass that the shape step cannot move", "motionless", 0.5
 )
 SHAPE_OPTIMISER = ErrorRow(
     name="optimiser, shape",
@@ -288,8 +279,9 @@ SHAPE_OPTIMISER = ErrorRow(
     of_frame=lambda report: _remaining(report.shape),
     why_absent=lambda volume: volume.no_shape,
     without=_TOO_FEW,
-    share=1.0,
     advice="set more shape.iterations",
+    setting="shape.iterations",
+    most=0.5,
 )
 COLOUR_OPTIMISER = ErrorRow(
     name="optimiser, colour",
@@ -298,8 +290,9 @@ COLOUR_OPTIMISER = ErrorRow(
     of_frame=lambda report: _remaining(report.colour),
     why_absent=lambda volume: volume.no_colour,
     without=_TOO_FEW,
-    share=1.0,
     advice="set more colour.iterations",
+    setting="colour.iterations",
+    most=0.5,
 )
 VIEW_SAMPLING = ErrorRow(
     name="view sampling",
@@ -308,8 +301,8 @@ VIEW_SAMPLING = ErrorRow(
     of_frame=lambda report: _figure(report.last_step, "view_spread"),
     why_absent=lambda volume: volume.idle,
     without=_TOO_FEW,
-    share=1.0,
     advice="set a larger views.pool",
+    setting="views.pool",
 )
 UNSEEN_VIEWS = ErrorRow(
     name="unseen views",
@@ -318,8 +311,8 @@ UNSEEN_VIEWS = ErrorRow(
     of_frame=lambda report: report.errors.unseen_views,
     why_absent=lambda volume: volume.no_estimates or volume.one_view,
     without="one view, or no frame is stylized",
-    share=1.0,
     advice="set a larger views.pool",
+    setting="views.pool",
 )
 TEMPORAL_DISPLACEMENT = ErrorRow(
     name="temporal, displacement",
@@ -329,6 +322,8 @@ TEMPORAL_DISPLACEMENT = ErrorRow(
     why_absent=lambda volume: volume.no_shape or volume.no_pairs,
     without="no frame follows another",
     temporal=("displacement", "shape"),
+    advice="set a lower shape.warm_rate, or look at the sequence",
+    setting="shape.warm_rate",
 )
 TEMPORAL_COLOUR = ErrorRow(
     name="temporal, colour",
@@ -338,6 +333,8 @@ TEMPORAL_COLOUR = ErrorRow(
     why_absent=lambda volume: volume.no_colour or volume.no_pairs,
     without="no frame follows another, or no colour step",
     temporal=("colour", "colour"),
+    advice="set a lower colour.warm_rate, or look at the sequence",
+    setting="colour.warm_rate",
 )
 OVERLAP_DENSITY = ErrorRow(
     name="windows, density",
@@ -346,6 +343,8 @@ OVERLAP_DENSITY = ErrorRow(
     of_frame=lambda report: _figure(report.overlap, "density"),
     why_absent=lambda volume: volume.no_overlap,
     without="no frame is in two windows",
+    advice="set a larger windows.overlap",
+    setting="windows.overlap",
 )
 OVERLAP_EMISSION = ErrorRow(
     name="windows, emission",
@@ -354,6 +353,8 @@ OVERLAP_EMISSION = ErrorRow(
     of_frame=lambda report: _figure(report.overlap, "emission"),
     why_absent=lambda volume: volume.without_step("colour") or volume.no_overlap,
     without="no frame is in two windows, or no colour step",
+    advice="set a larger windows.overlap",
+    setting="windows.overlap",
 )
 STORAGE_DENSITY = ErrorRow(
     name="storage, density",
@@ -362,8 +363,8 @@ STORAGE_DENSITY = ErrorRow(
     of_frame=lambda report: report.errors.storage_density,
     why_absent=lambda volume: "",
     without="not measured",
-    share=1 / 4,  # of 16-bit floats and of pruning together
     advice="set grids.half=false and grids.prune=0",
+    setting="grids.prune",
 )
 STORAGE_EMISSION = ErrorRow(
     name="storage, emission",
@@ -372,8 +373,8 @@ STORAGE_EMISSION = ErrorRow(
     of_frame=lambda report: report.errors.storage_emission,
     why_absent=lambda volume: volume.without_step("colour"),
     without=_NO_COLOUR,
-    share=1 / 4,
     advice="set grids.half=false and grids.prune=0",
+    setting="grids.prune",
 )
 
 ROWS = (

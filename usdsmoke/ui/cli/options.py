@@ -19,7 +19,6 @@ OPTIONS = {  # that stand for a setting
     "--repair": "grids.repair_nan",
     "--camera": "views.camera",
     "--seed": "optimize.seed",
-    "--tolerance": "optimize.target_error",
     "--mode": "layer.mode",
     "--look": "layer.look",
     "--emission-mode": "layer.emission_mode",
@@ -141,7 +140,6 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
     add_option(parser, "--camera", metavar="PATH")
     add_option(parser, "--seed", type=int, metavar="N")
-    add_option(parser, "--tolerance", type=float, metavar="E")
 
 
 def add_client_options(parser: argparse.ArgumentParser) -> None:

@@ -105,10 +105,8 @@ def _error_texts(budget: Mapping[str, Any]) -> Iterable[str]:
         )
     for name, why in budget.get("left_out", {}).items():
         yield f"{name}: left out: {why}"
-    if tolerance := budget.get("tolerance"):
-        broken = [row["name"] for row in tolerance["rows"] if not row["kept"]]
-        kept = f"NOT kept by {', '.join(broken)}" if broken else "kept"
-        yield f"tolerance: {tolerance['target']:g}, {kept}"
+    for item in budget.get("findings", ()):
+        yield f"finding: {item['place']}: {item['cause']}. {item['remedy']}."
 
 
 def _mean_and_largest(mean: float, largest: float) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from usdsmoke.farm.openjd import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
-    from usdsmoke.runs.budget.error_budget import ErrorBudget, Verdict
+    from usdsmoke.runs.budget.error_budget import ErrorBudget
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
 
@@ -56,8 +56,7 @@ def plan_text(plan: "Plan", everything: bool = False) -> str:
         lines += ["needed", *(f"  {sentence}" for sentence in plan.needed)]
     if omitted:
         lines += ["left out", *(f"  {item.what}: {item.reason}" for item in omitted)]
-    lines += plan.notes[:1]
-    lines += [f"  {note}" for note in plan.notes[1:]]
+    lines += ["notes", *(f"  {note}" for note in plan.notes)] if plan.notes else []
     lines += [
         "estimate",
         f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
@@ -275,7 +274,7 @@ def budget_text(
         seconds: of all parts of the run; None or empty takes the budget's.
         omitted: what the plan left out; the reasons stand there.
     """
-    rows: list[tuple[str, ...]] = [("error", "mean", "largest", "of", "frames", "took")]
+    rows: list[tuple[str, ...]] = [("error", "mean", "largest", "of", "frames", "took", "verdict")]
     rows += [
         (
             estimate.name,
@@ -284,14 +283,10 @@ def budget_text(
             estimate.relative_to,
             str(estimate.n_frames),
             f"{estimate.seconds:.2f} s" if estimate.seconds else "-",
+            budget.verdict(estimate.name),
         )
         for estimate in budget.estimates
     ]
-    verdict = []
-    if budget.tolerance is not None:
-        bounds = {item.name: _bound(item) for item in budget.tolerance.rows}
-        rows = [(*rows[0], "bound"), *((*row, bounds.get(row[0], "-")) for row in rows[1:])]
-        verdict = [f"tolerance of {budget.tolerance}"]
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
     left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
     parts = dict(seconds or budget.seconds)
@@ -300,7 +295,7 @@ def budget_text(
     time = f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
     unusual = [item for item in omitted if not item.expected]
     rest = [_left_out(unusual)] if unusual else []
-    return "\n".join([*columns(rows), *notes, *left_out, *rest, time, *verdict])
+    return "\n".join([*columns(rows), *notes, *left_out, *rest, time])
 
 
 def _short(seconds: float) -> str:
@@ -311,10 +306,6 @@ def _left_out(omitted: Sequence["Omission"]) -> str:
     """What was not read, computed or written, without the reasons."""
     names = "; ".join(dict.fromkeys(item.what for item in omitted))
     return f"left out, for the reasons in the plan and the record: {names}"
-
-
-def _bound(item: "Verdict") -> str:
-    return f"{item.bound:.2%} {'kept' if item.kept else 'NOT KEPT'}"
 
 
 _WORDS = {"config": "configuration", "option": "option", "default": "default"}

@@ -1,0 +1,146 @@
+"""What deserves a look in a run: found in reports, each with its cause and its remedy."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.pipeline_fixtures import make_shot
+from usdsmoke import pipeline
+from usdsmoke.base.frame_report import (
+    Estimate,
+    FrameErrors,
+    FrameReport,
+    StepReport,
+    TemporalErrors,
+    TransportReport,
+)
+from usdsmoke.pipeline import Request
+from usdsmoke.runs.budget import ErrorBudget, Finding, finding_texts, run_budget
+from usdsmoke.ui.cli.text import budget_text
+
+GOOD = FrameReport(
+    voxels=1000,
+    voxels_written=1004,
+    shape=StepReport(loss=(4.0, 2.0), fallen=3.0, remaining=0.1),
+    transport=TransportReport(1.0, 0.9, folded=0.0, motionless=0.1),
+    colour=StepReport(loss=(9.0, 1.5), fallen=20.0, remaining=0.1),
+)
+SCENE = {"gamma_w": 1.0, "gamma_w_shape": 0.3, "thick": 4.0, "thick_share": 0.09}
+
+
+def budget_of(
+    folder: Path,
+    reports: Sequence[FrameReport],
+    scene: dict[str, Any] = SCENE,
+    settings: Sequence[str] = (),
+) -> ErrorBudget:
+    """Of a shot whose frames had these reports, and whose smoke was measured so."""
+    shot = make_shot(folder, len(reports))
+    plan = pipeline.plan_request(Request(shot.stage, shot.style, shot.output, list(settings)))
+    names = [frame.file_name for frame in plan.volumes[0].frames]
+    return run_budget(plan, dict(zip(names, reports, strict=True)), [scene])
+
+
+def test_ordinary_frames_have_no_finding(tmp_path: Path) -> None:
+    warm = replace(
+        GOOD,
+        shape=StepReport(loss=(1.9,), fallen=0.1),
+        colour=StepReport(loss=(1.4,), fallen=0.2),
+        temporal=TemporalErrors(0.2, 0.1),
+    )
+    budget = budget_of(tmp_path, [GOOD, warm, FrameReport(left_out="empty frame"), warm])
+    assert budget.findings == ()
+    assert {budget.verdict(estimate.name) for estimate in budget.estimates} == {"fine"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "row", "setting"),
+    [
+        (
+            {"transport": replace(GOOD.transport, largest_displacement=1e-9)},
+            "motionless mass",
+            "optics.gamma_shape",
+        ),
+        (
+            {"transport": TransportReport(1.0, 0.0, folded=0.0, motionless=1.0)},
+            "motionless mass",
+            "optimize.steps",
+        ),
+        ({"voxels_written": 980}, "mass", "grids.prune"),
+        ({"voxels_written": 0}, "mass", "grids.prune"),
+        (
+            {"colour": StepReport(loss=(30.0, 22.5), fallen=1.0)},
+            "optimiser, colour",
+            "colour.iterations",
+        ),
+        (
+            {"shape": StepReport(loss=(4.0, 3.0), fallen=2.0)},
+            "optimiser, shape",
+            "shape.iterations",
+        ),
+        ({"errors": FrameErrors(resolution=Estimate(2.27))}, "resolution", "grids.refine"),
+        (
+            {"transport": replace(GOOD.transport, folded=0.15)},
+            "folded smoke",
+            "shape.reach",
+        ),
+    ],
+)
+def test_what_went_wrong_is_named_with_its_row_and_its_remedy(
+    changes: dict[str, Any], row: str, setting: str, tmp_path: Path
+) -> None:
+    budget = budget_of(tmp_path, [replace(GOOD, **changes)])
+    found = {(finding.row, finding.setting) for finding in budget.findings}
+    assert (row, setting) in found
+    assert budget.verdict(row) == f"change {setting}"
+    assert all(finding.place.endswith(".vdb") for finding in budget.findings)
+    assert ErrorBudget.from_json(budget.to_json()) == budget
+    if row in {estimate.name for estimate in budget.estimates}:
+        assert f"change {setting}" in budget_text(budget)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_of_two_neighbours_the_one_with_three_times_the_loss_is_named(
+    place: int, tmp_path: Path
+) -> None:
+    reports = [replace(GOOD, temporal=TemporalErrors(0.1, 0.1))] * 2
+    reports[place] = replace(reports[place], colour=StepReport(loss=(4.6,)))
+    (finding,) = budget_of(tmp_path, reports).findings
+    assert finding.place.endswith(f".{place + 1:04}.vdb")
+    assert finding.row == "optimiser, colour" and "3.1 times" in finding.cause
+
+
+def test_frames_with_an_empty_one_between_them_are_not_compared(tmp_path: Path) -> None:
+    worse = replace(GOOD, colour=StepReport(loss=(9.0,)))
+    reports = [GOOD, FrameReport(left_out="empty frame"), worse]
+    assert budget_of(tmp_path, reports).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "wanted"),
+    [
+        ({"thick_share": 0.003}, [], "optics.gamma"),
+        ({"thick_share": 0.003}, ["optics.gamma=1"], "optics.gamma_shape"),
+        ({"gamma_w": 1e4}, ["optics.gamma=1000"], "optics.gamma"),
+        ({"gamma_w_shape": 1e-30}, ["optics.gamma_shape=1e-30"], "optics.gamma_shape"),
+    ],
+)
+def test_an_extinction_that_does_not_suit_the_smoke_is_named(
+    change: dict[str, float], settings: list[str], wanted: str, tmp_path: Path
+) -> None:
+    (finding,) = budget_of(tmp_path, [GOOD], SCENE | change, settings).findings
+    assert finding.setting == wanted and finding.place.startswith("/")
+
+
+def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path) -> None:
+    scene = SCENE | {"gamma_w_shape": 1e-30}
+    assert budget_of(tmp_path, [GOOD], scene, ["optimize.steps=[colour]"]).findings == ()
+
+
+def test_a_hundred_frames_with_one_finding_are_one_sentence() -> None:
+    findings = [Finding(f"{n}.vdb", "mass", f"{n} voxels are gone", "Look") for n in range(100)]
+    (text,) = finding_texts(findings)
+    assert text == "0.vdb and 99 more: 0 voxels are gone. Look."

@@ -1,0 +1,202 @@
+"""What deserves a look in a finished run: found in the reports of its frames, after every frame.
+
+A finding names its place, the row of the error budget that it belongs to, the cause and the remedy.
+The table, the JSON, the record and the warnings at the end of a run show the same findings.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from usdsmoke.base.frame_report import FrameReport, StepReport
+from usdsmoke.planning.plan import FramePlan
+from usdsmoke.runs.budget.rows import (
+    COLOUR_OPTIMISER,
+    MASS,
+    MOTIONLESS,
+    ROWS,
+    SHAPE_OPTIMISER,
+    PlannedVolume,
+    neighbours,
+)
+
+UNMOVED = 1e-3  # of the largest allowed displacement: less is not seen
+VANISHED = 0.01  # of the voxels
+HARDLY_FALLEN = 0.5  # of a cold frame's first loss
+UNLIKE = 3.0  # times the neighbour's loss
+FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
+DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
+FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
+_OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that deserves a look."""
+
+    place: str  # file of the frame, or path of the Volume
+    row: str  # of the error budget; "" for none
+    cause: str
+    remedy: str
+    setting: str = ""  # that the remedy changes; "" where input or result is to be looked at
+
+
+def finding_texts(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """The findings as sentences; those of one row and remedy as one, with the first frame's cause.
+
+    >>> finding_texts([Finding("a.vdb", "mass", "mass is 60%", "Look at it")] * 2)
+    ('a.vdb and 1 more: mass is 60%. Look at it.',)
+    """
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for finding in findings:
+        alike.setdefault((finding.row, finding.remedy), []).append(finding)
+    return tuple(
+        f"{first.place}{f' and {len(others)} more' if others else ''}: {first.cause}. "
+        f"{first.remedy}."
+        for first, *others in alike.values()
+    )
+
+
+def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
+    """The findings of a Volume: of its scene, then frame by frame."""
+    yield from _find_scene(volume)
+    before = {after.file_name: frame for frame, after in neighbours(volume.plan)}
+    reports = {
+        frame.file_name: report
+        for frame, report in zip(volume.plan.frames, volume.reports, strict=True)
+        if report is not None and not report.left_out
+    }
+    for name, report in reports.items():
+        yield from find_frame(name, report)
+        if (earlier := before.get(name)) is not None and earlier.file_name in reports:
+            yield from _find_pair((earlier, reports[earlier.file_name]), (name, report))
+
+
+def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
+    """What one frame's report tells by itself.
+
+    Args:
+        name: of the frame's file.
+        report: of a frame that is stylized.
+    """
+    moved = report.transport
+    if report.shape is not None and moved is not None and moved.folded is not None:
+        if moved.largest_displacement <= UNMOVED * moved.cap:
+            yield _unmoved(name, moved.motionless or 0.0)
+    if report.voxels and report.voxels_written is not None:
+        gone = 1 - report.voxels_written / report.voxels
+        if gone > VANISHED:
+            yield Finding(
+                name,
+                MASS.name,
+                f"{gone:.1%} of the voxels with smoke are empty in the result",
+                "Lower grids.prune, or look for voxels that are much denser than the rest",
+                "grids.prune",
+            )
+    if report.temporal is None:  # a warm frame starts where its neighbour ended
+        for step, found in report.steps.items():
+            yield from _hardly_fallen(name, step, found)
+    for row in ROWS:
+        figure = row.of_frame(report)
+        if figure is not None and not abs(figure.value) <= row.most:
+            yield Finding(
+                name,
+                row.name,
+                f"{row.name} is {abs(figure.value):.1%} of {row.relative_to}, above {row.most:.0%}",
+                _sentence(row.advice),
+                row.setting,
+            )
+
+
+def _unmoved(name: str, motionless: float) -> Finding:
+    if motionless > 1 - VANISHED:
+        cause = "the shape step moved nothing: no potential moves smoke of this shape"
+        remedy, setting = "Set optimize.steps=[colour], which leaves the step out", "optimize.steps"
+    else:
+        cause = "the shape step moved nothing: its pictures do not depend on the displacement"
+        remedy, setting = "Unset optics.gamma_shape, or set another one", "optics.gamma_shape"
+    return Finding(name, MOTIONLESS.name, cause, remedy, setting)
+
+
+def _hardly_fallen(name: str, step: str, found: StepReport) -> Iterator[Finding]:
+    if found.fallen is None or not found.loss or not math.isfinite(found.loss[-1]):
+        return
+    end = found.loss[-1]
+    if end > HARDLY_FALLEN * (first := found.fallen + end) and first > 0:
+        yield Finding(
+            name,
+            _OPTIMISERS[step],
+            f"the {step} step ends at {end / first:.0%} of its first loss",
+            f"Compare the result with the style; set more {step}.iterations, or the default "
+            f"{step}.learning_rate",
+            f"{step}.iterations",
+        )
+
+
+def _find_pair(
+    before: tuple[FramePlan, FrameReport], frame: tuple[str, FrameReport]
+) -> Iterator[Finding]:
+    """What two neighbouring frames tell: which of both ends much worse."""
+    sides = [(before[0].file_name, before[1]), frame]
+    for step in _OPTIMISERS:
+        ends = [_end(report, step) for _, report in sides]
+        for mine, theirs in ((0, 1), (1, 0)):
+            if ends[theirs] > 0 and ends[mine] > UNLIKE * ends[theirs]:
+                yield Finding(
+                    sides[mine][0],
+                    _OPTIMISERS[step],
+                    f"the {step} step ends at {ends[mine] / ends[theirs]:.1f} times the loss of "
+                    f"{sides[theirs][0]}",
+                    "Look at both frames: cut the shot between them if they are unlike, or set "
+                    f"more {step}.iterations",
+                    f"{step}.iterations",
+                )
+
+
+def _end(report: FrameReport, step: str) -> float:
+    """The final loss of a step; NaN without one."""
+    found = report.steps.get(step)
+    return found.loss[-1] if found is not None and found.loss else math.nan
+
+
+def _find_scene(volume: PlannedVolume) -> Iterator[Finding]:
+    """Whether the extinctions suit the smoke."""
+    scene, optics, place = volume.scene, volume.plan.config.optics, volume.plan.source.prim_path
+    share = scene.get("thick_share")
+    chosen = [name for name in ("gamma", "gamma_shape") if getattr(optics, name) is None]
+    if share is not None and share < FEW_COLUMNS and chosen:
+        yield Finding(
+            place,
+            "",
+            f"optics.{chosen[0]} rests on {share:.1%} of the columns: most smoke is much thinner",
+            f"Compare the result with the source; lower optics.percentile or set "
+            f"optics.{chosen[0]}",
+            f"optics.{chosen[0]}",
+        )
+    for name, depth in _depths(volume, scene).items():
+        if depth > DEEPEST or depth < FAINTEST:
+            what = "is saturated" if depth > DEEPEST else "is empty"
+            yield Finding(
+                place,
+                "",
+                f"the thick columns have an optical depth of {depth:.2g} with optics.{name}: the "
+                f"picture that is optimised {what}",
+                f"Unset optics.{name}; it is then chosen by the smoke",
+                f"optics.{name}",
+            )
+
+
+def _depths(volume: PlannedVolume, scene: Mapping[str, Any]) -> dict[str, float]:
+    """Optical depth of the thick columns by the setting that decides it, where one is known."""
+    thick, steps = scene.get("thick", 0.0), volume.plan.config.optimize.steps
+    names = {"colour": ("gamma", "gamma_w"), "shape": ("gamma_shape", "gamma_w_shape")}
+    return {
+        setting: scene[key] * thick
+        for step, (setting, key) in names.items()
+        if step in steps and thick > 0 and key in scene
+    }
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
