@@ -3,6 +3,7 @@
 - ``job``: a request, and the prepared run with its early checks
 - ``make_plan``, ``plan``: making the plan, and its records
 - ``needs``: what a run needs and leaves out, in sentences
+- ``remarks``: what may surprise at the end of a run, in sentences
 - ``materials``: the look's material, and materials that hide the look, in sentences
 - ``estimate``: memory, time and disk
 - ``windows``: the frames of each window

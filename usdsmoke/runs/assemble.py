@@ -20,7 +20,6 @@ from usdsmoke.planning.remarks import measured_on_part
 from usdsmoke.runs.budget import (
     ErrorBudget,
     PartClock,
-    finding_texts,
     mean_entries,
     run_budget,
     run_seconds,
@@ -179,7 +178,7 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
         warnings=(
             *job.earlier.notes,
             *_warnings(job.plan, run),
-            *finding_texts(budget.findings),
+            *budget.warnings,
             *more,
         ),
         temporal_error=mean_entries(

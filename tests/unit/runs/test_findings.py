@@ -18,7 +18,7 @@ from usdsmoke.base.frame_report import (
     TransportReport,
 )
 from usdsmoke.pipeline import Request
-from usdsmoke.runs.budget import ErrorBudget, Finding, finding_texts, run_budget
+from usdsmoke.runs.budget import ErrorBudget, Finding, run_budget
 from usdsmoke.ui.cli.text import budget_text
 
 GOOD = FrameReport(
@@ -142,5 +142,5 @@ def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path)
 
 def test_a_hundred_frames_with_one_finding_are_one_sentence() -> None:
     findings = [Finding(f"{n}.vdb", "mass", f"{n} voxels are gone", "Look") for n in range(100)]
-    (text,) = finding_texts(findings)
+    (text,) = ErrorBudget((), {}, {}, {}, tuple(findings)).warnings
     assert text == "0.vdb and 99 more: 0 voxels are gone. Look."

@@ -1,6 +1,6 @@
 """The error budget and the time of a run, from the reports of its frames.
 
-``rows`` declares every error once. ``error_budget`` puts a run's figures together and ``findings``
+``rows`` declares every error once, ``error_budget`` puts figures together, and ``findings``
 says what deserves a look. ``clock`` measures the parts of a run.
 """
 
@@ -18,7 +18,7 @@ from usdsmoke.runs.budget.error_budget import (
     run_budget,
     summarize_figures,
 )
-from usdsmoke.runs.budget.findings import Finding, finding_texts
+from usdsmoke.runs.budget.findings import Finding
 from usdsmoke.runs.budget.rows import ROWS
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "ErrorBudget",
     "Finding",
     "PartClock",
-    "finding_texts",
     "make_budget",
     "mean_entries",
     "run_budget",

@@ -10,7 +10,7 @@ from usdsmoke.base.json_records import JsonRecord
 from usdsmoke.base.record_format import Figure
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.clock import step_seconds
-from usdsmoke.runs.budget.findings import Finding, find_volume
+from usdsmoke.runs.budget.findings import Finding, find_volume, finding_texts
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow, PlannedVolume, temporal_note
 
 
@@ -86,6 +86,11 @@ class ErrorBudget(JsonRecord):
     def __getitem__(self, name: str) -> ErrorEstimate:
         """The estimate of this name; KeyError if there is none."""
         return {estimate.name: estimate for estimate in self.estimates}[name]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return finding_texts(self.findings)
 
     def verdict(self, name: str) -> str:
         """What to make of a row: it is fine, deserves a look, or asks for another setting."""
