@@ -44,7 +44,7 @@ class Stopped:
     """Frames alone with a share of the iterations: means over all frames."""
 
     share: float
-    errors: dict[str, float]  # by kind
+    errors: dict[str, float]  # of neighbours, by kind
     distances: dict[str, float]  # by kind of picture
 
 
@@ -54,7 +54,7 @@ class Findings:
 
     shot: Shot
     runs: dict[str, Run]  # "alone" and "windows"
-    errors: dict[str, dict[str, np.ndarray]]
+    errors: dict[str, dict[str, dict[int, np.ndarray]]]  # then by kind and by lag, frames
     distances: dict[str, Distances]
     unmoved: float  # grey distance of the source itself
     stopped: list[Stopped]  # descending share, all iterations first
@@ -108,10 +108,10 @@ def error_at_equal_style(stopped: Sequence[Stopped], kind: str, distance: float)
     return float(np.interp(distance, found, errors, left=np.nan, right=np.nan))
 
 
-def _means(share: float, errors: dict[str, np.ndarray], distances: Distances) -> Stopped:
+def _means(share: float, errors: dict[str, dict[int, np.ndarray]], distances: Distances) -> Stopped:
     return Stopped(
         share,
-        {kind: float(found.mean()) for kind, found in errors.items()},
+        {kind: float(found[1].mean()) for kind, found in errors.items()},
         {"colour": float(distances.colour.mean()), "grey": float(distances.grey.mean())},
     )
 
@@ -127,14 +127,18 @@ def render_report(findings: Findings, style: str, arguments: Sequence[str]) -> s
         f"The example plume, {' x '.join(map(str, shape))} voxels, {n} frames, style `{style}`.",
         f"*Alone*: every frame a window of its own. *Windows*: of {config.size} frames with an",
         f"overlap of {config.overlap}, {config.shared_octaves} octaves shared. Temporal errors are",
-        "|F_{t+1} - T(F_t)| / |F_{t+1}| over the smoke, means of all steps; *border* are the",
-        f"{len(windows.touched)} of {n - 1} steps that blending has a hand in, *inside* the",
-        "others. Style distances are the optimiser's own loss of finished pictures, from views",
-        "that it never had. All is measured after blending.",
+        "the share of the pattern that does not move with the smoke, 1 for one drawn anew, means",
+        f"over all frames; *border* are the {len(windows.touched)} of {n - 1} steps that blending",
+        "has a hand in, *inside* the others. Style distances are the optimiser's own loss of",
+        "finished pictures, from views that it never had. All is measured after blending.",
         "",
         "| | alone | windows | ratio | mark | inside | border / inside, mean | most | mark |",
         "|---|---|---|---|---|---|---|---|---|",
         *(_error_row(findings, kind) for kind in ("displacement", "colour")),
+        "",
+        "| temporal error over so many frames | alone | windows | ratio |",
+        "|---|---|---|---|",
+        *_lag_rows(findings),
         "",
         "| style distance | alone | windows | change | mark |",
         "|---|---|---|---|---|",
@@ -160,7 +164,7 @@ def render_report(findings: Findings, style: str, arguments: Sequence[str]) -> s
 
 
 def _error_row(findings: Findings, kind: str) -> str:
-    alone, windows = (findings.errors[name][kind] for name in ("alone", "windows"))
+    alone, windows = (findings.errors[name][kind][1] for name in ("alone", "windows"))
     touched = findings.runs["windows"].touched
     mean, most = border_ratio(windows, touched)
     inside = np.delete(windows, list(touched)).mean()
@@ -171,6 +175,17 @@ def _error_row(findings: Findings, kind: str) -> str:
         _verdict(mean, MARKS["border"]),
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
+
+
+def _lag_rows(findings: Findings) -> list[str]:
+    """What drifts has a larger error over more frames; what boils has not."""
+    rows = []
+    for kind, by_lag in findings.errors["windows"].items():
+        for lag, errors in by_lag.items():
+            alone, windows = findings.errors["alone"][kind][lag].mean(), errors.mean()
+            cells = [f"{kind}, {lag}", f"{alone:.3f}", f"{windows:.3f}", f"{windows / alone:.2f}"]
+            rows.append("| " + " | ".join(cells) + " |")
+    return rows
 
 
 def _style_row(findings: Findings, kind: str) -> str:
@@ -185,7 +200,7 @@ def _style_row(findings: Findings, kind: str) -> str:
 def _equal_row(findings: Findings, kind: str) -> str:
     distance = float(getattr(findings.distances["windows"], STYLE_OF[kind]).mean())
     alone = error_at_equal_style(findings.stopped, kind, distance)
-    windows = float(findings.errors["windows"][kind].mean())
+    windows = float(findings.errors["windows"][kind][1].mean())
     cells = [
         f"temporal error, {kind}", f"{distance:.3f}", f"{alone:.3f}", f"{windows:.3f}",
         f"{windows / alone:.3f}", _verdict(windows / alone, MARKS["share"]),
@@ -231,7 +246,11 @@ def main(arguments: list[str] | None = None) -> int:
         for folder in (options.report.parent, options.pictures):
             folder.mkdir(parents=True, exist_ok=True)
         options.report.write_text(report, encoding="utf-8")
-        draw_flicker(findings.errors, findings.runs["windows"]).save(
+        neighbours = {
+            name: {kind: by_lag[1] for kind, by_lag in kinds.items()}
+            for name, kinds in findings.errors.items()
+        }
+        draw_flicker(neighbours, findings.runs["windows"]).save(
             options.pictures / "flicker.png", optimize=True
         )
         strip = draw_strip(findings.runs, findings.shot).quantize(dither=Image.Dither.NONE)

@@ -5,7 +5,6 @@ All is taken from finished fields, after blending, as they stand in the files.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -15,7 +14,7 @@ from benchmarks.coherence_runs import Outcome, Run, Shot
 from benchmarks.control_scenes import FRAMES_PER_SECOND
 from benchmarks.held_out import held_out_angles
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.sequence.coherence import colour_error, displacement_error
+from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
@@ -42,27 +41,34 @@ class Distances:
     grey: np.ndarray
 
 
-def temporal_errors(run: Run, scene_gamma_w: float) -> dict[str, np.ndarray]:
-    """|F_{t+1} - T(F_t)| / |F_{t+1}| of displacement and colour, one number a step.
+def temporal_errors(run: Run, scene_gamma_w: float) -> dict[str, dict[int, np.ndarray]]:
+    """The temporal errors of displacement and colour, by the number of frames in between, in order.
 
-    T carries along the earlier frame's velocity, as the run itself does.
+    The earlier frame's velocity carries smoke from frame to frame, as in the run itself.
 
     Args:
         run: at least two frames.
         scene_gamma_w: extinction per density that the emission was made with.
     """
-    painted = [painted_colours(item, scene_gamma_w) for item in run.outcomes]
-    moved, coloured = [], []
-    for (before, own), (paint, own_paint) in zip(
-        pairwise(run.outcomes), pairwise(painted), strict=True
-    ):
-        frame = before.source
-        seconds = (own.source.time_code - frame.time_code) / FRAMES_PER_SECOND
-        moved.append(
-            displacement_error(before.displacement, own.displacement, own.still, frame, seconds)
-        )
-        coloured.append(colour_error(paint, *own_paint, frame, seconds))
-    return {"displacement": np.array(moved), "colour": np.array(coloured)}
+    measures = {kind: Steadiness() for kind in ("displacement", "colour")}
+    found: dict[str, dict[int, list[float]]] = {kind: {} for kind in measures}
+    before, seconds = None, 0.0
+    for own in run.outcomes:
+        if before is not None:
+            seconds = (own.source.time_code - before.time_code) / FRAMES_PER_SECOND
+        patterns = {
+            "displacement": (own.still, own.displacement.at(own.still.positions)),
+            "colour": painted_colours(own, scene_gamma_w),
+        }
+        for kind, pattern in patterns.items():
+            errors = measures[kind].compare(*pattern, before, seconds)
+            for lag, error in errors.items():
+                found[kind].setdefault(lag, []).append(error)
+        before = own.source
+    return {
+        kind: {lag: np.array(errors) for lag, errors in by_lag.items()}
+        for kind, by_lag in found.items()
+    }
 
 
 def border_ratio(errors: np.ndarray, touched: Sequence[int]) -> tuple[float, float]:

@@ -16,31 +16,35 @@ from usdsmoke.planning.windows import Window
 GAMMA_W = 2.0
 
 
-def make_outcome(time_code: float, colour: float, moved: float, density: float = 1.0) -> Outcome:
-    """A cube of smoke of one grey that is displaced along i by one length; nothing flows."""
+def make_outcome(
+    time_code: float, colour: float, moved: float, density: float = 1.0, noise: int | None = None
+) -> Outcome:
+    """A cube of smoke of one grey that is displaced along i by one length; nothing flows.
+
+    Noise is drawn anew for each seed, in both.
+    """
     values = np.full((4, 4, 4), density, np.float32)
     smoke = DenseField("density", values, (0, 0, 0), np.eye(4))
-    light = float(decode_srgb(torch.tensor(colour))) * GAMMA_W * density
-    emission = DenseField(
-        "emission",
-        np.full((4, 4, 4, 3), light, np.float32),
-        (0, 0, 0),
-        np.eye(4),
-        (0.0, 0.0, 0.0),
-    )
-    displacement = torch.zeros(4, 4, 4, 3)
+    colours, displacement = torch.full((4, 4, 4, 3), colour), torch.zeros(4, 4, 4, 3)
     displacement[..., 0] = moved
+    if noise is not None:
+        drawn = torch.rand(2, 4, 4, 4, 3, generator=torch.Generator().manual_seed(noise))
+        colours, displacement = drawn[0], drawn[1]
+    light = (decode_srgb(colours) * GAMMA_W * density).numpy()
+    emission = DenseField("emission", light, (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0))
     frame = VolumeFrame(time_code, smoke, np.eye(4))
     still = activate(smoke, np.eye(4), torch.device("cpu"))
     lattice = Lattice(np.zeros(3), (4, 4, 4), np.eye(4))
     return Outcome(frame, still, Displacement(displacement, lattice), smoke, emission)
 
 
-def test_temporal_errors_of_resting_smoke_are_the_relative_changes() -> None:
-    run = Run([make_outcome(1, 0.4, 1.0), make_outcome(2, 0.5, 0.8), make_outcome(3, 0.5, 0.8)], 0)
-    errors = temporal_errors(run, GAMMA_W)
-    np.testing.assert_allclose(errors["displacement"], [0.25, 0], atol=1e-6)
-    np.testing.assert_allclose(errors["colour"], [0.2, 0], atol=1e-5)
+def test_what_stays_has_no_temporal_error_and_what_is_drawn_anew_has_one() -> None:
+    seeds = [0, 0, 1, 2, 0]
+    outcomes = [make_outcome(code, 0, 0, noise=seed) for code, seed in enumerate(seeds)]
+    for by_lag in temporal_errors(Run(outcomes, 0), GAMMA_W).values():
+        assert list(by_lag) == [1, 4]
+        assert by_lag[1][0] == 0 and by_lag[4][0] == 0
+        np.testing.assert_allclose(by_lag[1][1:], 1, atol=0.35)
 
 
 def test_borders_are_compared_with_all_other_steps() -> None:

@@ -86,10 +86,22 @@ class FrameErrors:
 
 @dataclass(frozen=True)
 class TemporalErrors:
-    """Difference from the frame before, carried along by the velocity; relative to the frame."""
+    """The share of a pattern that does not move with its smoke, from 0 to about 1; see
+    ``core.sequence.steadiness``. None where there is no frame so many steps before."""
 
-    displacement: float | None = None
+    displacement: float | None = None  # against the frame before
     colour: float | None = None
+    displacement_4: float | None = None  # against the fourth frame before
+    colour_4: float | None = None
+    displacement_8: float | None = None
+    colour_8: float | None = None
+
+    @staticmethod
+    def of(displacement: Mapping[int, float], colour: Mapping[int, float]) -> "TemporalErrors":
+        """From errors by the number of steps: 1, 4 and 8."""
+        return TemporalErrors(
+            *(found.get(steps) for steps in (1, 4, 8) for found in (displacement, colour))
+        )
 
     def mixed(self, other: "TemporalErrors", weight: float) -> "TemporalErrors":
         """Both, weighted; one alone where the other has none.
@@ -104,7 +116,7 @@ class TemporalErrors:
             return weight * mine + (1 - weight) * theirs
 
         return TemporalErrors(
-            mix(self.displacement, other.displacement), mix(self.colour, other.colour)
+            *(mix(mine, getattr(other, name)) for name, mine in vars(self).items())
         )
 
 

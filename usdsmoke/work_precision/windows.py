@@ -40,9 +40,8 @@ _LEAST_FRAMES, _FEW_FRAMES = 3, 4
 _TEXTS = {
     "temporal": (
         "temporal error (mean over neighbouring frames)",
-        "0, a pattern that moves exactly with the smoke: the error is the difference between a "
-        "frame and its predecessor, carried along by the velocity, including the borders of "
-        "windows. The next sweep has the style errors of the same runs.",
+        "0, a pattern that moves exactly with the smoke; 1 is one drawn anew in every frame. "
+        "Borders of windows are included. The next sweep has the style errors of the same runs.",
     ),
     "style": (
         EXCESS,
@@ -229,16 +228,16 @@ def _config(case: Case) -> Config:
 
 
 def _temporal_error(shot: _Shot, results: Sequence["StylizedFrame"]) -> float:
-    from usdsmoke.core.sequence.coherence import colour_error
+    from usdsmoke.core.sequence.steadiness import Steadiness
 
-    case, frames, rate = shot.case, shot.frames, shot.rate
-    painted = [_painted(case, *pair) for pair in zip(frames, results, strict=True)]
-    errors = []
-    for number in range(1, len(painted)):
-        seconds = (frames[number].time_code - frames[number - 1].time_code) / rate
-        errors.append(
-            colour_error(painted[number - 1], *painted[number], frames[number - 1], seconds)
-        )
+    steadiness, errors = Steadiness(shot.config.optimize.seed), []
+    before, seconds = None, 0.0
+    for frame, result in zip(shot.frames, results, strict=True):
+        if before is not None:
+            seconds = (frame.time_code - before.time_code) / shot.rate
+        pattern = _painted(shot.case, frame, result)
+        errors.append(steadiness.compare(*pattern, before, seconds).get(1))
+        before = frame
     found = [error for error in errors if error is not None]
     return float(np.mean(found)) if found else 1.0  # no smoke stays from frame to frame
 

@@ -17,10 +17,10 @@ from usdsmoke.core.sequence.coarse import (
     load_start,
     save_start,
 )
-from usdsmoke.core.sequence.coherence import colour_error
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
+from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.stylize import stylize_window
 
 BOX = (20, 16, 16)
@@ -86,9 +86,10 @@ def test_a_chain_follows_the_smoke_more_closely_than_frames_alone():
     for frame in FRAMES:
         job = make_context([random_style()], scene, config, None, 24.0, None, 1)
         links += list(run_frames([frame], job))
+    measure = Steadiness()
+    measure.compare(*links[0].paint, None, 0.0)
     alone = [
-        colour_error(before.paint, *link.paint, before.frame, 1 / 24)
-        for before, link in pairwise(links)
+        measure.compare(*link.paint, before.frame, 1 / 24)[1] for before, link in pairwise(links)
     ]
     assert chained < 0.5 * np.mean(alone)
 

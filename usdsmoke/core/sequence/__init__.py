@@ -7,7 +7,8 @@
 - ``frame_loop``: the phases: opened, shaped, moved, painted, finished
 - ``controls``: the settings of each frame, and which frames are computed
 - ``start``: where a frame's optimisation starts: its neighbour and the coarse step
-- ``coherence``: results carried along by the velocity, compared, averaged
+- ``coherence``: results carried along by the velocity, averaged
+- ``steadiness``: the temporal error: what does not move with the smoke
 - ``coarse``: the shared coarse step and its files
 - ``motion``, ``motion_energy``: the velocity of smoke that comes without one
 - ``error_estimates``, ``picture_errors``, ``storage_error``: what is left of a frame's errors

@@ -1,11 +1,10 @@
-r"""How one frame's result follows another's: carried by the smoke's velocity, compared, averaged.
+r"""How one frame's result follows another's: carried by the smoke's velocity, averaged.
 
 T carries a field from one frame to the next: T(F)(x) = F(departure point of x). A displacement is
 carried component by component; a potential must not be, because the curl of a carried potential is
 not the carried curl where the smoke turns (measured: 37 % off in a lively plume, each frame).
 
-The temporal error of a sequence is |F_{t+1} - T(F_t)| / |F_{t+1}| over the smoke, weighted by
-density. A sequence is aligned in one sweep forward, in which every frame starts from its
+A sequence is aligned in one sweep forward, in which every frame starts from its
 neighbour's carried result, and one backward, which averages a frame with the one that follows.
 """
 
@@ -202,42 +201,3 @@ def share_from(
     _, near = sample_colours(before, torch.ones_like(before.density)[:, None], departures)
     mass = some.density.double()
     return float(mass[near[:, 0] > NEAR].sum() / mass.sum())
-
-
-def displacement_error(
-    before: Displacement,
-    own: Displacement,
-    smoke: ActiveSmoke,
-    mover: VolumeFrame,
-    seconds: float,
-) -> float:
-    """Temporal error of the displacement over a frame's (source) smoke; 0 when nothing moves."""
-    carried = before.at(departure_points(mover, smoke.positions, seconds))
-    return _relative(own.at(smoke.positions), carried, smoke.density)
-
-
-def colour_error(
-    before: tuple[ActiveSmoke, Tensor],
-    smoke: ActiveSmoke,
-    colours: Tensor,
-    mover: VolumeFrame,
-    seconds: float,
-) -> float | None:
-    """Temporal error of display-encoded colours, over smoke that was there before; None if none
-    was."""
-    departures = departure_points(mover, smoke.positions, seconds)
-    carried, near = sample_colours(*before, departures)
-    there = near[:, 0] > NEAR
-    return (
-        None
-        if not bool(there.any())
-        else _relative(colours[there], carried[there], smoke.density[there])
-    )
-
-
-def _relative(found: Tensor, expected: Tensor, weight: Tensor) -> float:
-    """|found - expected| / |found|, weighted."""
-    weight = weight.double()[:, None]
-    energy = float((found.double().square() * weight).sum())
-    missed = float(((found - expected).double().square() * weight).sum())
-    return (missed / energy) ** 0.5 if energy > 0 else 0.0

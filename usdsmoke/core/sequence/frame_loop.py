@@ -20,8 +20,6 @@ from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
-    colour_error,
-    displacement_error,
     share_from,
 )
 from usdsmoke.core.sequence.error_estimates import tail_figures
@@ -38,6 +36,7 @@ from usdsmoke.core.sequence.frame_state import (
 )
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
+from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.smoke.schedule import octave_iterations, pool_size, warm_iterations
 from usdsmoke.core.steps.colour import run_colour_step
@@ -224,18 +223,20 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
 
 def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[PaintedFrame]:
     share, before = context.config.colour.smoothing, None
+    moves, colours = (Steadiness(context.config.optimize.seed) for _ in range(2))
     for frame, later in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint
         if later is not None and later.is_cold:
             later = None
         if later is not None and paint is not None and later.paint is not None and share:
             seconds = context.seconds(frame, later)
-            colours = average_colours(*paint, later.paint, frame.frame, seconds, share)
-            frame = replace(frame, colours=colours)
+            averaged = average_colours(*paint, later.paint, frame.frame, seconds, share)
+            frame = replace(frame, colours=averaged)
         report = frame.report
-        if before is not None and not frame.left_out:
-            temporal = _temporal_errors(before, frame, context.seconds(before, frame))
-            report = replace(report, temporal=temporal)
+        if not frame.left_out:
+            temporal = _temporal_errors(moves, colours, before, frame, context)
+            if before is not None:
+                report = replace(report, temporal=temporal)
         if not frame.left_out and (before is not None or later is not None):
             report = report.with_transport_time(time.perf_counter() - started)
         frame = replace(frame, report=report)
@@ -246,17 +247,26 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
             before = None
 
 
-def _temporal_errors(before: PaintedFrame, frame: PaintedFrame, seconds: float) -> TemporalErrors:
-    displacement = colour = None
-    if frame.is_cold:
-        return TemporalErrors()
-    if before.displacement is not None and frame.displacement is not None:
-        displacement = displacement_error(
-            before.displacement, frame.displacement, frame.source, before.frame, seconds
-        )
-    if before.paint is not None and frame.paint is not None:
-        colour = colour_error(before.paint, *frame.paint, before.frame, seconds)
-    return TemporalErrors(displacement, colour)
+def _temporal_errors(
+    moves: Steadiness,
+    colours: Steadiness,
+    before: PaintedFrame | None,
+    frame: PaintedFrame,
+    context: WindowContext,
+) -> TemporalErrors:
+    """Of a frame's displacement and colours against the frames before it."""
+    mover, seconds = None, 0.0
+    if before is not None and not frame.is_cold:
+        mover, seconds = before.frame, context.seconds(before, frame)
+    moved, coloured = dict[int, float](), dict[int, float]()
+    if frame.displacement is not None:
+        values = frame.displacement.at(frame.source.positions)
+        moved = moves.compare(frame.source, values, mover, seconds)
+    if frame.paint is not None:
+        coloured = colours.compare(*frame.paint, mover, seconds)
+    else:
+        colours.restart()
+    return TemporalErrors.of(moved, coloured)
 
 
 # in several phases

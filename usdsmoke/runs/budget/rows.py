@@ -196,7 +196,6 @@ _SMOKE = "the voxels with smoke"
 _NO_FRAME, _NO_SHAPE, _NO_COLOUR = "no frame is stylized", "no shape step", "no colour step"
 _TOO_FEW = "too few iterations in the last octave to fit a tail to"
 _BEFORE_BLENDING = "measured before they are blended"
-_AGAINST_BEFORE = "measured against the frame before"
 
 QUADRATURE = ErrorRow(
     name="quadrature",
@@ -314,27 +313,30 @@ UNSEEN_VIEWS = ErrorRow(
     advice="set a larger views.pool",
     setting="views.pool",
 )
-TEMPORAL_DISPLACEMENT = ErrorRow(
-    name="temporal, displacement",
-    relative_to="the displacement",
-    how=_AGAINST_BEFORE,
-    of_frame=lambda report: _figure(report.temporal, "displacement"),
-    why_absent=lambda volume: volume.no_shape or volume.no_pairs,
-    without="no frame follows another",
-    temporal=("displacement", "shape"),
-    advice="set a lower shape.warm_rate, or look at the sequence",
-    setting="shape.warm_rate",
-)
-TEMPORAL_COLOUR = ErrorRow(
-    name="temporal, colour",
-    relative_to="the colours",
-    how=_AGAINST_BEFORE,
-    of_frame=lambda report: _figure(report.temporal, "colour"),
-    why_absent=lambda volume: volume.no_colour or volume.no_pairs,
-    without="no frame follows another, or no colour step",
-    temporal=("colour", "colour"),
-    advice="set a lower colour.warm_rate, or look at the sequence",
-    setting="colour.warm_rate",
+
+
+def _temporal(kind: str, step: str, n: int = 1) -> ErrorRow:
+    """The temporal error of the displacement or the colour, over n frames."""
+    chain = "frame follows another" if n == 1 else f"chain of {n + 1} frames"
+    field = kind if n == 1 else f"{kind}_{n}"
+    return ErrorRow(
+        name=f"temporal, {kind}" + ("" if n == 1 else f", {n} frames"),
+        relative_to="a pattern drawn anew",
+        how=f"measured against {'the frame' if n == 1 else f'{n} frames'} before",
+        of_frame=lambda report: _figure(report.temporal, field),
+        why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_pairs,
+        without=f"no {chain}, or no {step} step",
+        temporal=(field, step) if n == 1 else None,
+        most=1.2,  # noise drawn anew has 1 on average
+        advice=f"set a lower {step}.warm_rate, or look at the sequence",
+        setting=f"{step}.warm_rate",
+    )
+
+
+TEMPORAL = tuple(
+    _temporal(kind, step, n)
+    for n in (1, 4, 8)
+    for kind, step in (("displacement", "shape"), ("colour", "colour"))
 )
 OVERLAP_DENSITY = ErrorRow(
     name="windows, density",
@@ -391,8 +393,7 @@ ROWS = (
     COLOUR_OPTIMISER,
     VIEW_SAMPLING,
     UNSEEN_VIEWS,
-    TEMPORAL_DISPLACEMENT,
-    TEMPORAL_COLOUR,
+    *TEMPORAL,
     OVERLAP_DENSITY,
     OVERLAP_EMISSION,
     STORAGE_DENSITY,
