@@ -75,7 +75,7 @@ def test_views_are_those_of_the_last_step() -> None:
 def test_what_has_no_figure_is_named_with_the_reason() -> None:
     budget = make_budget([SHAPE_ALONE])
     assert "opacity" in budget.left_out["quadrature"]
-    assert "no frame follows another" in budget.left_out["temporal, displacement"]
+    assert "no chain of 2 frames" in budget.left_out["temporal, displacement"]
     names = {estimate.name for estimate in budget.estimates}
     assert names.isdisjoint(budget.left_out) and len(names | set(budget.left_out)) == len(ROWS)
 

@@ -317,7 +317,6 @@ UNSEEN_VIEWS = ErrorRow(
 
 def _temporal(kind: str, step: str, n: int = 1) -> ErrorRow:
     """The temporal error of the displacement or the colour, over n frames."""
-    chain = "frame follows another" if n == 1 else f"chain of {n + 1} frames"
     field = kind if n == 1 else f"{kind}_{n}"
     return ErrorRow(
         name=f"temporal, {kind}" + ("" if n == 1 else f", {n} frames"),
@@ -325,7 +324,7 @@ def _temporal(kind: str, step: str, n: int = 1) -> ErrorRow:
         how=f"measured against {'the frame' if n == 1 else f'{n} frames'} before",
         of_frame=lambda report: _figure(report.temporal, field),
         why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_pairs,
-        without=f"no {chain}, or no {step} step",
+        without=f"no chain of {n + 1} frames, or no {step} step",
         temporal=(field, step) if n == 1 else None,
         most=1.2,  # noise drawn anew has 1 on average
         advice=f"set a lower {step}.warm_rate, or look at the sequence",
