@@ -8,7 +8,7 @@ frame does not change how frames follow each other.
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import starmap
@@ -258,7 +258,8 @@ def _temporal_errors(
     mover, seconds = None, 0.0
     if before is not None and not frame.is_cold:
         mover, seconds = before.frame, context.seconds(before, frame)
-    moved, coloured = dict[int, float](), dict[int, float]()
+    moved: Mapping[int, float] = {}
+    coloured: Mapping[int, float] = {}
     if frame.displacement is not None:
         values = frame.displacement.at(frame.source.positions)
         moved = moves.compare(frame.source, values, mover, seconds)
