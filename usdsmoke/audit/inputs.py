@@ -141,7 +141,8 @@ def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:
     if record.style_request:
         config = config.with_explicit({*config.explicit, "style.weights"})
     opened, _ = open_source(stage, config.stage.restylize)
-    found = find_volumes(opened, config.stage, with_styles=False)
+    copied = config.layer.copy_fields
+    found = find_volumes(opened, config.stage, with_styles=False, copied=copied)
     resolved = resolve_volumes(found, config, bare=True)
     cameras = [own.config.views.camera for own in resolved.volumes]
     return seen_through(opened, resolved.source, cameras)

@@ -26,7 +26,7 @@ SOFTWARE_PACKAGE = "org.usdsmoke.usdsmoke"  # reverse-domain, as UsdMedia's auth
 class SourceGrid:
     """A field of a frame's source, with the grids that were read."""
 
-    field: str  # density, velocity or mask
+    field: str  # density, velocity, mask, or the name of one that is copied as it is
     file: str
     grid: str  # names of the grids in the file
     hash: str = ""  # content hash; "" where the field does not decide the frame

@@ -20,7 +20,9 @@ _PER_VOXEL = "1/(voxel of the source grid) per unit of density"
 class StageConfig(Section):
     """What is read from the stage."""
 
-    prims: list[str] = setting([], "Volume prim paths; empty: every visible Volume", distinct=True)
+    prims: list[str] = setting(
+        [], "paths of Volumes, or of prims above Volumes; empty: every visible Volume",
+        distinct=True)
     frames: str = setting(
         "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
     allow_missing: bool = setting(
@@ -269,6 +271,10 @@ class LayerConfig(Section):
     copy_velocity: bool | None = setting(
         None, "write the velocity into the result's files; unset: only if the Volume has a "
         "velocity field")
+    copy_fields: list[str] = setting(
+        [], "other fields of the Volume, and grids beside its density, that are written into the "
+        "result's files as they are: their names, or all; they do not move with the density; "
+        "empty: none", distinct=True)
     emission_mode: Literal["absolute", "perDensity"] = setting(
         "absolute", "meaning of the emission field: radiance per stage unit (absolute), or the "
         "same divided by density (perDensity), for renderers that multiply emission by density")

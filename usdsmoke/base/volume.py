@@ -105,9 +105,11 @@ class VolumeSource:
     velocity: tuple[str, ...] = ()  # relationship names of the velocity: one vector or x, y, z
     mask: str = ""  # relationship name of the mask; "" when it has none, or none is configured
     other_fields: tuple[str, ...] = ()  # relationship names that are not used
+    copied: tuple[str, ...] = ()  # relationship names of others, to be copied (layer.copy_fields)
     request: StyleRequest = StyleRequest()
     materials: tuple[BoundMaterial, ...] = ()  # bound to it, one for each purpose
     variants: Mapping[str, str] = field(default_factory=dict)  # selected here and above, by set
+    notes: tuple[str, ...] = ()  # what programs disagree on, a sentence each without a full stop
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@
 - ``estimate``: memory, time and disk
 - ``windows``: the frames of each window
 - ``frames``: the grids of a frame, found by header
+- ``copied``: other grids that go into the result's files as they are
 - ``frame_reader``: the fields of a frame, read
 - ``visibility``: what a shot's camera can see
 - ``features``, ``stage_values``, ``output_folder``: network file, stage values, output folder

@@ -53,15 +53,19 @@ class FrameReader:
         self._store.release(_files(frames) - _files(needed))
 
     def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
-        """The velocity's grids that are copied to a frame's result, unchanged.
+        """The grids that are copied to a frame's result, unchanged: velocity, then others.
 
         Raises:
             GridError: see ``read_velocity_grids``.
         """
-        if frame.copied is None:
-            return []
-        density = frame.source.fields[volume.source.density]
-        return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
+        found, read = [], self._store.read
+        if frame.copied is not None:
+            density = frame.source.fields[volume.source.density]
+            found = read_velocity_grids(frame.copied, density, volume.config, read)
+        for grid in frame.others:
+            (field,) = read(grid.field.file_path, [grid.request], volume.config.grids)
+            found.append(dataclasses.replace(field, name=grid.name))
+        return found
 
 
 def _files(frames: Iterable[FramePlan]) -> set[str]:

@@ -133,11 +133,13 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
     """True if the velocity is copied to the result's files.
 
     If ``layer.copy_velocity`` is unset, it is copied if the stage has a field for it beside the
-    density. Clients that read one file per Volume (Blender, Arnold, RenderMan) would otherwise read
-    the source's file.
+    density, or if ``layer.copy_fields`` names it. Clients that read one file per Volume (Blender,
+    Arnold, RenderMan) would otherwise read the source's file.
     """
     if velocity is None or config.layer.copy_velocity is not None:
         return velocity is not None and bool(config.layer.copy_velocity)
+    if {"all", velocity.name, velocity.field.relationship} & set(config.layer.copy_fields):
+        return same_place(velocity, density)
     return velocity.field.relationship != density.relationship and same_place(velocity, density)
 
 

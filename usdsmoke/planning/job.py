@@ -145,7 +145,9 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         style_shares(config.style, len(style_files))
     # The stage: Volumes, their own settings, cameras.
     stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
-    found = find_volumes(stage, config.stage, with_styles=not style_files)
+    found = find_volumes(
+        stage, config.stage, with_styles=not style_files, copied=config.layer.copy_fields
+    )
     if not config.stage.restylize:
         check_originals(stage, found)
     resolved = resolve_volumes(found, config, style_files)
@@ -207,7 +209,8 @@ def _plan(
 ) -> Plan:
     plan = make_plan(source, config, resolved.volumes)
     left_out = [Omission("earlier look", note) for note in earlier.notes]
-    return dataclasses.replace(plan, omitted=(*plan.omitted, *left_out))
+    notes = [note for volume in source.volumes for note in volume.notes]
+    return dataclasses.replace(plan, omitted=(*plan.omitted, *left_out), notes=tuple(notes))
 
 
 def _sheets(plan: Plan, output: Path) -> list[Path]:

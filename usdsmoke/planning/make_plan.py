@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from usdsmoke.base.errors import PlanError
+from usdsmoke.base.errors import GridError, PlanError
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, volume_stems
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
+from usdsmoke.planning.copied import CopiedGrid, find_copies
 from usdsmoke.planning.estimate import (
     CostEstimate,
     FrameSize,
@@ -59,7 +60,13 @@ def make_plan(
     volumes: list[VolumePlan] = []
     for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
         first_index = sum(len(earlier.windows) for earlier in volumes)
-        volumes.append(_plan_volume(volume, stem, own, headers, first_index, source.frame_length))
+        try:
+            planned = _plan_volume(volume, stem, own, headers, first_index, source.frame_length)
+        except GridError as error:
+            if len(source.volumes) == 1:
+                raise
+            raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
+        volumes.append(planned)
     return Plan(
         source=source,
         config=config,
@@ -85,6 +92,9 @@ def _decoded_bytes(frame: FramePlan) -> int:
     velocity = frame.velocity or frame.copied
     grids = () if velocity is None else velocity.grids
     boxes = [grid.box_shape or (0, 0, 0) for grid in grids for _ in range(3 // len(grids))]
+    boxes += [
+        grid.grid.box_shape or (0, 0, 0) for grid in frame.others for _ in range(grid.components)
+    ]
     return 4 * sum(map(math.prod, (frame.size.box, frame.size.mask_box, *boxes)))
 
 
@@ -162,13 +172,22 @@ def _plan_volume(
     names = result_file_names(volume, stem)
     window_of = {code: window for window in windows for code in window.time_codes}
     frames = []
-    for frame, to_do in zip(volume.frames, computed, strict=True):
+    for frame in volume.frames:
         _read_headers(frame, headers)
+    for frame, to_do in zip(volume.frames, computed, strict=True):
         window, name = window_of[frame.time_code], names[frame.time_code]
         frames.append(_plan_frame(volume, frame, window, name, config, headers, to_do))
     runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
     cuts = find_cuts(time_codes, frame_length)
-    return VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts)
+    copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
+    planned = tuple(_with_copies(frame, grids) for frame, grids in zip(frames, copies, strict=True))
+    return VolumePlan(volume, stem, planned, windows, config, own.styles, runs, cuts, reasons)
+
+
+def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...]) -> FramePlan:
+    """The frame with other grids that are copied into its file."""
+    n_copied = frame.size.n_copied + sum(grid.components for grid in grids)
+    return replace(frame, others=grids, size=replace(frame.size, n_copied=n_copied))
 
 
 def _plan_frame(

@@ -37,6 +37,8 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         needed.append(
             f"velocity copied into {count_text(n_copied, 'file')}, so that each frame is one file"
         )
+    if copied := sorted({grid.name for frame in _frames(volumes) for grid in frame.others}):
+        needed.append(f"copied as they are: {', '.join(copied)}")
     # Computed.
     groups = _by_config(volumes)
     for own, members in groups:
@@ -356,7 +358,8 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
     if volume.source.other_fields:
         fields = "field" if len(volume.source.other_fields) == 1 else "fields"
         what = f"{fields} {', '.join(volume.source.other_fields)}"
-        found.append((what, "not used; kept unchanged"))
+        found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
+    found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))
     empty = [frame for frame in volume.frames if frame.is_empty]

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.planning.copied import CopiedGrid
 from usdsmoke.planning.estimate import CostEstimate, FrameSize
 from usdsmoke.planning.frames import MaskSource, VelocitySource
 from usdsmoke.planning.windows import Window
@@ -35,6 +36,7 @@ class FramePlan:
     copied: VelocitySource | None  # None: it is not copied to the result's file
     mask: MaskSource | None  # None: none is configured, or there is no effect to scale
     file_name: str  # of the result
+    others: tuple[CopiedGrid, ...] = ()  # other grids that are copied (layer.copy_fields)
 
     @property
     def is_empty(self) -> bool:
@@ -54,6 +56,7 @@ class VolumePlan:
     styles: tuple[int, ...]  # indices of its images among the run's
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes that share a coarse step
     cuts: tuple[tuple[float, float], ...] = ()  # pairs of timeCodes with a cut between them
+    not_copied: Mapping[str, str] = field(default_factory=dict)  # fields by name: why not
 
     @property
     def request_text(self) -> str:

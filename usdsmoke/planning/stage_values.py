@@ -75,6 +75,9 @@ def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     del values["request"]
     del values["materials"]  # they decide what the layer binds, not what the files hold
     del values["variants"]  # what they select counts
+    del values["notes"]
+    if not values["copied"]:
+        del values["copied"]
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]

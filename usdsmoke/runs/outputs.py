@@ -158,6 +158,7 @@ def collect_volume(
         colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
         grids |= {name: name for name in colours}
     grids |= _copied_velocity(volume)
+    grids |= {grid.name: grid.name for grid in volume.frames[0].others if grid.is_field}
     empty_file, empty_hash = ("", "")
     if EMISSION in grids:
         empty_file, empty_hash = _write_empty(run, volume, config)

@@ -140,6 +140,8 @@ def _sources(volume: VolumePlan, frame: FramePlan) -> Iterator[tuple[str, str, s
     if velocity is not None:
         label = ", ".join(grid.label for grid in velocity.grids)
         yield "velocity", velocity.field.file_path, label
+    for other in frame.others:
+        yield other.name, other.field.file_path, other.grid.label
 
 
 def _source_key(field: str) -> str:

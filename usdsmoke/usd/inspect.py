@@ -15,7 +15,7 @@ from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSo
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
-from usdsmoke.usd.stage.volumes import hidden_volumes
+from usdsmoke.usd.stage.choice import hidden_volumes
 from usdsmoke.usd.volume_settings import RunArguments, describe_requests
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -95,7 +95,8 @@ def _notes(source: StageSource) -> list[str]:
         if volume.request.ignored
     ]
     missing = [f"left out: {sentence}." for sentence in source.missing]
-    return [*filter(None, [late_note()]), *missing, *ignored]
+    places = [f"{note}." for volume in source.volumes for note in volume.notes]
+    return [*filter(None, [late_note()]), *missing, *ignored, *places]
 
 
 def _describe_stage(source: StageSource) -> dict[str, Any]:

@@ -101,6 +101,7 @@ def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) 
 
     Addresses of a resolver's own (``asset:...``) stay as they are; a path that resolves to nothing
     keeps pointing to the place where its file should be. Expressions are replaced by their value.
+    A search path stays as it is where it leads to the same file from ``folder``.
     """
     authored = str(value.path)
     if not authored or _SCHEME.match(authored):
@@ -110,7 +111,19 @@ def anchored_asset(value: Sdf.AssetPath, layer: Sdf.Layer | None, folder: Path) 
         resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, authored)
     if not os.path.isabs(resolved):
         return Sdf.AssetPath(authored)
+    if _is_found_from(authored, resolved, folder):
+        return Sdf.AssetPath(authored)
     return Sdf.AssetPath(relative_asset_path(resolved, folder))
+
+
+def _is_found_from(authored: str, resolved: str, folder: Path) -> bool:
+    """Whether a search path leads to a file from a layer in ``folder``."""
+    if os.path.isabs(authored) or authored.startswith(("./", "../")):
+        return False
+    resolver = Ar.GetResolver()
+    layer = Ar.ResolvedPath(str(folder / "look.usda"))
+    found = str(resolver.Resolve(resolver.CreateIdentifier(authored, layer)))
+    return bool(found) and os.path.normpath(found) == os.path.normpath(resolved)
 
 
 def _authoring_layer(attribute: Usd.Attribute, at: Usd.TimeCode) -> Sdf.Layer | None:

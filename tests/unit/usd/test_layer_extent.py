@@ -91,14 +91,18 @@ def test_empty_frames_have_the_bounds_of_their_neighbours_and_all_empty_ones_non
     assert extent_at(nothing, 2) is None
 
 
-def test_outside_the_range_the_extent_is_the_sources_or_all_that_is_known(tmp_path):
+def test_outside_the_range_the_extent_is_the_sources_its_files_or_all_that_is_known(tmp_path):
     stage_file = plume_stage(tmp_path)
     stage = look_with_boxes(tmp_path, stage_file, {2.0: ((0, 0, 0), (1, 1, 1))}, frames="2")
     np.testing.assert_array_equal(extent_at(stage, 4), [[-9] * 3, [9] * 3])
     without = stage_file.read_text().replace("float3[] extent", "custom float3[] other")
     bare_file = write_text(tmp_path / "bare.usda", without)
     bare = look_with_boxes(tmp_path, bare_file, {2.0: ((0, 0, 0), (1, 1, 1))}, frames="2")
-    np.testing.assert_array_equal(extent_at(bare, 4), [[0] * 3, [1] * 3])
+    np.testing.assert_array_equal(extent_at(bare, 4), [[-0.25] * 3, [1.75, 1.25, 0.75]])
+    for code in (3, 4):
+        (tmp_path / f"cache/smoke.{code:04d}.vdb").write_bytes(b"no VDB file")
+    bare = look_with_boxes(tmp_path, bare_file, {2.0: ((0, 0, 0), (3, 3, 3))}, frames="2")
+    np.testing.assert_array_equal(extent_at(bare, 4), [[-0.25] * 3, [3] * 3])
 
 
 def test_fields_that_are_left_alone_stay_inside_the_extent(tmp_path):

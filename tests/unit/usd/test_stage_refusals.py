@@ -106,7 +106,7 @@ def test_a_broken_arc_is_named_where_the_volume_may_lie_behind_it(tmp_path, capf
     ("path", "reason"),
     [
         ("/World/fire", "no prim </World/fire> .* </World/smoke>"),
-        ("/World", "</World> is of type Xform.*</World/smoke>"),
+        ("/World/empty", "</World/empty> is of type Xform.*</World/smoke>"),
         ("/World/plain", "</World/plain> is of no type.*</World/smoke>"),
         ("/World/off", "</World/off> is inactive"),
         ("World/smoke", "'World/smoke' is not"),
@@ -116,7 +116,10 @@ def test_a_broken_arc_is_named_where_the_volume_may_lie_behind_it(tmp_path, capf
 )
 def test_a_named_prim_that_is_no_volume_is_refused_with_those_there_are(tmp_path, path, reason):
     write_sequence(tmp_path, [1])
-    body = volume_prim(density_prim(DEFAULT)) + 'def "plain" {}\ndef Volume "off" (active=false) {}'
+    body = (
+        volume_prim(density_prim(DEFAULT))
+        + 'def "plain" {}\ndef Xform "empty" {}\ndef Volume "off" (active=false) {}'
+    )
     refuse(tmp_path, body, VolumeNotFound, reason, prims=[path])
 
 

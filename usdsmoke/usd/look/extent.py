@@ -5,10 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
+from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.volume import WrittenFrame
+from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.values import ancestors, extent_value, value_at
-from usdsmoke.vdb.boxes import corners_extent, union_extent
+from usdsmoke.vdb.boxes import box_extent, corners_extent, union_extent
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, find_grid
 
 Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
@@ -49,8 +53,8 @@ def volume_boxes(
     """What the Volume shows at each timeCode, as boxes in its local space; None where it is empty.
 
     A stylized timeCode has its file's box, joined with the source's extent when the Volume has
-    fields that are left alone. Another timeCode has the source's extent, or, where it has none,
-    the union of all stylized boxes: the best that is known without opening the source's files.
+    other fields. Another timeCode has the source's extent, or, where it has none, the box that the
+    header of its file names; where that is missing too, the union of all stylized boxes.
     """
     extent = volume_prim.GetAttribute("extent")
     codes = {
@@ -65,14 +69,32 @@ def volume_boxes(
         frame = volume.frame_at(code)
         if frame is not None:
             ours = _frame_box(frame, _density_to_volume(density, volume_prim, code))
-            boxes[code] = _union([ours, theirs if volume.source.other_fields else None])
+            others = volume.source.other_fields or volume.source.copied
+            boxes[code] = _union([ours, theirs if others else None])
         elif theirs is not None:
             boxes[code] = theirs
+        elif (source := _header_box(density, volume_prim, code)) is not None:
+            boxes[code] = source
         else:
             unknown.append(code)
     stylized = _union(list(boxes.values()))
     boxes.update(dict.fromkeys(unknown, stylized))
     return boxes
+
+
+def _header_box(density: Usd.Prim, volume_prim: Usd.Prim, code: float) -> Box | None:
+    """The box of the source's grid as its file's header names it; None where it does not."""
+    sample, matrix = FieldSamples(density).at(code), _density_to_volume(density, volume_prim, code)
+    try:
+        grid = find_grid(
+            read_header(sample.file_path), GridRequest(sample.grid_name, sample.grid_index)
+        )
+    except UsdSmokeError:
+        return None
+    if grid.bbox_min is None or grid.box_shape is None or grid.index_to_world is None:
+        return None
+    box = box_extent(grid.bbox_min, grid.box_shape, grid.index_to_world)
+    return None if matrix is None else corners_extent(*box, matrix)
 
 
 def _frame_box(frame: WrittenFrame, density_to_volume: np.ndarray | None) -> Box | None:

@@ -183,6 +183,11 @@ def _tokens(target: FieldTarget) -> tuple[str, str, str]:
         return "float", "unknown", ""
     if target.beside == target.source:
         return "float", "fogVolume", ""
+    if target.is_new and target.source is not None:
+        names = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
+        theirs = [target.source.GetAttribute(name) for name in names]
+        kind, field_class, role = (item.Get() or "" if item else "" for item in theirs)
+        return kind, field_class, role if kind == "float3" else ""
     return ("float3", "unknown", "Vector") if target.is_new else ("", "", "")
 
 

@@ -5,7 +5,7 @@
 - `field_rules`: FieldTargetInvalid, FieldKindUnsupported, FieldFileMissing, GridMissing,
   GridUnsupported, FieldTypeMismatch, FieldClassMismatch, FieldTokenUnknown, FrameGap, AbsolutePath
 - `volume_rules`: VolumeExtentMissing, MixedFilesPerVolume, FieldNameMismatch,
-  GridTransformMismatch, RequestInvalid, RequestNotApplied, RequestMisplaced
+  GridTransformMismatch, FieldPlaceDiffers, RequestInvalid, RequestNotApplied, RequestMisplaced
 - `result_rules`: GridHashMismatch, ResultChanged
 
 The words of a rule's message are in the rule's file. Four rules repeat the error of a reader

@@ -44,6 +44,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
     "FieldNameMismatch": (volume_rules.check_one_name, "Relationship and grid share one name."),
     "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
+    "FieldPlaceDiffers": (
+        volume_rules.check_field_place,
+        "Field prims stand where their Volume stands.",
+    ),
     "LookHidden": (
         volume_rules.check_look_seen,
         "The material of a Volume with a look reads the look's colours.",

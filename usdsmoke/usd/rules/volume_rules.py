@@ -104,6 +104,23 @@ def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     return grouped(Severity.WARN, str(volume.GetPath()), troubles)
 
 
+def check_field_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
+    """Field prims stand where their Volume stands; programs place grids by the one or the other."""
+    problems = []
+    for field in collect_fields(volume, interval):
+        troubles = {}
+        for sample in field.samples:
+            theirs, ours = (field_to_stage(p, sample.time_code) for p in (field.prim, volume))
+            if np.abs(theirs - ours).max() > _CLOSE * np.abs(ours).max():
+                troubles[sample.time_code] = (
+                    f"the field prim stands elsewhere than its Volume <{volume.GetPath()}>. Storm "
+                    "and Blender place grids by the Volume, USD by the field prim. Give both one "
+                    "transform"
+                )
+        problems += grouped(Severity.WARN, field.prim_path, troubles)
+    return problems
+
+
 def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     """The material of a Volume with a look reads a colour of the look."""
     colours = [name for name in field_targets(volume) if name in _COLOURS]

@@ -2,7 +2,9 @@
 
 - `opening`: opens a stage; its file, its layers, a prim by its path
 - `originals`: the stage without the looks that it has
+- `choice`: which Volumes are taken
 - `volumes`: the Volumes to stylize, at which timeCodes
+- `places`: what programs disagree on about a Volume's place; its variants
 - `fields`: a Volume's field prims, and the file and grid of each at a timeCode
 - `cameras`: the cameras of a shot
 - `composed`: what is visible at any timeCode

@@ -27,6 +27,7 @@ class VolumeFields:
     mask: str  # relationship name; "" when the Volume has none of that name
     prims: dict[str, Usd.Prim]
     others: tuple[str, ...]  # relationships that are left alone
+    copied: tuple[str, ...] = ()  # relationships whose grids go into the result's files
 
 
 def velocity_relationships(names: Sequence[str], chosen: str = "") -> tuple[str, ...]:
@@ -47,7 +48,9 @@ def velocity_relationships(names: Sequence[str], chosen: str = "") -> tuple[str,
     return ()
 
 
-def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -> VolumeFields:
+def find_fields(
+    volume: Usd.Prim, density: str, velocity: str, mask: str = "", copied: Sequence[str] = ()
+) -> VolumeFields:
     """The field prims of a Volume's density and, where there are such, velocity and mask.
 
     A velocity relationship that leads to no OpenVDBAsset is left with the others. The density has
@@ -57,6 +60,8 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
         velocity: relationship name of the velocity; empty means the usual names.
         mask: relationship name of the mask; empty means none. The request's own relationship,
             ``usdSmoke:request:mask``, may be named too.
+        copied: relationship names of others that are copied, or ``all``; those that lead to no
+            OpenVDBAsset are left alone.
 
     Raises:
         FieldNotFound: no relationship of the density's name, or the density's or the mask's leads
@@ -81,8 +86,13 @@ def find_fields(volume: Usd.Prim, density: str, velocity: str, mask: str = "") -
         prims.update({name: prim for name, prim in found.items() if isinstance(prim, Usd.Prim)})
     else:
         names = ()
+    taken = set(prims)
+    for name in sorted(relationships.keys() - taken):
+        prim = _openvdb_prim(volume, relationships[name])
+        if ("all" in copied or name in copied) and isinstance(prim, Usd.Prim):
+            prims[name] = prim
     others = tuple(name for name in sorted(relationships) if name not in prims)
-    return VolumeFields(density, names, mask, prims, others)
+    return VolumeFields(density, names, mask, prims, others, tuple(sorted(prims.keys() - taken)))
 
 
 def describe_instance(prim: Usd.Prim) -> str:
@@ -195,9 +205,10 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
         return
     source, problem = problems[0]
     asset = f"@{source.authored_path}@, authored in {_authoring_layer(prim, source.time_code)}"
+    others = " Or leave such timeCodes out with --allow-missing." if len(found) > 1 else ""
     raise AssetNotResolved(
         f"the filePath of <{source.prim_path}> at timeCode {format_time_code(source.time_code)} is "
-        f"{asset}: {problem}{_also(source.time_code for source, _ in problems[1:])}"
+        f"{asset}: {problem}{_also(source.time_code for source, _ in problems[1:])}{others}"
     )
 
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from pxr import Usd, UsdGeom, UsdVol
+from pxr import Usd, UsdGeom
 
 from usdsmoke.base.errors import (
     AssetNotResolved,
     ConfigError,
     FieldNotFound,
     StageError,
-    VolumeNotFound,
 )
 from usdsmoke.base.naming import VARIANT_SET
 from usdsmoke.base.sections import StageConfig
@@ -36,16 +35,14 @@ from usdsmoke.base.volume import (
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.materials import find_materials
+from usdsmoke.usd.stage.choice import choose_volumes
 from usdsmoke.usd.stage.fields import (
     VolumeFields,
     check_assets,
-    describe_instance,
     field_source,
     find_fields,
 )
-from usdsmoke.usd.stage.opening import named_prim, type_words
-from usdsmoke.usd.stage.originals import is_look_layer
-from usdsmoke.usd.values import ancestors, value_at
+from usdsmoke.usd.stage.places import find_instancers, place_notes, selected_variants
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
@@ -69,6 +66,7 @@ def find_volumes(
     with_requests: bool = True,
     with_styles: bool = True,
     problems: list[str] | None = None,
+    copied: Sequence[str] = (),
 ) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
@@ -80,6 +78,7 @@ def find_volumes(
         with_styles: whether to look for the images that they request; not where others are given.
         problems: gets a sentence for each Volume, field or timeCode that cannot be used and is left
             out; None raises an error instead.
+        copied: ``layer.copy_fields``.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
@@ -91,9 +90,9 @@ def find_volumes(
             and ``allow_missing`` is off.
     """
     ranges = parse_frames(config.frames)
-    prims, omitted = _choose_volumes(stage, config.prims)
+    prims, omitted = choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
-    outlines = _outline_volumes(list(zip(prims, own, strict=True)), problems)
+    outlines = _outline_volumes(list(zip(prims, own, strict=True)), problems, copied)
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
@@ -109,15 +108,13 @@ def find_volumes(
                     _read_volume(outline, selected, with_requests, with_styles, problems)
                 )
             continue
-        codes = format_time_codes(outline.existing)
-        if config.prims:
+        codes, path = format_time_codes(outline.existing), str(outline.prim.GetPath())
+        if path in config.prims:
             raise StageError(
-                f"Volume <{outline.prim.GetPath()}> (--prim) has timeCodes {codes}, none of them "
-                f"in {config.frames!r}. Choose other frames, or drop it from --prim."
+                f"Volume <{path}> (--prim) has timeCodes {codes}, none of them in "
+                f"{config.frames!r}. Choose other frames, or drop it from --prim."
             )
-        omitted[str(outline.prim.GetPath())] = (
-            f"none of its timeCodes {codes} is in {config.frames!r}"
-        )
+        omitted[path] = f"none of its timeCodes {codes} is in {config.frames!r}"
     if not volumes:
         reasons = "; ".join([*missing, *(problems or ())])
         raise StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
@@ -125,12 +122,14 @@ def find_volumes(
 
 
 def _outline_volumes(
-    pairs: Sequence[tuple[Usd.Prim, StageConfig]], problems: list[str] | None
+    pairs: Sequence[tuple[Usd.Prim, StageConfig]],
+    problems: list[str] | None,
+    copied: Sequence[str],
 ) -> list[_Outline]:
     outlines = []
     for prim, config in pairs:
         with _left_out(problems, is_alone=len(pairs) == 1):
-            outlines.append(_outline_volume(prim, config))
+            outlines.append(_outline_volume(prim, config, copied))
     if not outlines:
         raise StageError("; ".join(problems or ()))
     return outlines
@@ -176,89 +175,14 @@ def _authored_time(stage: Usd.Stage, key: str) -> float | None:
     return float(stage.GetMetadata(key)) if stage.HasAuthoredMetadata(key) else None
 
 
-def _choose_volumes(
-    stage: Usd.Stage, named: Sequence[str]
-) -> tuple[list[Usd.Prim], dict[str, str]]:
-    """The Volumes to take, and why others are left out."""
-    predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
-    there = [prim for prim in Usd.PrimRange.Stage(stage, predicate) if prim.IsA(UsdVol.Volume)]
-    if named:
-        return [_named_volume(stage, path, there) for path in named], {}
-    reasons = {prim: _why_not_chosen(prim) for prim in there}
-    volumes = [prim for prim, reason in reasons.items() if not reason]
-    omitted = {str(prim.GetPath()): reason for prim, reason in reasons.items() if reason}
-    if volumes:
-        return volumes, omitted
-    if omitted:
-        path, reason = next(iter(omitted.items()))
-        raise StageError(f"cannot use Volume <{path}>: {reason}")
-    if is_look_layer(stage.GetRootLayer()):
-        raise VolumeNotFound(
-            f"{stage.GetRootLayer().realPath} is a look layer by itself, without the smoke that it "
-            "belongs to. Use the root stage that was written beside it, NAME_look.usda."
-        )
-    raise VolumeNotFound(
-        f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
-        f"with a density field{_composition_hint(stage)}."
-    )
-
-
-def hidden_volumes(stage: Usd.Stage) -> dict[str, str]:
-    """The Volumes that can be used only if they are named, and why; by path."""
-    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdVol.Volume)]
-    return {str(prim.GetPath()): why for prim in prims if (why := _why_not_chosen(prim))}
-
-
-def _why_not_chosen(prim: Usd.Prim) -> str:
-    """Why a Volume is left out unless it is named; "" where it is not."""
-    if prim.IsInstanceProxy():
-        return describe_instance(prim)
-    shown = UsdGeom.Imageable(prim)
-    if shown.ComputePurpose() == UsdGeom.Tokens.guide:
-        return "its purpose is guide, which renderers do not draw. Name it with --prim to use it."
-    hidden = [part for part in ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
-    if hidden:
-        return f"<{hidden[0].GetPath()}> is invisible. Name the Volume with --prim to use it."
-    return ""
-
-
-def _is_hidden(item: UsdGeom.Imageable) -> bool:
-    """True if visibility is invisible at every time."""
-    attribute = item.GetVisibilityAttr() if item else None
-    if not attribute:
-        return False
-    times = attribute.GetTimeSamples() or [Usd.TimeCode.Default()]
-    return all(value_at(attribute, time) == UsdGeom.Tokens.invisible for time in times)
-
-
-def _composition_hint(stage: Usd.Stage) -> str:
-    """What to look at when an arc is broken: the Volume may lie behind it."""
-    # OpenUSD 24.05 lacks the function. It prints the errors when it opens the stage.
-    errors = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
-    if not errors:
-        return "; usdsmoke does not turn meshes or particles into smoke"
-    return f", or repair the stage, of which a part is missing: {' '.join(str(errors[0]).split())}"
-
-
-def _named_volume(stage: Usd.Stage, path: str, there: Sequence[Usd.Prim]) -> Usd.Prim:
-    listed = ", ".join(f"<{prim.GetPath()}>" for prim in there) or "none"
-    advice = f"Use one of its Volumes: {listed}."
-    prim = named_prim(stage, path, "/World/smoke", advice, VolumeNotFound)
-    if not prim.IsA(UsdVol.Volume):
-        raise VolumeNotFound(f"<{path}> {type_words(prim)}, not a Volume. {advice}")
-    if prim.IsInstanceProxy():
-        raise StageError(f"cannot use Volume <{path}>: {describe_instance(prim)}")
-    return prim
-
-
 def _own_config(prim: Usd.Prim, config: StageConfig) -> StageConfig:
     """The section ``stage`` with what a Volume asks for itself; of this section only the mask."""
     mask = "" if "mask" in config.model_fields_set else requested_mask(prim)
     return config.replace(mask=mask) if mask else config
 
 
-def _outline_volume(prim: Usd.Prim, config: StageConfig) -> _Outline:
-    fields = find_fields(prim, config.density, config.velocity, config.mask)
+def _outline_volume(prim: Usd.Prim, config: StageConfig, copied: Sequence[str]) -> _Outline:
+    fields = find_fields(prim, config.density, config.velocity, config.mask, copied)
     density = fields.prims[fields.density]
     samples = FieldSamples(density)
     codes = samples.changes()
@@ -362,6 +286,7 @@ def _read_volume(
         frames.append(FrameSource(time_code, fields, control))
     for name, prim in outline.fields.prims.items():
         check_assets(prim, [frame.fields[name] for frame in frames if name in frame.fields])
+    shown = [field for frame in frames for field in frame.fields.values()]
     return VolumeSource(
         prim_path=str(outline.prim.GetPath()),
         frames=tuple(frames),
@@ -371,20 +296,12 @@ def _read_volume(
         velocity=outline.fields.velocity,
         mask=outline.fields.mask,
         other_fields=outline.fields.others,
+        copied=outline.fields.copied,
         request=request,
         materials=find_materials(outline.prim),
-        variants=_selected_variants(outline.prim),
+        variants=selected_variants(outline.prim, VARIANT_SET),
+        notes=place_notes(outline.prim, shown, find_instancers(outline.prim.GetStage())),
     )
-
-
-def _selected_variants(volume: Usd.Prim) -> dict[str, str]:
-    """The variants that are selected on a Volume and the prims above it, by ``</prim>{set}``."""
-    found = {}
-    for prim in (volume, *ancestors(volume)):
-        sets = prim.GetVariantSets()
-        for name in set(sets.GetNames()) - {VARIANT_SET}:
-            found[f"<{prim.GetPath()}>{{{name}}}"] = sets.GetVariantSelection(name)
-    return found
 
 
 def _check_mask(outline: _Outline, fields: Mapping[str, FieldSource], time_code: float) -> None:

@@ -1,0 +1,66 @@
+"""What programs disagree on about the place of a Volume, as sentences."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from usdsmoke.base.volume import FieldSource
+from usdsmoke.usd.values import ancestors
+
+_CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
+
+
+def place_notes(
+    volume: Usd.Prim, fields: Sequence[FieldSource], instancers: Sequence[Usd.Prim]
+) -> tuple[str, ...]:
+    """Field prims that stand elsewhere than their Volume, and instancers that show the Volume.
+
+    Args:
+        fields: of all selected frames.
+        instancers: the stage's PointInstancers.
+    """
+    notes = []
+    elsewhere = {field.prim_path for field in fields if not stands_with(volume, field)}
+    for path in sorted(elsewhere):
+        notes.append(
+            f"the field prim <{path}> stands elsewhere than its Volume <{volume.GetPath()}>. Grids "
+            "are placed by the field prim, as UsdVol says; Storm and Blender place them by the "
+            "Volume, so they show the smoke elsewhere and from another side. Give both one "
+            "transform"
+        )
+    for instancer in instancers:
+        targets = instancer.GetRelationship("prototypes").GetForwardedTargets()
+        if any(volume.GetPath().HasPrefix(path) for path in (*targets, instancer.GetPath())):
+            notes.append(
+                f"<{volume.GetPath()}> is a prototype of the PointInstancer "
+                f"<{instancer.GetPath()}>: it is stylized as it stands, and every instance shows "
+                "the same look"
+            )
+    return tuple(notes)
+
+
+def stands_with(volume: Usd.Prim, field: FieldSource) -> bool:
+    """Whether a field prim has its Volume's place on the stage at a timeCode."""
+    place = UsdGeom.XformCache(field.time_code).GetLocalToWorldTransform(volume)
+    matrix = np.array(place, dtype=np.float64)
+    return bool(np.abs(matrix - field.field_to_stage).max() <= _CLOSE * np.abs(matrix).max())
+
+
+def find_instancers(stage: Usd.Stage) -> list[Usd.Prim]:
+    """The PointInstancers of a stage."""
+    return [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)]
+
+
+def selected_variants(volume: Usd.Prim, without: str) -> dict[str, str]:
+    """The variants that are selected on a Volume and the prims above it, by ``</prim>{set}``.
+
+    Args:
+        without: a variant set that is left out.
+    """
+    found = {}
+    for prim in ancestors(volume):
+        sets = prim.GetVariantSets()
+        for name in sorted(set(sets.GetNames()) - {without}):
+            found[f"<{prim.GetPath()}>{{{name}}}"] = sets.GetVariantSelection(name)
+    return found
