@@ -140,7 +140,7 @@ def test_the_plan_says_what_a_look_grows_from(long_shot: Shot) -> None:
     found = make_plan(long_shot.stage, long_shot.style, long_shot.output, "stage.frames=1-10")
     assert any("from the frames 1-8 to 1-10" in note for note in found.notes)
     found = make_plan(long_shot.stage, long_shot.style, long_shot.output, "optimize.seed=2")
-    assert found.notes == ()
+    assert not any("grows" in note for note in found.notes)
 
 
 @pytest.mark.usefixtures("core")
