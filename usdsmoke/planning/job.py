@@ -210,7 +210,9 @@ def _plan(
     plan = make_plan(source, config, resolved.volumes)
     left_out = [Omission("earlier look", note) for note in earlier.notes]
     notes = [note for volume in source.volumes for note in volume.notes]
-    return dataclasses.replace(plan, omitted=(*plan.omitted, *left_out), notes=(*plan.notes, *notes))
+    return dataclasses.replace(
+        plan, omitted=(*plan.omitted, *left_out), notes=(*plan.notes, *notes)
+    )
 
 
 def _sheets(plan: Plan, output: Path) -> list[Path]:
