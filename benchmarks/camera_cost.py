@@ -88,7 +88,12 @@ def picture_loss(
     )
     side = round(camera.horizontal_aperture * depth / (FACTOR * scene.pixel_size))
     image, alpha = colour_map(
-        smoke.positions, smoke.density, 1.0, scene.gamma_w, view_of_camera(camera, side, side), 1.0
+        smoke.positions,
+        smoke.density,
+        np.eye(3),
+        scene.gamma_w,
+        view_of_camera(camera, side, side),
+        1.0,
     )
     targets, thin = make_targets([painted_waves()], scene, config, CPU), THIN / scene.exposure
     light = image.apply(colours) + thin * targets.background

@@ -152,9 +152,9 @@ def _grey_distance(
     moved = _activate(outcome, density)
     found = []
     for view in views:
-        image = column_map(still.positions, still.voxel_volume, view)
+        image = column_map(still.positions, still.edges, view)
         look = grey_view(image, still.density, None, scene.gamma_w_shape, scene.exposure_shape)
-        look = replace(look, image=column_map(moved.positions, moved.voxel_volume, view))
+        look = replace(look, image=column_map(moved.positions, moved.edges, view))
         picture = look.over_grey(look.picture(moved.density), scene.grey_mean)
         found.append(judge(picture, look.guide))
     return float(torch.stack(found).mean())

@@ -91,7 +91,7 @@ def render_fields(
         smoke = activate(refine_field(density, factor), to_stage, torch.device("cpu"))
     colours = _colours(smoke, emission, factor, gamma_w)
     image, alpha = colour_map(
-        smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+        smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
     )
     return torch.cat([image.apply(colours), alpha[..., None]], dim=-1).numpy()
 

@@ -130,7 +130,7 @@ def _splatted(case: Case, view: "View", field: DenseField) -> np.ndarray:
     from usdsmoke.core.views.project import column_map
 
     smoke = activate(field, np.eye(4), case.device)
-    image = column_map(smoke.positions, smoke.voxel_volume, view)
+    image = column_map(smoke.positions, smoke.edges, view)
     depth = image.apply(smoke.density[:, None])[..., 0].cpu().numpy()
     found: np.ndarray = -np.expm1(-case.small_scene.gamma_w_shape * depth)
     return found

@@ -41,7 +41,7 @@ def test_a_turned_box_shows_the_columns_of_our_own_projection() -> None:
     centre = np.array(box.low) - room + (np.array([width, height, depth]) - 1) / 2
     for azimuth, elevation, atol in ((0.0, 0.0, 1e-5), (90.0, 0.0, 1e-5), (12.0, -6.0, 0.25)):
         view = orbit_view(azimuth, elevation, "Y", centre, height, width, 1.0)
-        wanted = column_map(smoke.positions, 1.0, view).apply(smoke.density[:, None])[..., 0]
+        wanted = column_map(smoke.positions, np.eye(3), view).apply(smoke.density[:, None])[..., 0]
         found = rotate_box(density[None], azimuth, elevation)[0].sum(0)
         if azimuth == 90.0 and depth != width:
             found = found[:, : wanted.shape[1]]  # a box that is not a cube loses its ends

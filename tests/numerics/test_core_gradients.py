@@ -70,7 +70,7 @@ def colour_chain(
 ) -> Callable[[Tensor], Tensor]:
     """Display-encoded voxel colours -> light -> picture -> loss."""
     image, alpha = colour_map(
-        smoke.positions, smoke.density, smoke.voxel_volume, 0.6, view_of(smoke), smoke.voxel_size
+        smoke.positions, smoke.density, smoke.edges, 0.6, view_of(smoke), smoke.voxel_size
     )
     view = ColourView(image, alpha)
     background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
@@ -132,7 +132,7 @@ def test_colours_to_the_sum_of_several_views_taken_one_by_one(smoke):
     goal = random(1, 1, 3, seed=1)
     position, density = smoke.positions, smoke.density
     maps = [
-        colour_map(position, density, smoke.voxel_volume, 0.6, view, smoke.voxel_size)
+        colour_map(position, density, smoke.edges, 0.6, view, smoke.voxel_size)
         for view in (view_of(smoke), fit_view(orbit_view(80, 5, "Y", np.zeros(3), 1, 1, 1), smoke))
     ]
     background = torch.tensor([0.5, 0.4, 0.3], dtype=DOUBLE)
@@ -153,7 +153,7 @@ def shape_chain(
     box = lattice.fill(smoke)
     mask = border_mask(box, 2.0)
     active = torch.nonzero(box > -1)
-    image = column_map(lattice.positions(active), smoke.voxel_volume, view_of(smoke), DOUBLE)
+    image = column_map(lattice.positions(active), smoke.edges, view_of(smoke), DOUBLE)
 
     def chain(potential: Tensor) -> Tensor:
         moved = held_in_voxels(potential, mask, kind, 2.0, lattice)
@@ -185,12 +185,12 @@ def test_pyramid_of_a_stream_function_to_the_style_loss(smoke, target):
 def test_single_precision_slopes_agree_with_double_ones(smoke):
     """What the optimiser really uses: the same chain in float32."""
     image, alpha = colour_map(
-        smoke.positions, smoke.density, smoke.voxel_volume, 0.6, view_of(smoke), smoke.voxel_size
+        smoke.positions, smoke.density, smoke.edges, 0.6, view_of(smoke), smoke.voxel_size
     )
     single, single_alpha = colour_map(
         smoke.positions,
         smoke.density.float(),
-        smoke.voxel_volume,
+        smoke.edges,
         0.6,
         view_of(smoke),
         smoke.voxel_size,

@@ -22,7 +22,7 @@ def view_of(angles: tuple[float, float], pixel_size: float, side: float = 0.8) -
 
 
 def columns_of(smoke: ActiveSmoke, view: View) -> np.ndarray:
-    image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
     return image.apply(smoke.density.double()[:, None])[..., 0].numpy()
 
 
@@ -34,7 +34,7 @@ def colours_at(positions: Tensor) -> Tensor:
 
 def picture_of(smoke: ActiveSmoke, view: View, gamma_w: float = GAMMA_W) -> np.ndarray:
     image, _ = colour_map(
-        smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+        smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
     )
     return image.apply(colours_at(smoke.positions)).numpy()
 
@@ -116,7 +116,8 @@ def test_perspective_columns_fall_with_the_square_of_the_distance():
         place = np.eye(4)
         place[3, 2] = distance
         view = camera_picture(place, 40.0, 20.0, 30, 30)
-        columns = column_map(voxel, 1.0, view, torch.float64).apply(torch.ones(1, 1).double())
+        image = column_map(voxel, 0.01 * np.eye(3), view, torch.float64)
+        columns = image.apply(torch.full((1, 1), 1e6, dtype=torch.float64))
         sums.append(float(columns.sum()))
         assert sums[-1] * (distance / view.focal) ** 2 == pytest.approx(1.0, rel=1e-4)
     assert sums[0] / sums[1] == pytest.approx(4.0, rel=1e-4)
@@ -129,7 +130,7 @@ def test_a_slab_before_a_camera_has_its_optical_depth_along_every_ray():
     matrix[3, :3] = [0.5 * voxel - 1, 0.5 * voxel - 1, 0.5 * voxel - thick * voxel / 2]
     smoke = smoke_of(np.ones((n, n, thick)), matrix)
     view = camera_at(1.5, 24, 1 / (2.1 * voxel))
-    _, alpha = colour_map(smoke.positions, smoke.density, smoke.voxel_volume, 5.0, view, voxel)
+    _, alpha = colour_map(smoke.positions, smoke.density, smoke.edges, 5.0, view, voxel)
     depth = -np.log1p(-alpha.double().numpy())
     x = (np.arange(24) - 11.5) / view.focal
     wanted = 5.0 * thick * voxel * np.sqrt(1 + x**2 + x[:, None] ** 2)

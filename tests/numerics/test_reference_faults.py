@@ -30,7 +30,7 @@ COLOUR = {"optimize": {"steps": ["colour"], "threads": 1, "tolerance": 0.0}}
 
 def columns_of(density: np.ndarray, view: View) -> np.ndarray:
     smoke = smoke_of(density)
-    image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
     return image.apply(smoke.density.double()[:, None])[..., 0].numpy()
 
 

@@ -149,9 +149,9 @@ class UnseenLoss:
         loss: PictureLoss = self._targets.at(1, grey=True)
         moved = activate(outcome.found, np.eye(4), self._case.device)
         for view in views:
-            still = column_map(smoke.positions, smoke.voxel_volume, view)
+            still = column_map(smoke.positions, smoke.edges, view)
             look = grey_view(still, smoke.density, None, scene.gamma_w_shape, scene.exposure_shape)
-            image = column_map(moved.positions, moved.voxel_volume, view)
+            image = column_map(moved.positions, moved.edges, view)
             columns = image.apply(moved.density[:, None])[..., 0]
             grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
             seen = look.over_grey(grey, scene.grey_mean)

@@ -38,7 +38,7 @@ def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:
     colours, _ = run_colour_step(problem, config.colour.iterations)
     where = frame_views(smoke, config.views, scene, 1)
     (view,) = prepare_views(smoke, where, scene.gamma_w)
-    columns = column_map(smoke.positions, smoke.voxel_volume, where[0])
+    columns = column_map(smoke.positions, smoke.edges, where[0])
     grey = opacity(scene.gamma_w_shape * columns.apply(smoke.density[:, None])[..., 0])
     return view, view.unpremultiplied(decode_srgb(colours), targets.background), grey
 

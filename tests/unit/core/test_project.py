@@ -33,11 +33,9 @@ def look_at(smoke: ActiveSmoke, kind: str, size: int = 20) -> View:
 
 
 def maps_of(smoke: ActiveSmoke, view: View, gamma_w: float = 0.3) -> list[SparseImage]:
-    columns = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    columns = column_map(smoke.positions, smoke.edges, view, torch.float64)
     density = smoke.density.double()
-    colours, _ = colour_map(
-        smoke.positions, density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
-    )
+    colours, _ = colour_map(smoke.positions, density, smoke.edges, gamma_w, view, smoke.voxel_size)
     return [columns, colours]
 
 
@@ -73,9 +71,9 @@ def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(gamma_w
     smoke = smoke_of(puff(9), affine(1))
     view = look_at(smoke, kind)
     image, alpha = colour_map(
-        smoke.positions, smoke.density, smoke.voxel_volume, gamma_w, view, smoke.voxel_size
+        smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
     )
-    columns = column_map(smoke.positions, smoke.voxel_volume, view).apply(smoke.density[:, None])
+    columns = column_map(smoke.positions, smoke.edges, view).apply(smoke.density[:, None])
     wanted = -torch.expm1(-gamma_w * columns[..., 0])
     white = image.apply(torch.ones(len(smoke.ijk), 3))
     assert torch.allclose(alpha, wanted, rtol=1e-5, atol=1e-6)
@@ -94,7 +92,7 @@ def test_a_turn_of_90_degrees_on_a_cube_is_exact(up_axis):
     for values, azimuth in ((density, 0), (density, 90), (turned, 0), (density, 360)):
         smoke = smoke_of(values)
         view = orbit_view(azimuth, 0.0, up_axis, np.full(3, 4.5), 12, 12, 1.0)
-        image = column_map(smoke.positions, 1.0, view, torch.float64)
+        image = column_map(smoke.positions, np.eye(3), view, torch.float64)
         pictures.append(image.apply(smoke.density.double()[:, None]))
     straight, quarter, straight_of_turned, full = pictures
     assert torch.allclose(full, straight, atol=1e-12)
@@ -111,7 +109,7 @@ def test_smoke_far_from_the_origin_gives_the_same_picture():
     for smoke in (near_smoke, far_smoke):
         centre = smoke.index_to_stage[3, :3] + 0.04
         view = orbit_view(20.0, 10.0, "Y", centre, 16, 16, 0.01)
-        image, _ = colour_map(smoke.positions, smoke.density, smoke.voxel_volume, 30.0, view, 0.01)
+        image, _ = colour_map(smoke.positions, smoke.density, smoke.edges, 30.0, view, 0.01)
         pictures.append(image.apply(torch.ones(len(smoke.ijk), 3)))
     assert torch.allclose(pictures[0], pictures[1], atol=1e-6)
 
@@ -120,8 +118,8 @@ def test_smoke_far_from_the_origin_gives_the_same_picture():
 def test_no_smoke_gives_an_empty_picture(kind):
     view = look_at(smoke_of(puff(9)), kind)
     nothing = torch.zeros(0, 3, dtype=torch.float64)
-    columns = column_map(nothing, 1.0, view).apply(torch.zeros(0, 1))
-    image, alpha = colour_map(nothing, torch.zeros(0), 1.0, 1.0, view, 1.0)
+    columns = column_map(nothing, np.eye(3), view).apply(torch.zeros(0, 1))
+    image, alpha = colour_map(nothing, torch.zeros(0), np.eye(3), 1.0, view, 1.0)
     assert columns.shape == (20, 23, 1) and not columns.any()
     assert alpha.shape == (20, 23) and not alpha.any()
     assert not image.apply(torch.zeros(0, 3)).any()
@@ -136,7 +134,7 @@ def test_voxels_behind_or_at_the_eye_are_not_seen_and_change_nothing():
     density = torch.cat([smoke.density, torch.full((4,), 1e3)])
     pictures = []
     for place, values in ((smoke.positions, smoke.density), (positions, density)):
-        image, alpha = colour_map(place, values, 1.0, 0.5, view, 1.0)
+        image, alpha = colour_map(place, values, np.eye(3), 0.5, view, 1.0)
         pictures.append((image.apply(torch.ones(len(values), 3)), alpha))
     for alone, together in zip(*pictures, strict=True):
         assert torch.equal(alone, together)
@@ -146,15 +144,15 @@ def test_voxels_behind_or_at_the_eye_are_not_seen_and_change_nothing():
 def test_only_voxels_behind_the_eye_give_an_empty_finite_picture():
     view = look_at(smoke_of(puff(9)), "perspective")
     behind = torch.from_numpy(view.centre - np.outer([0.0, 1.0], view.forward))
-    image, alpha = colour_map(behind, torch.ones(2), 1.0, 1.0, view, 1.0)
+    image, alpha = colour_map(behind, torch.ones(2), np.eye(3), 1.0, view, 1.0)
     assert not alpha.any() and not image.apply(torch.ones(2, 3)).any()
-    assert not column_map(behind, 1.0, view).apply(torch.ones(2, 1)).any()
+    assert not column_map(behind, np.eye(3), view).apply(torch.ones(2, 1)).any()
 
 
 def test_what_lies_outside_the_image_is_left_out_of_both_directions():
     view = orbit_view(0.0, 0.0, "Y", np.zeros(3), 4, 4, 1.0)
     positions = torch.tensor([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [1.9, 0.0, 0.0]]).double()
-    image = column_map(positions, 1.0, view, torch.float64)
+    image = column_map(positions, np.eye(3), view, torch.float64)
     back = image.adjoint(torch.ones(4, 4, 1, dtype=torch.float64))
     assert back.flatten().tolist() == pytest.approx(
         [1.0, 0.0, 0.6]
@@ -166,7 +164,7 @@ def test_the_front_hides_the_back_and_turns_with_the_view():
     colours = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for azimuth, front in ((0.0, 0), (180.0, 2)):
         view = orbit_view(azimuth, 0.0, "Y", np.zeros(3), 1, 1, 1.0)
-        image, _ = colour_map(positions, torch.full((2,), 50.0), 1.0, 1.0, view, 1.0)
+        image, _ = colour_map(positions, torch.full((2,), 50.0), np.eye(3), 1.0, view, 1.0)
         picture = image.apply(colours)[0, 0]
         assert float(picture[front]) == pytest.approx(1.0) and float(picture.sum()) <= 1.0 + 1e-6
 
@@ -179,13 +177,13 @@ def test_smoke_that_is_not_shown_hides_what_is_behind_it_and_gives_no_light(shar
     density = torch.tensor([0.8, 1.7], dtype=torch.float64)
     view = orbit_view(0.0, 0.0, "Y", np.zeros(3), 1, 1, 1.0)
     shown = torch.tensor([0.0, share])
-    image, alpha = colour_map(positions, density, 1.0, 0.9, view, 1.0, shown)
+    image, alpha = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, shown)
     wanted = share * np.exp(-0.9 * 0.8) * -np.expm1(-0.9 * 1.7)
     assert float(alpha) == pytest.approx(wanted, rel=1e-12)
     colour = torch.tensor([[0.2, 1.0, 0.5]], dtype=torch.float64)
     assert image.apply(colour)[0, 0].tolist() == pytest.approx((wanted * colour[0]).tolist())
     assert image.adjoint(torch.ones(1, 1, 1).double()).shape == (1, 1)
-    _, front = colour_map(positions, density, 1.0, 0.9, view, 1.0, shown.flip(0))
+    _, front = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, shown.flip(0))
     assert float(front) == pytest.approx(share * -np.expm1(-0.9 * 0.8), rel=1e-12)
 
 
@@ -197,7 +195,7 @@ def test_what_is_shown_is_linear_in_the_share_and_everything_shown_is_the_plain_
 
     def picture(shown: Tensor | None) -> tuple[Tensor, Tensor]:
         image, alpha = colour_map(
-            smoke.positions, density, smoke.voxel_volume, 0.3, view, smoke.voxel_size, shown
+            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, shown
         )
         chosen = colours if shown is None else colours[shown > 0]
         return image.apply(chosen), alpha
@@ -221,7 +219,7 @@ def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(mon
 
     monkeypatch.setattr(project, "_light_up", counted)
     monkeypatch.setattr("usdsmoke.core.views.project.MOST_CELLS", MOST_CELLS // 1000)
-    image, alpha = colour_map(positions, torch.full((2,), 1e10), 1.0, 1.0, view, 1.0)
+    image, alpha = colour_map(positions, torch.full((2,), 1e10), np.eye(3), 1.0, view, 1.0)
     assert 64 * 4 < max(cells) <= MOST_CELLS // 1000 + 2 * 4 * 64
     assert 0.9 < float(alpha.max()) <= 1.0
     assert torch.count_nonzero(image.adjoint(torch.ones(4, 64, 1))) == 2
@@ -232,7 +230,7 @@ def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(mon
 def test_extreme_densities_and_extinctions_give_finite_pictures_and_gradients(density, gamma_w):
     smoke = smoke_of(np.full((3, 3, 3), density))
     view = orbit_view(20.0, 10.0, "Y", np.ones(3), 8, 8, 1.0)
-    image, alpha = colour_map(smoke.positions, smoke.density, 1.0, gamma_w, view, 1.0)
+    image, alpha = colour_map(smoke.positions, smoke.density, np.eye(3), gamma_w, view, 1.0)
     picture = image.apply(torch.ones(27, 3))
     assert torch.isfinite(alpha).all() and torch.isfinite(picture).all()
     assert torch.isfinite(image.adjoint(torch.ones_like(picture))).all()
@@ -248,9 +246,9 @@ def test_working_in_pieces_changes_no_bit(kind, monkeypatch):
     share = (random(len(smoke.ijk)) + 0.2).clamp_min(0).float()
 
     def made() -> list[Tensor]:
-        columns = column_map(smoke.positions, smoke.voxel_volume, view)
+        columns = column_map(smoke.positions, smoke.edges, view)
         image, alpha = colour_map(
-            smoke.positions, density, smoke.voxel_volume, 0.3, view, smoke.voxel_size, share
+            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, share
         )
         return [columns.pixel, columns.weight, image.pixel, image.weight, alpha]
 

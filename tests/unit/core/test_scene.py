@@ -20,7 +20,7 @@ def thick_column(density: np.ndarray, index_to_world: np.ndarray, config: Config
     """The configured percentile of the columns, seen along -Z at a voxel a pixel."""
     smoke = smoke_of(density, index_to_world)
     view = fit_view(orbit_view(0, 0, "Y", np.zeros(3), 1, 1, smoke.voxel_size), smoke)
-    image = column_map(smoke.positions, smoke.voxel_volume, view)
+    image = column_map(smoke.positions, smoke.edges, view)
     columns = image.apply(smoke.density[:, None]).numpy()
     seen = columns[columns > 1e-3 * columns.max()]
     return float(np.percentile(seen, config.optics.percentile))
@@ -150,7 +150,7 @@ def test_a_slab_is_seen_face_on_with_its_rows_in_the_picture_s_columns(axis, up_
     smoke = smoke_of(np.expand_dims(values, axis))
     assert smoke.thin_axis == axis
     view = face_view(smoke, up_axis, 1.0)
-    image = column_map(smoke.positions, smoke.voxel_volume, view)
+    image = column_map(smoke.positions, smoke.edges, view)
     picture = image.apply(smoke.density[:, None])[2:-2, 2:-2, 0].numpy()
     up = 1 if up_axis == "Y" else 2
     first = min({0, 1, 2} - {axis})  # of the axes of ``values``
@@ -164,7 +164,7 @@ def test_a_lying_slab_is_seen_face_on_too():
     assert abs(view.forward) == pytest.approx([0, 1, 0])
     axes = np.stack([view.right, view.up, view.forward])
     assert axes @ axes.T == pytest.approx(np.eye(3))
-    columns = column_map(smoke.positions, 1.0, view).apply(smoke.density[:, None])
+    columns = column_map(smoke.positions, np.eye(3), view).apply(smoke.density[:, None])
     assert float(columns.sum()) == pytest.approx(35.0) and float(columns.max()) <= 1.0 + 1e-6
 
 

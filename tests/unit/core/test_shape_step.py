@@ -82,7 +82,7 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: 
     u = lattice.from_stage(displacement_of(found, limit, share).values)
     moved = warp(density, u / density.new_tensor(lattice.spacing), scheme="linear")
     (view,) = frame_views(smoke, config.views, scene, 0)
-    image = column_map(places, smoke.voxel_volume, view)
+    image = column_map(places, smoke.edges, view)
     gamma, exposure = scene.gamma_w_shape, scene.exposure_shape
     whole = grey_view(image, density.flatten(), share.flatten(), gamma, exposure)
     wanted = whole.over_grey(whole.picture(moved.flatten()), scene.grey_mean)

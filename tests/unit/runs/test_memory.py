@@ -67,7 +67,7 @@ def picture(n: int) -> int:
     ijk = torch.cartesian_prod(*(torch.arange(n) for _ in range(3))).double()
     view = orbit_view(0.0, 0.0, "Y", np.full(3, n / 2), n + 2, n + 2, 1.0)
     density = torch.ones(len(ijk))
-    return growth(lambda: colour_map(ijk, density, 1.0, 0.1, view, 1.0)) / len(ijk)
+    return growth(lambda: colour_map(ijk, density, np.eye(3), 0.1, view, 1.0)) / len(ijk)
 
 def refined(n: int) -> float:
     field = DenseField("e", np.ones((n, n, n, 3), np.float32), (0, 0, 0), np.eye(4), (0.0,) * 3,

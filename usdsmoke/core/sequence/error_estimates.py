@@ -125,7 +125,7 @@ def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:
     if frame.paint is None:
         loss, found = frame.targets.at(1, grey=True), []
         for view in views:
-            image = column_map(smoke.positions, smoke.voxel_volume, view)
+            image = column_map(smoke.positions, smoke.edges, view)
             look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
             found.append(float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide)))
         return found

@@ -29,10 +29,10 @@ class Painted:
         ``step`` is as in ``project.colour_map``; None takes the voxel's size.
         """
         if self.colours is None:
-            image = column_map(self.smoke.positions, self.smoke.voxel_volume, view)
+            image = column_map(self.smoke.positions, self.smoke.edges, view)
             return opacity(gamma_w * image.apply(self.smoke.density[:, None]))
         image, alpha = colour_map(
-            self.smoke.positions, self.smoke.density, self.smoke.voxel_volume, gamma_w, view,
+            self.smoke.positions, self.smoke.density, self.smoke.edges, gamma_w, view,
             step or self.smoke.voxel_size,
         )  # fmt: skip
         return torch.cat([image.apply(self.colours), alpha[..., None]], dim=-1)

@@ -30,9 +30,14 @@ class ActiveSmoke:
         return ActiveSmoke(self.ijk[chosen], self.density[chosen], self.index_to_stage)
 
     @property
+    def edges(self) -> np.ndarray:
+        """Of a voxel, [3 3] rows, stage units."""
+        return self.index_to_stage[:3, :3]
+
+    @property
     def voxel_volume(self) -> float:
         """Stage unit^3."""
-        return float(abs(np.linalg.det(self.index_to_stage[:3, :3])))
+        return float(abs(np.linalg.det(self.edges)))
 
     @property
     def thin_axis(self) -> int | None:

@@ -197,7 +197,7 @@ def _content_picture(
     smoke: ActiveSmoke, view: View, guide: Tensor, targets: StyleTargets, scene: Scene
 ) -> Tensor:
     """The smoke's grey picture with the style's brightness and contrast, [H W 3]."""
-    image = column_map(smoke.positions, smoke.voxel_volume, view, smoke.density.dtype)
+    image = column_map(smoke.positions, smoke.edges, view, smoke.density.dtype)
     columns = image.apply(smoke.density[:, None])[..., 0]
     grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
     mean, deviation = targets.brightness

@@ -149,7 +149,7 @@ def prepare_views(
 
     def make(number: int) -> ColourView:
         image, alpha = colour_map(
-            positions, smoke.density, smoke.voxel_volume, gamma_w, views[number], step, share
+            positions, smoke.density, smoke.edges, gamma_w, views[number], step, share
         )
         return ColourView(image, alpha, THIN / exposure)
 

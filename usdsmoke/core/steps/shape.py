@@ -116,7 +116,7 @@ class _Octave:
         share = self._share_there  # not ``self``: a cycle would outlive the octave
 
         def make_view(number: int) -> GreyView:
-            image = column_map(positions, smoke.voxel_volume, views[number])
+            image = column_map(positions, smoke.edges, views[number])
             view = grey_view(image, still, share, scene.gamma_w_shape, scene.exposure_shape)
             if not loss.uses_content:
                 return view

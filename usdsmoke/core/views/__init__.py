@@ -4,6 +4,7 @@
 - ``cameras``: orthographic and perspective views; numpy only
 - ``frustum``: what a shot's camera can see; numpy only
 - ``visibility``: the part of the smoke that a camera sees, and the user's mask
+- ``footprint``: the points in a voxel that it is splatted at
 - ``project``: voxels splatted on pixels, a sparse linear map
 - ``media``: fields as rays read them
 - ``march``: pictures by ray marching

@@ -1,7 +1,8 @@
 """Projection of active voxels onto the image plane, and its exact adjoint.
 
-A voxel is splatted bilinearly on the pixels around its centre: the empty part of the box is never
-touched, and the adjoint is a plain gather. Two linear maps come out of it:
+A voxel is splatted bilinearly on the pixels around its centre, or around several points in it
+(``footprint``): the empty part of the box is never touched, and the adjoint is a plain gather. Two
+linear maps come out of it:
 
 - ``column_map``: density -> column integral of density per pixel, for the grey picture;
 - ``colour_map``: voxel colour -> composited picture, for fixed density. The density is splatted
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
@@ -65,9 +67,9 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
 
 @dataclass(frozen=True)
 class SparseImage:
-    """A linear map from N voxels to H x W pixels with at most four pixels a voxel.
+    """A linear map from N voxels to H x W pixels with K pixels a voxel: four for each point in it.
 
-    ``pixel`` and ``weight`` are [N 4]. Weights of pixels outside the image are 0, but a value there
+    ``pixel`` and ``weight`` are [N K]. Weights of pixels outside the image are 0, but a value there
     that is not finite still reaches the picture.
     """
 
@@ -90,7 +92,7 @@ class SparseImage:
         n_pixels = self.height * self.width
         start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
         start[1:] = torch.cumsum(torch.bincount(ordered, minlength=n_pixels), 0)[:-1]
-        voxel = torch.div(order, 4, rounding_mode="floor").to(torch.int32)
+        voxel = torch.div(order, self.pixel.shape[1], rounding_mode="floor").to(torch.int32)
         return voxel, weight[order], start
 
     def apply(self, values: Tensor) -> Tensor:
@@ -101,7 +103,8 @@ class SparseImage:
     def adjoint(self, picture: Tensor) -> Tensor:
         """Voxel values [N C] of a picture [H W C] or [P C]: the transpose of ``apply``."""
         flat = picture.reshape(self.height * self.width, -1)
-        start = torch.arange(0, self.pixel.numel(), 4, dtype=torch.int32, device=flat.device)
+        n_entries, step = self.pixel.numel(), self.pixel.shape[1]
+        start = torch.arange(0, n_entries, step, dtype=torch.int32, device=flat.device)
         return F.embedding_bag(
             self.pixel.reshape(-1),
             flat,
@@ -168,25 +171,46 @@ def _spread(
             pixel[:, 2 * dy + dx] = index.to(torch.int32)
 
 
+def _split(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
+    """The points that voxels [N 3] are splatted at, [N n 3] flattened, and n."""
+    pixel = view.pixel_size
+    if view.focal is not None:  # pixels of every size: the largest ones, of the farthest smoke
+        forward = torch.as_tensor(view.forward, dtype=positions.dtype, device=positions.device)
+        centre = torch.as_tensor(view.centre, dtype=positions.dtype, device=positions.device)
+        depth = float(((positions - centre) @ forward).max()) if len(positions) else 0.0
+        if depth <= 0:
+            return positions, 1
+        pixel = depth / view.focal
+    offsets = voxel_points(edges, view, pixel)
+    if len(offsets) == 1:
+        return positions, 1
+    moved = positions[:, None] + torch.as_tensor(offsets, device=positions.device)
+    return moved.view(-1, 3), len(offsets)
+
+
 def column_map(
-    positions: Tensor, voxel_volume: float, view: View, dtype: torch.dtype = torch.float32
+    positions: Tensor, edges: np.ndarray, view: View, dtype: torch.dtype = torch.float32
 ) -> SparseImage:
     """The map from voxel density [N 1] to its column integral per pixel, density x stage unit.
 
     Args:
         positions: voxel centres, [N 3] float64, stage space.
-        voxel_volume: stage unit^3.
-        view: with pixels at least as large as the voxels, or gaps appear between them.
+        edges: of a voxel, [3 3] rows, stage units.
+        view: of any direction; voxels may be larger than its pixels.
     """
-    foot = project_voxels(positions, view)
-    weight = foot.weight.mul_((voxel_volume * foot.per_area)[:, None])
-    return SparseImage(view.height, view.width, foot.pixel, weight.to(dtype))
+    points, n_points = _split(positions, edges, view)
+    foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
+    weight = foot.weight.mul_((volume * foot.per_area)[:, None])
+    width = 4 * n_points
+    return SparseImage(
+        view.height, view.width, foot.pixel.view(-1, width), weight.to(dtype).view(-1, width)
+    )
 
 
 def colour_map(
     positions: Tensor,
     density: Tensor,
-    voxel_volume: float,
+    edges: np.ndarray,
     gamma_w: float,
     view: View,
     step: float,
@@ -197,7 +221,7 @@ def colour_map(
     Args:
         positions: voxel centres, [N 3] float64, stage space.
         density: [N], >= 0.
-        voxel_volume: stage unit^3.
+        edges: of a voxel, [3 3] rows, stage units.
         gamma_w: extinction per density, 1/stage unit.
         view: see ``column_map``.
         step: thickness of the slabs, stage units; about the voxel's size.
@@ -210,14 +234,17 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    foot = project_voxels(positions, view)
+    points, n_points = _split(positions, edges, view)
+    foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
     if len(positions) == 0:
         empty = SparseImage(view.height, view.width, foot.pixel, foot.weight.to(density.dtype))
         return empty, density.new_zeros(view.height, view.width)
     n_pixels = view.height * view.width
     depth = foot.depth - foot.depth.min()
     slab = depth / max(step, float(depth.max()) * n_pixels / MOST_CELLS)
-    mass = (density * (gamma_w * voxel_volume) * foot.per_area).clamp_max(THICKEST)
+    if n_points > 1:
+        density = density.repeat_interleave(n_points)
+    mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
     pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
     del foot, depth, mass  # each as large as the weights
     depths = _slab_depths(slab, pixel, weight, n_pixels)
@@ -230,6 +257,7 @@ def colour_map(
     del depths, per_depth
     least = NEGLIGIBLE * float(alpha.max())
     weight.masked_fill_(~(weight > least), 0)
+    pixel, weight = pixel.view(-1, 4 * n_points), weight.view(-1, 4 * n_points)
     if share is None:
         return SparseImage(view.height, view.width, pixel, weight), alpha
     some = share > 0

@@ -25,6 +25,7 @@ LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold 
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
+NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -165,7 +166,7 @@ def _columns(smoke: ActiveSmoke, view: View) -> tuple[np.ndarray, int]:
     Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
     densest one may be that of one voxel.
     """
-    image = column_map(smoke.positions, smoke.voxel_volume, view, torch.float64)
+    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
     columns = image.apply(bounded(smoke).density.double()[:, None])
     some = columns[columns > 0]
     return some[some > FRINGE * ranked(some, DENSE_COLUMNS)].numpy(), len(some)
@@ -203,7 +204,8 @@ def measure_scene(
     longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
     parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
     visible = [(part, camera) for part, camera in parts if len(part.ijk)]
-    pixel_size = _pixel_size(longest, voxel, visible, views, refine)
+    shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
+    pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     coarse = max(pixel_size, voxel)
     found = [
         _columns(smoke, _middle_view(smoke, views, up_axis, coarse, camera))
@@ -260,16 +262,25 @@ def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSour
     return [(smoke, camera) for smoke, camera in pairs if len(smoke.ijk)]
 
 
+def _shortest_edge(smoke: ActiveSmoke) -> float:
+    """Of a voxel, stage units; of one that is nearly a cube the edge of the cube of its volume."""
+    edges = np.linalg.norm(smoke.edges, axis=1)
+    if smoke.thin_axis is not None:
+        edges = np.delete(edges, smoke.thin_axis)
+    shortest, cube = float(edges.min()), smoke.voxel_size
+    return shortest if shortest < NEARLY_CUBIC * cube else cube
+
+
 def _pixel_size(
     longest: float,
-    voxel: float,
+    shortest: float,
     visible: Sequence[tuple[ActiveSmoke, CameraSource | None]],
     views: ViewsConfig,
     refine: int,
 ) -> float:
     """Of the finest octave's pictures, stage units; ``visible`` is each camera's visible smoke."""
-    # whole voxels a pixel: any other pitch beats with the pixels, by up to 8 % of the brightness
-    fine = voxel / refine
+    # whole voxels a pixel: with any other pitch, voxels have to be split (``footprint``)
+    fine = shortest / refine
     finest = min((nearest_footprint(*pair, views.camera_width) for pair in visible), default=0.0)
     asked = round(longest / views.image_size / fine)
     resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / LEAST_PIXELS / fine))
