@@ -18,9 +18,10 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader, hash_sources
-from usdsmoke.planning.job import Job, prepare_job, recorded_request
+from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
 from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_values
+from usdsmoke.usd.rules.staleness import switched_files, switched_variants, written_at
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
 from usdsmoke.usd.volume_settings import resolve_volumes
 
@@ -74,7 +75,7 @@ def check_inputs(item: FoundRecord) -> list[Change]:
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
     files = _check_files(item, stage, job)
     some_are_gone = any(change.kind == "input-missing" for change in files)
-    return [*files, *_check_stage(item.record, stage, config, job, some_are_gone), *changes]
+    return [*files, *_check_stage(item, stage, config, job, some_are_gone), *changes]
 
 
 def _job(item: FoundRecord, config: Config) -> Job | None:
@@ -115,8 +116,9 @@ def _check_features(record: RunRecord, config: Config, job: Job | None) -> Itera
 
 
 def _check_stage(
-    record: RunRecord, stage: Path, config: Config, job: Job | None, some_are_gone: bool
+    item: FoundRecord, stage: Path, config: Config, job: Job | None, some_are_gone: bool
 ) -> Iterator[Change]:
+    record, folder = item.record, item.folder
     expected = "the Volumes of the record"
     try:
         source = job.plan.source if job is not None else _source(record, stage, config)
@@ -126,6 +128,11 @@ def _check_stage(
         else:
             yield Change("stage-edited", str(stage), expected, str(error))
         return
+    for sentence in switched_variants(record, selected_variants(source)):
+        expected, now = sentence.partition(" when the look was made, and is ")[::2]
+        yield Change("stage-variant", str(stage), expected.replace(" was ", " "), now)
+    for path, sentence in switched_files(record, folder, source):
+        yield Change("stage-files", str(stage), f"<{path}> as recorded", sentence)
     recorded, here = record.stage_values, stage_values(source)
     for name in (*recorded, *sorted(here.keys() - recorded.keys())):
         if job is None and (name.endswith(" request") or f"{name} request" in recorded):
@@ -156,7 +163,8 @@ def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change
         if not file.is_file():
             changes.append(Change("input-missing", str(file), expected, "no file"))
         elif (found := hash_file(file)) != digest:
-            other[file] = Change("input-edited", str(file), expected, f"sha256 {shown(found)}")
+            found = f"sha256 {shown(found)}, written {written_at(file)}"
+            other[file] = Change("input-edited", str(file), expected, found)
     if not other or job is None:
         return [*changes, *other.values()]
     contents = _check_contents(item, job, other)
@@ -200,7 +208,8 @@ def _check_contents(
             found = hashes.get(source.field, "")
             if not source.hash or found != source.hash:
                 expected = f"{source.grid} {shown(source.hash)}"
-                change = Change("input-edited", str(file), expected, trouble or shown(found))
+                now = trouble or f"{shown(found)}, written {written_at(file)}"
+                change = Change("input-edited", str(file), expected, now)
                 changes.setdefault(file, change)
     return changes
 

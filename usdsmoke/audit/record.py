@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from pxr import Ar, Sdf, Tf
+from pxr import Ar, Sdf, Tf, Usd
 
 from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
 from usdsmoke.base.record_format import (
@@ -18,9 +18,13 @@ from usdsmoke.base.record_format import (
     FrameRecord,
     RunRecord,
     SourceGrid,
+    StyleRecord,
+    short_run_id,
 )
 from usdsmoke.usd import captured_diagnostics, read_record, record_values
-from usdsmoke.usd.diagnostics import layer_problem
+from usdsmoke.usd.diagnostics import layer_problem, open_quietly
+from usdsmoke.usd.field_samples import field_targets
+from usdsmoke.usd.schema import RUN, SEED, STYLE
 from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header
 
@@ -86,7 +90,8 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
 
     Args:
         file: a look layer; a stage or asset that has looks in its layer stack, references or
-            variants; a VDB file of a result; an output folder; or the ``provenance.json`` of a run.
+            variants; a flattened stage; a VDB file of a result; an output folder; or the
+            ``provenance.json`` of a run.
 
     Raises:
         FileUnreadable: there is no such file or folder.
@@ -105,7 +110,7 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     elif path.name == RECORD_FILE:
         found = [_of_run(path)]
     else:
-        found = list(_of_layers(path))
+        found = list(_of_layers(path)) or list(_of_authorship(path))
     if not found:
         raise LayerError(f"{path} has no usdsmoke record. {what}")
     return found
@@ -185,6 +190,61 @@ def _of_layers(path: Path) -> Iterator[FoundRecord]:
             opened = _open(found)
             if opened is not None:
                 waiting.append((found, opened, depth + 1))
+
+
+def _of_authorship(path: Path) -> Iterator[FoundRecord]:
+    """What a flattened stage keeps: the run on each Volume, and the files that it shows.
+
+    The files lead to the run's record; where they are gone, the authorship is all that there is.
+    """
+    stage, seen = open_quietly(str(path)), set[str]()
+    for prim in stage.Traverse():
+        run = str(prim.GetAttribute(RUN).Get() or "") if prim.HasAttribute(RUN) else ""
+        if not run or run in seen:
+            continue
+        seen.add(run)
+        fields = [stage.GetPrimAtPath(p) for p in _field_paths(prim)]
+        assets = [
+            field.GetAttribute("filePath").Get(Usd.TimeCode.EarliestTime())
+            for field in fields
+            if field
+        ]
+        files = [Path(asset.resolvedPath) for asset in assets if asset and asset.resolvedPath]
+        for file in files:
+            found = [
+                item
+                for item in _of_grids(file)
+                if run in (item.record.run, *item.record.grown_from)
+            ]
+            if found:
+                yield from found
+                break
+        else:
+            yield FoundRecord(path, path.parent, known=_authorship(prim, run))
+
+
+def _field_paths(prim: Usd.Prim) -> list[Sdf.Path]:
+    targets = (paths for name, paths in sorted(field_targets(prim).items()))
+    return [path for paths in targets for path in paths if path.IsPrimPath()]
+
+
+def _authorship(prim: Usd.Prim, run: str) -> RunRecord:
+    """A record of what UsdMedia's authorship and the look's attributes say."""
+    names = [
+        n
+        for n in prim.GetPropertyNames()
+        if n.startswith(f"authorship:usdsmoke_{short_run_id(run)}")
+    ]
+    said = {name.rpartition(":")[2]: prim.GetAttribute(name).Get() for name in names}
+    styles = [str(text).rpartition(" ") for text in prim.GetAttribute(STYLE).Get() or ()]
+    return RunRecord(
+        format=RECORD_FORMAT,
+        run=run,
+        version=str(said.get("softwareVersion") or ""),
+        created=str(said.get("created") or ""),
+        seed=int(prim.GetAttribute(SEED).Get() or 0),
+        styles=tuple(StyleRecord(name, sha256) for name, _, sha256 in styles),
+    )
 
 
 def _resolve(name: str, beside: Path) -> Path | None:

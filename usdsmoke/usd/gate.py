@@ -3,11 +3,16 @@
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from pathlib import Path
 
-from pxr import Usd
+from pxr import Sdf, Usd
 
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.sections import StageConfig
+from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.rules import Finding, Severity, validate
-from usdsmoke.usd.stage import open_original
+from usdsmoke.usd.rules.staleness import switched_files
+from usdsmoke.usd.stage import find_volumes, open_original
 
 
 def validate_look(
@@ -27,6 +32,7 @@ def validate_look(
     known = {_what(finding) for finding in validate(source)}
     findings = validate(stage)
     own = [finding for finding in findings if _what(finding) not in known]
+    own = [*_switched(source), *own]
     return own, [finding for finding in findings if _what(finding) in known]
 
 
@@ -51,6 +57,24 @@ def junit_xml(name: str, findings: Sequence[Finding]) -> str:
             ElementTree.SubElement(case, "system-out").text = text
     ElementTree.indent(suite)
     return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _switched(source: Usd.Stage) -> list[Finding]:
+    """Volumes of the source that now show other files than their look was made from."""
+    found = []
+    for name in source.GetMutedLayers():
+        layer = Sdf.Layer.FindOrOpen(name)
+        if layer is None or not record_values(layer):
+            continue
+        try:
+            record = read_record(layer)
+            volumes = find_volumes(source, StageConfig(), with_requests=False, problems=[])
+        except UsdSmokeError:
+            continue  # other rules report it
+        for path, sentence in switched_files(record, Path(layer.realPath).parent, volumes):
+            text = f"{sentence}. Stylize it again."
+            found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
+    return found
 
 
 def _what(finding: Finding) -> tuple[object, ...]:

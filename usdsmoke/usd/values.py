@@ -37,6 +37,20 @@ def ancestors(prim: Usd.Prim) -> list[Usd.Prim]:
     return found
 
 
+def selected_variants(volume: Usd.Prim, without: str) -> dict[str, str]:
+    """The variants that are selected on a Volume and the prims above it, by ``</prim>{set}``.
+
+    Args:
+        without: a variant set that is left out.
+    """
+    found = {}
+    for prim in ancestors(volume):
+        sets = prim.GetVariantSets()
+        for name in sorted(set(sets.GetNames()) - {without}):
+            found[f"<{prim.GetPath()}>{{{name}}}"] = sets.GetVariantSelection(name)
+    return found
+
+
 def authored_path(asset: Sdf.AssetPath) -> str:
     """The path as the layer spells it. Before 25.05, OpenUSD only keeps an expression's value."""
     return str(getattr(asset, "authoredPath", asset.path))

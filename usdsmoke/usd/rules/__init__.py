@@ -6,7 +6,8 @@
   GridUnsupported, FieldTypeMismatch, FieldClassMismatch, FieldTokenUnknown, FrameGap, AbsolutePath
 - `volume_rules`: VolumeExtentMissing, MixedFilesPerVolume, FieldNameMismatch,
   GridTransformMismatch, FieldPlaceDiffers, RequestInvalid, RequestNotApplied, RequestMisplaced
-- `result_rules`: GridHashMismatch, ResultChanged
+- `staleness`: whether the source has moved on since a look was made
+- `result_rules`: GridHashMismatch, LookStale, ResultChanged
 
 The words of a rule's message are in the rule's file. Four rules repeat the error of a reader
 instead, so that validating and stylizing give one reason:

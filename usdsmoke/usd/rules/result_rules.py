@@ -4,6 +4,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
+from pathlib import Path
 
 from pxr import Gf, Sdf, Usd
 
@@ -11,6 +12,7 @@ from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageErr
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
+from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 
@@ -65,6 +67,46 @@ def check_field_results(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem
                 message = f"{os.path.basename(sample.file_path)} {trouble}"
                 problems += grouped(severity, field.prim_path, {sample.time_code: message})
     return problems
+
+
+def check_stale(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """Variants and source files are those that a look of the Volume was made from."""
+    problems = []
+    for spec in volume.GetPrimStack():
+        if not record_values(spec.layer):
+            continue
+        try:
+            record = read_record(spec.layer)
+        except LayerError:
+            continue  # ``check_layer_results`` reports it
+        selected = {
+            name: value
+            for name in record.variants
+            if (value := _selected_variant(volume, spec.path, name)) is not None
+        }
+        folder = Path(spec.layer.realPath).parent
+        found = [
+            *switched_variants(record, selected),
+            *rewritten_sources(record, folder, str(spec.path)),
+        ]
+        problems += [
+            Problem(Severity.ERROR, str(volume.GetPath()), f"{text}. Stylize it again.")
+            for text in found
+        ]
+    return problems
+
+
+def _selected_variant(volume: Usd.Prim, spec_path: Sdf.Path, name: str) -> str | None:
+    """What is selected now of a variant set ``</prim>{set}`` at or above a look's prim spec."""
+    path, _, set_name = name.removeprefix("<").removesuffix("}").partition(">{")
+    above = spec_path.pathElementCount - Sdf.Path(path).pathElementCount
+    prim = volume
+    for _ in range(above):
+        prim = prim.GetParent() if prim else prim
+    if above < 0 or not prim or prim.IsPseudoRoot():
+        return None
+    sets = prim.GetVariantSets()
+    return sets.GetVariantSelection(set_name) if sets.HasVariantSet(set_name) else None
 
 
 def _promised(file_path: str) -> str:

@@ -57,6 +57,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
         volume_rules.check_request_applied,
         "Style attributes are ignored unless UsdSmokeStyleAPI is applied.",
     ),
+    "LookStale": (
+        result_rules.check_stale,
+        "The variants and files of the source are those that a look was made from.",
+    ),
     "GridHashMismatch": (
         result_rules.check_field_results,
         "Files that usdsmoke wrote hold what was written.",

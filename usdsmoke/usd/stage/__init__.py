@@ -4,7 +4,7 @@
 - `originals`: the stage without the looks that it has
 - `choice`: which Volumes are taken
 - `volumes`: the Volumes to stylize, at which timeCodes
-- `places`: what programs disagree on about a Volume's place; its variants
+- `places`: what programs disagree on about a Volume's place
 - `fields`: a Volume's field prims, and the file and grid of each at a timeCode
 - `cameras`: the cameras of a shot
 - `composed`: what is visible at any timeCode

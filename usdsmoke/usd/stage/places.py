@@ -6,7 +6,6 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from usdsmoke.base.volume import FieldSource
-from usdsmoke.usd.values import ancestors
 
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
@@ -50,17 +49,3 @@ def stands_with(volume: Usd.Prim, field: FieldSource) -> bool:
 def find_instancers(stage: Usd.Stage) -> list[Usd.Prim]:
     """The PointInstancers of a stage."""
     return [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)]
-
-
-def selected_variants(volume: Usd.Prim, without: str) -> dict[str, str]:
-    """The variants that are selected on a Volume and the prims above it, by ``</prim>{set}``.
-
-    Args:
-        without: a variant set that is left out.
-    """
-    found = {}
-    for prim in ancestors(volume):
-        sets = prim.GetVariantSets()
-        for name in sorted(set(sets.GetNames()) - {without}):
-            found[f"<{prim.GetPath()}>{{{name}}}"] = sets.GetVariantSelection(name)
-    return found

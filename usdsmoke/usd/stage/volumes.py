@@ -42,7 +42,8 @@ from usdsmoke.usd.stage.fields import (
     field_source,
     find_fields,
 )
-from usdsmoke.usd.stage.places import find_instancers, place_notes, selected_variants
+from usdsmoke.usd.stage.places import find_instancers, place_notes
+from usdsmoke.usd.values import selected_variants
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode

@@ -1,0 +1,140 @@
+"""Looks that are older than their source, and flattened stages (td.md B, C, D11)."""
+
+import os
+from pathlib import Path
+
+import pytest
+from pxr import Usd
+
+from tests.pipeline_fixtures import Shot, make_style, run
+from tests.usd_fixtures import sequence, write_text, write_vdb
+from usdsmoke import provenance, verify
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.gate import validate_look
+from usdsmoke.usd.rules import validate
+
+pytestmark = pytest.mark.usefixtures("core")
+
+
+def takes(folder: Path, selected: str) -> Shot:
+    """A Volume below a prim whose variant set ``sim`` has take A and take B."""
+    variants = ""
+    for take, value in (("takeA", 0.5), ("takeB", 0.75)):
+        for code in (1, 2):
+            file_path = folder / f"in/{take}/smoke.{code:04d}.vdb"
+            if not file_path.exists():
+                write_vdb(file_path, value=value)
+        variants += f"""
+        "{take}" {{
+            over "smoke" {{
+                over "density" {{
+                    {sequence((1, 2)).replace("./cache", f"./{take}")}
+                }}
+            }}
+        }}"""
+    stage = write_text(
+        folder / "in/shot.usda",
+        f"""#usda 1.0
+        (defaultPrim = "World")
+        def Xform "World" (
+            prepend variantSets = "sim"
+            variants = {{ string sim = "{selected}" }}
+        )
+        {{
+            def Volume "smoke"
+            {{
+                rel field:density = </World/smoke/density>
+                def OpenVDBAsset "density"
+                {{
+                    token fieldName = "density"
+                }}
+            }}
+            variantSet "sim" = {{
+                {variants}
+            }}
+        }}""",
+    )
+    return Shot(folder, stage, make_style(folder / "in/style.png"), folder / "out")
+
+
+def stale(stage: Path) -> list[str]:
+    return [item.message for item in validate(stage) if item.rule == "LookStale"]
+
+
+def test_d11_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    assert stale(result.root_stage) == []
+    own, _ = validate_look(result.root_stage)
+    assert "LookStale" not in {finding.rule for finding in own}
+    takes(tmp_path, "takeA")
+    (message,) = stale(result.root_stage)
+    assert message.startswith("the variant </World>{sim} was takeB when the look was made, and is ")
+    own, _ = validate_look(result.root_stage)
+    words = [finding.message for finding in own if finding.rule == "LookStale"]
+    assert any("takeA/smoke.0001.vdb" in text and "takeB/smoke.0001.vdb" in text for text in words)
+    kinds = {change.kind: change for change in verify(result.look_layer)}
+    assert kinds["stage-variant"].expected == "the variant </World>{sim} takeB"
+    assert kinds["stage-variant"].found == "takeA"
+    assert "timeCodes 1,2" in kinds["stage-files"].found
+    assert main(["validate", "--look-only", str(result.root_stage)]) == 1
+
+
+def test_d11_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    cache = tmp_path / "in/takeB/smoke.0002.vdb"
+    later = 2_000_000_000
+    os.utime(cache, (later, later))
+    assert stale(result.root_stage) == []  # copied again, the same bytes
+    write_vdb(cache, value=0.25)
+    os.utime(cache, (later + 60, later + 60))
+    (message,) = stale(result.root_stage)
+    assert message.startswith("takeB/smoke.0002.vdb has other content, written 2033-05-1")
+    (change,) = [item for item in verify(result.look_layer) if item.kind == "input-edited"]
+    assert "written 2033-05-1" in change.found
+
+
+def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(
+    tmp_path: Path,
+) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    assert result.root_stage is not None
+    shot = write_text(
+        tmp_path / "seq/shot.usda",
+        """#usda 1.0
+        def "set"
+        {
+            def "fx" (
+                references = @../out/shot_look.usda@
+            ) {}
+        }""",
+    )
+    assert stale(shot) == []
+    variants = 'usda@\nvariants = { string sim = "takeA" }'
+    switched = shot.read_text().replace("usda@", variants)
+    (message,) = stale(write_text(tmp_path / "seq/other.usda", switched))
+    assert "{sim} was takeB" in message
+
+
+def test_c_a_flattened_stage_leads_to_the_record(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    flat = tmp_path / "out/flat.usda"
+    Usd.Stage.Open(str(result.root_stage)).Export(str(flat))
+    (found,) = provenance(flat)
+    (own,) = provenance(result.look_layer)
+    assert found.record == own.record
+
+
+def test_c_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    flat = tmp_path / "elsewhere/flat.usdc"
+    flat.parent.mkdir()
+    Usd.Stage.Open(str(result.root_stage)).Export(str(flat))
+    (own,) = provenance(result.look_layer)
+    for file_path in result.frames:
+        file_path.unlink()
+    (found,) = provenance(flat)
+    record = found.record
+    assert (record.run, record.version, record.created) == (
+        own.record.run, own.record.version, own.record.created,
+    )  # fmt: skip
+    assert [style.name for style in record.styles] == ["style.png"]

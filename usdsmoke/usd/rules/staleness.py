@@ -1,0 +1,121 @@
+"""Whether the source has moved on since a look was made from it, as sentences."""
+
+import os
+from collections.abc import Iterator, Mapping
+from datetime import datetime, timezone
+from functools import lru_cache
+from pathlib import Path
+
+from usdsmoke.base.errors import FileUnreadable
+from usdsmoke.base.record_format import RunRecord, hash_file
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.volume import StageSource
+
+_AT = "%Y-%m-%d %H:%M"
+
+
+def switched_variants(record: RunRecord, selected: Mapping[str, str]) -> Iterator[str]:
+    """Variants that are not those which the look was made from.
+
+    Args:
+        selected: by ``</prim>{set}``; sets that are not there are not compared.
+    """
+    for name, then in record.variants.items():
+        if name in selected and selected[name] != then:
+            yield f"the variant {name} was {then} when the look was made, and is {selected[name]}"
+
+
+def rewritten_sources(record: RunRecord, folder: Path, prim_path: str = "") -> Iterator[str]:
+    """Source files that were written after the look, with other content.
+
+    Args:
+        folder: of the look layer.
+        prim_path: the Volume whose files are looked at, as recorded; "": all.
+    """
+    finished = _seconds(record.finished)
+    if not (record.stage and finished):
+        return
+    stage_folder = Path(os.path.normpath(folder / record.stage)).parent
+    used = {
+        os.path.normpath(folder / source.file)
+        for frame in record.frames
+        if prim_path in ("", frame.prim)
+        for source in frame.sources
+    }
+    for name, digest in record.source_files.items():
+        path = os.path.normpath(stage_folder / name)
+        if path not in used or not os.path.isfile(path):
+            continue
+        status = os.stat(path)
+        if status.st_mtime <= finished:
+            continue
+        try:
+            if _hash_once(path, status.st_mtime_ns, status.st_size) == digest:
+                continue
+        except FileUnreadable:
+            continue
+        yield (
+            f"{name} has other content, written {written_at(path)}, after the look "
+            f"({datetime.fromtimestamp(finished).strftime(_AT)})"
+        )
+
+
+def switched_files(
+    record: RunRecord, folder: Path, source: StageSource
+) -> Iterator[tuple[str, str]]:
+    """Volumes whose density now comes from other files, and a sentence for each.
+
+    Args:
+        folder: of the look layer.
+        source: the stage without the look.
+    """
+    for volume in source.volumes:
+        then = {
+            frame.time_code: os.path.normpath(folder / grid.file)
+            for frame in record.frames
+            if frame.prim == volume.prim_path
+            for grid in frame.sources
+            if grid.field == "density"
+        }
+        now = {f.time_code: f.fields[volume.density].file_path for f in volume.frames}
+        others = [
+            code
+            for code in sorted(then.keys() & now.keys())
+            if os.path.realpath(then[code]) != os.path.realpath(now[code])
+        ]
+        if others:
+            first = others[0]
+            yield (
+                volume.prim_path,
+                f"the source shows {_beside(now[first], folder)} at timeCode {first:g}, and the "
+                f"look was made from {_beside(then[first], folder)} (so at timeCodes "
+                f"{format_time_codes(others)})",
+            )
+        if gone := sorted(then.keys() - set(volume.time_codes) if volume.animated else ()):
+            yield (
+                volume.prim_path,
+                f"the source no longer has the timeCodes {format_time_codes(gone)}",
+            )
+
+
+def written_at(path: str | Path) -> str:
+    """When a file was written, local time to the minute."""
+    return datetime.fromtimestamp(os.stat(path).st_mtime).strftime(_AT)
+
+
+def _beside(path: str, folder: Path) -> str:
+    return os.path.relpath(path, folder).replace(os.sep, "/")
+
+
+def _seconds(text: str) -> float:
+    """Seconds since 1970 of a time in a record; 0 if there is none."""
+    try:
+        moment = datetime.strptime(text, "%Y-%m-%dT%H:%M:%SZ")
+    except ValueError:
+        return 0.0
+    return moment.replace(tzinfo=timezone.utc).timestamp() + 1  # it has no fraction
+
+
+@lru_cache(maxsize=4096)
+def _hash_once(path: str, _modified: int, _size: int) -> str:
+    return hash_file(path)
