@@ -124,7 +124,9 @@ def _check_stage(
         source = job.plan.source if job is not None else _source(record, stage, config)
     except UsdSmokeError as error:
         if some_are_gone:
-            yield Change.note("unchecked", str(stage), expected, "a stage without all of its files")
+            yield Change.note(
+                "unchecked", str(stage), expected, "a stage some of whose files are missing"
+            )
         else:
             yield Change("stage-edited", str(stage), expected, str(error))
         return

@@ -26,8 +26,8 @@ class StageConfig(Section):
     frames: str = setting(
         "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
     allow_missing: bool = setting(
-        False, "leave out the timeCodes of stage.frames at which no density is authored, and all "
-        "timeCodes whose file is missing")
+        False, "leave out requested timeCodes at which no density is authored, and all timeCodes "
+        "whose file is missing")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")
@@ -199,7 +199,7 @@ class ShapeConfig(Section):
     interpolation: Literal["linear", "cubic"] = setting(
         "cubic", "scheme of the final transport")
     mass_correction: bool = setting(True, "scale the moved density to the source's mass")
-    learning_rate: float = setting(0.06, "Adam's step for the displacement potential", gt=0)
+    learning_rate: float = setting(0.06, "Adam's step for the potential", gt=0)
     iterations: Iterations = setting(
         [60, 50, 40], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
@@ -236,9 +236,9 @@ class OptimizeConfig(Section):
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
         "lists as they are", ge=1, unit="iterations", request="iterations")
     tolerance: float = setting(
-        2e-3, "stopping threshold of the optimiser: a loss that falls by less than this share over "
-        "a quarter of an octave is a plateau: the rate then falls early, and once it has fallen, "
-        "the octave ends; 0: never", ge=0)
+        2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
+        "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "
+        "ends after that. 0: never", ge=0)
     strength: float = setting(
         1.0, "share of the effect that is kept; 0 returns the source",
         ge=0, le=1, request="strength", control="strength")
@@ -246,7 +246,7 @@ class OptimizeConfig(Section):
         True, "estimate the remaining errors from a few images of every finished frame")
     seed: int = setting(0, "seed for all random numbers", ge=0, le=2**63 - 1, request="seed")
     device: str = setting(
-        "auto", "auto, cpu or cuda", pattern=r"auto|cpu|cuda(:\d+)?", form="auto, cpu or cuda")
+        "auto", "where to compute", pattern=r"auto|cpu|cuda(:\d+)?", form="auto, cpu or cuda")
     threads: int = setting(
         0, "CPU threads of the whole run; 0: all that are available when the run starts", ge=0)
     memory_limit_gib: float | None = setting(

@@ -24,7 +24,7 @@ from pydantic.fields import FieldInfo
 from usdsmoke.base.errors import ConfigError
 
 _Section = TypeVar("_Section", bound="Section")  # typing.Self came with Python 3.11
-_TYPES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+_TYPES = {int: "a whole number", float: "a number", bool: "true or false", str: "a string"}
 
 
 def setting(default: Any, description: str, **declared: Any) -> Any:
@@ -168,7 +168,7 @@ def limits_of(field: FieldInfo) -> dict[str, float]:
 
 
 def type_text(field: FieldInfo) -> str:
-    """A setting's type in words, such as "a whole number" or "a list of texts"."""
+    """A setting's type in words, such as "a whole number" or "a list of strings"."""
     is_list, kind, is_optional, _ = ValueType.of(field)
     text = _TYPES[kind]
     if allowed_values(field):

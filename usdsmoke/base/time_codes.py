@@ -142,6 +142,12 @@ def format_time_codes(time_codes: Iterable[float]) -> str:
     return ",".join(parts)
 
 
+def name_time_codes(time_codes: Iterable[float]) -> str:
+    """The same with the noun: timeCode 7, timeCodes 1-4."""
+    codes = list(time_codes)
+    return f"timeCode{'s' if len(codes) > 1 else ''} {format_time_codes(codes)}"
+
+
 def spread(items: Sequence[_Item], count: int = 3) -> list[_Item]:
     """At most ``count`` of some items, at least 2, evenly from the first to the last; in order.
 

@@ -186,8 +186,8 @@ def _exr_channels(file_path: Path) -> dict[str, np.ndarray]:
 def _check_size(where: Path, width: int, height: int) -> None:
     if width * height > _MAX_PIXELS:
         raise ImageError(
-            f"the style image {where} has {width} x {height} pixels, of at most "
-            f"{_MAX_PIXELS // 1_000_000} million. Scale it down."
+            f"the style image {where} has {width} x {height} pixels; at most "
+            f"{_MAX_PIXELS // 1_000_000} million are allowed. Scale it down."
         )
 
 

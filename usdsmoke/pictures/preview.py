@@ -118,7 +118,7 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
             what = "an animation" if request.is_animation else f"a sheet of {n_pictures} pictures"
             raise ConfigError(
                 f"{what} cannot have a transparent background. "
-                "Draw one frame (--frames 12) as .png without a comparison, or write an .exr."
+                "Draw one frame (--frames N) as .png without a comparison, or write an .exr."
             )
         if request.is_animation:
             files = write_animation(request, durations(request, codes, look.selected), drawn)

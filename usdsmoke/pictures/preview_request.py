@@ -155,14 +155,15 @@ def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:
         raise ConfigError(f"--size is {width}x{height}. Give at least 1 pixel in each direction.")
     if width * height > MOST_PIXELS:
         raise ConfigError(
-            f"the preview would have {width} x {height} pixels, of at most "
-            f"{MOST_PIXELS // 1_000_000} million. Lower --width or --size."
+            f"the preview would have {width} x {height} pixels; at most "
+            f"{MOST_PIXELS // 1_000_000} million are allowed. Lower --width or --size."
         )
     if width * height * n_pictures > _MOST_SHEET_PIXELS:
         raise ConfigError(
-            f"the preview would have {n_pictures} pictures of {width} x {height} pixels, of "
-            f"at most {_MOST_SHEET_PIXELS // 1_000_000} million pixels in all. Select fewer frames "
-            "(--frames 1-100x10), lower --width, or write .exr, which is one file a frame."
+            f"the preview would have {n_pictures} pictures of {width} x {height} pixels; "
+            f"at most {_MOST_SHEET_PIXELS // 1_000_000} million pixels in all are allowed. "
+            "Select fewer frames (--frames 1-100x10), lower --width, or write .exr, which is one "
+            "file a frame."
         )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.core.sequence.controls import SETTINGS, in_effect
 from usdsmoke.core.smoke.schedule import has_one_view, octave_iterations, pool_size
@@ -27,7 +27,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
     """What will be read, computed and written, one sentence each."""
     # Read.
     needed = [
-        f"density of <{volume.source.prim_path}> at timeCodes {_time_codes(volume.frames)}"
+        f"density of <{volume.source.prim_path}> at {_time_codes(volume.frames)}"
         for volume in volumes
     ]
     needed += [volume.request_text for volume in volumes if volume.request_text]
@@ -128,7 +128,7 @@ def _controls(volumes: Volumes) -> list[FrameControls]:
 
 
 def _time_codes(frames: Iterable[FramePlan]) -> str:
-    return format_time_codes(frame.source.time_code for frame in frames)
+    return name_time_codes(frame.source.time_code for frame in frames)
 
 
 def _where(volumes: Volumes, link: str) -> str:
@@ -261,7 +261,7 @@ def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
     for volume in volumes:
         still = [frame for frame in volume.frames if not frame.size.computed]
         if still:
-            what = f"the optimisation at timeCodes {_time_codes(still)}"
+            what = f"the optimisation at {_time_codes(still)}"
             reason = "optimize.strength is 0 there and next to it, so the result is the source"
             omitted.append(Omission(f"{what} of <{volume.source.prim_path}>", reason))
     return omitted
@@ -289,7 +289,7 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
     if outside:
         omitted.append(
             Omission(
-                f"the effect at timeCodes {_time_codes(outside)} {where}",
+                f"the effect at {_time_codes(outside)} {where}",
                 "outside the camera's frustum",
             )
         )
@@ -364,7 +364,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))
     empty = [frame for frame in volume.frames if frame.is_empty]
     if empty:
-        what = f"pictures and features at timeCodes {_time_codes(empty)}"
+        what = f"pictures and features at {_time_codes(empty)}"
         found.append((what, "the frames are empty"))
     filled = [frame for frame in volume.frames if not frame.is_empty]
     if filled and all(1 in frame.size.box for frame in filled):

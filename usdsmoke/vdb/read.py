@@ -129,11 +129,12 @@ def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -
             f"{found} holds points, not a fog volume. Rasterize the points into a density grid."
         )
     if components is None or grid.tree_levels != _STANDARD_TREE:
+        fitting = [name for name, n in _COMPONENTS.items() if request.components in (None, n)]
         kind = grid.value_type + (
             "" if grid.tree_levels == _STANDARD_TREE else f" in a {grid.tree_levels} tree"
         )
         raise UnsupportedGrid(
-            f"{found} holds {kind} values. Convert it to {' or '.join(_COMPONENTS)} (also half) "
+            f"{found} holds {kind} values. Convert it to {' or '.join(fitting)}, at 16 or 32 bits, "
             "and write the file again."
         )
     if request.components not in (None, components):

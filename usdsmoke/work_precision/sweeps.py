@@ -64,7 +64,7 @@ def _against_reference(case: Case, step: str, choices: Sequence[Choice], about: 
 
 def _need_reference(case: Case, step: str, runs: float = 3.0) -> None:
     seconds = reference_seconds(case, step) + runs * N_RUNS * trial_seconds(case, step)
-    need_seconds(case, "two references and three points", seconds)
+    need_seconds(case, "two reference runs and three settings", seconds)
 
 
 def _no_style(case: Case) -> str:

@@ -57,7 +57,7 @@ def _reason(error: Exception, file_path: Path) -> str:
         return error.strerror or "the system refused"
     if file_path.suffix == ".safetensors":
         return "it is not a complete safetensors file of numbers"
-    return "it is damaged or holds more than tensors, and code in a file is never run"
+    return "it is no file of tensors alone; a file that holds code is never run"
 
 
 def _pick_parameters(tensors: Any, file_path: Path) -> dict[str, tuple[Tensor, Tensor]]:

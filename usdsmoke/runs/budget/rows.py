@@ -194,7 +194,7 @@ def _remaining(step: StepReport | None) -> Estimate | None:
 _PICTURE, _DENSITY, _LOSS = "the picture", "the density", "the loss"
 _SMOKE = "the voxels with smoke"
 _NO_FRAME, _NO_SHAPE, _NO_COLOUR = "no frame is stylized", "no shape step", "no colour step"
-_TOO_FEW = "too few iterations in the last octave to fit a tail to"
+_TOO_FEW = "its last octave has too few iterations to extrapolate"
 _BEFORE_BLENDING = "measured before they are blended"
 
 QUADRATURE = ErrorRow(

@@ -82,7 +82,7 @@ def _add_stage(commands: Any) -> None:
 
 
 def _add_stylize(commands: Any) -> None:
-    parser = add_command(commands, "stylize", "stylize the smoke of a stage")
+    parser = add_command(commands, "stylize", "stylize the smoke of a stage", plans=True)
     _add_run(parser)
     part = parser.add_mutually_exclusive_group()
     part.add_argument(
@@ -188,7 +188,10 @@ def _add_preview(commands: Any) -> None:
         "--compare", action="store_true", help="also draw the stage without its look"
     )
     parser.add_argument(
-        "--width", type=int, metavar="N", help="width of a picture in pixels (default: up to 512)"
+        "--width",
+        type=int,
+        metavar="N",
+        help="width of a picture in pixels (default: the longer side has 512)",
     )
     parser.add_argument("--size", type=size_value, metavar="WxH", help="width and height in pixels")
     parser.add_argument(
@@ -210,7 +213,7 @@ def _add_preview(commands: Any) -> None:
 
 def _add_report(commands: Any) -> None:
     parser = add_command(
-        commands, "report", "measure the benefit and cost of the settings on a scene"
+        commands, "report", "measure the benefit and cost of the settings on a scene", plans=True
     )
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     parser.add_argument(
@@ -243,4 +246,5 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     add_flag(parser, "--half")
     add_client_options(parser)
-    add_option(parser, "--repair", type=repair_value, metavar="nan=0")
+    text = "replace NaN and infinity by this number; default: they are an error"
+    add_option(parser, "--repair", type=repair_value, metavar="nan=0", help=text)

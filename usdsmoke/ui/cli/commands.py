@@ -12,7 +12,7 @@ from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
 from usdsmoke.ui.cli.text import (
@@ -149,8 +149,8 @@ def _preview_text(result: "PreviewResult") -> str:
         seen = f"{len(result.angles)} views around the up axis"
     lines = [str(file_path) for file_path in result.files]
     lines.append(
-        f"  timeCodes {format_time_codes(result.time_codes)} through {seen}, "
-        f"{result.width} x {result.height} pixels each"
+        f"  {name_time_codes(result.time_codes)}, "
+        f"{seen}, {result.width} x {result.height} pixels each"
     )
     for path, extinction in result.extinctions.items():
         lines.append(f"  <{path}>: extinction {extinction:.4g} per density and stage unit")

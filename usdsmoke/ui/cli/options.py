@@ -53,8 +53,14 @@ def given_settings(arguments: argparse.Namespace) -> list[Path | GivenSettings]:
     return [*files, read_settings([overrides, GivenSettings(given, sources), texts])]
 
 
-def add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
-    """A command with what all commands have: ``--json``, ``--verbose`` and the exit codes."""
+def add_command(
+    commands: Any, name: str, summary: str, plans: bool = False
+) -> argparse.ArgumentParser:
+    """A command with what all commands have: ``--json``, ``--verbose`` and the exit codes.
+
+    Args:
+        plans: it prints a plan.
+    """
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=summary,
@@ -63,18 +69,21 @@ def add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPars
     )
     parser.set_defaults(parser=parser)
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
-    what = "list everything in a plan; show the traceback of an error"
+    what = "show the traceback of an error"
+    if plans:
+        what = f"list everything in the plan; {what}"
     parser.add_argument("--verbose", action="store_true", help=what)
     return parser
 
 
 def add_option(parser: argparse.ArgumentParser, option: str, **more: Any) -> None:
-    """An option that stands for a setting; meaning and choices are the setting's."""
+    """An option that stands for a setting; choices and, by default, the help are the setting's."""
     name = OPTIONS[option]
     field = declared_settings()[name]
     if words := allowed_values(field):
         more.setdefault("choices", words)
-    parser.add_argument(option, help=f"{field.description} ({name})", **more)
+    text = more.pop("help", field.description)
+    parser.add_argument(option, help=f"{text} ({name})", **more)
 
 
 def add_flag(parser: argparse.ArgumentParser, option: str) -> None:
@@ -88,12 +97,13 @@ def add_selection(parser: argparse.ArgumentParser, frames_help: str = "") -> Non
         "--prim",
         action="append",
         metavar="PATH",
-        help="a Volume prim; may be repeated (default: all that are visible and no guides)",
+        help="a Volume prim; may be repeated (default: all that are visible and not guides)",
     )
     if frames_help:
         parser.add_argument("--frames", metavar="1-24", help=frames_help)
     else:
-        add_option(parser, "--frames", metavar="1-24")
+        text = "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); default: all"
+        add_option(parser, "--frames", metavar="1-24", help=text)
     add_flag(parser, "--allow-missing")
 
 

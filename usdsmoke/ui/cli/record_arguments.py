@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable
 
-_FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or its folder"
+_FILE = "a look layer, a stage or asset with looks, a VDB file of a result, or the output folder"
 
 
 def add_record_commands(add: Callable[[str, str], argparse.ArgumentParser]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def result_text(result: "StylizeResult") -> str:
         (count_text(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
         *_measured("temporal error", result.temporal_error),
-        *_measured("overlap difference", result.overlap_difference),
+        *_measured("difference of windows", result.overlap_difference),
     ]
     checked = result.root_stage or result.look_layer
     check = f"check: usdsmoke validate {checked}"
@@ -92,7 +92,7 @@ def _use_of(result: "StylizeResult") -> list[str]:
         return [f"use: add it above its source, subLayers = [@{result.look_layer}@, ...]"]
     if layer.mode == "reference":
         names = f"{layer.look}, {ORIGINAL}"
-        return [f"use: variant set {VARIANT_SET} of the root prims ({names}, ...)"]
+        return [f"use: select a variant of {VARIANT_SET!r} on the root prims: {names}"]
     return []
 
 
@@ -147,7 +147,7 @@ def inspection_text(found: Mapping[str, Any]) -> str:
 
 def source_stage_text(made: "SourceStage") -> str:
     """A stage made from VDB files, and what to do next."""
-    codes = f", timeCodes {format_time_codes(made.time_codes)}" if made.time_codes else ""
+    codes = f", {name_time_codes(made.time_codes)}" if made.time_codes else ""
     return "\n".join(
         [
             f"{made.file}",

@@ -11,7 +11,7 @@ from usdsmoke.base.naming import EMISSION, ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import LayerConfig
-from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
 from usdsmoke.usd.diagnostics import captured_diagnostics, readable_values, short_reason
 from usdsmoke.usd.layer_record import add_digests, put_record, record_values
@@ -129,7 +129,7 @@ def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:
         known = set(volume.source.time_codes)
         strange = sorted({frame.time_code for frame in volume.frames} - known)
         if strange or not volume.frames:
-            found = f"frames at timeCodes {format_time_codes(strange)}" if strange else "no frames"
+            found = f"frames at {name_time_codes(strange)}" if strange else "no frames"
             raise LayerError(
                 f"the result of <{volume.source.prim_path}> has {found}. Pass frames at some of "
                 f"the source's timeCodes {format_time_codes(known)}."

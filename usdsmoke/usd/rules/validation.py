@@ -143,7 +143,7 @@ def check_rules(names: Iterable[str]) -> None:
             close = difflib.get_close_matches(name, sorted(known), n=3)
             advice = f"Did you mean {' or '.join(close)}?" if close else ""
             raise ConfigError(
-                f"there is no rule {name!r}. {advice or 'Use a name that the command prints.'}"
+                f"there is no rule {name!r}. {advice or 'docs/errors.md lists them.'}"
             )
 
 

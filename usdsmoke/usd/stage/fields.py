@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
-from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES, FieldSource
 from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets, target_prim
 from usdsmoke.usd.request_values import MASK
@@ -226,4 +226,4 @@ def _layer_name(layer: Sdf.Layer) -> str:
 
 def _also(time_codes: Iterable[float]) -> str:
     codes = list(time_codes)
-    return f" (the same at timeCodes {format_time_codes(codes)})" if codes else ""
+    return f" (the same at {name_time_codes(codes)})" if codes else ""

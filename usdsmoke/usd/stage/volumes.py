@@ -21,6 +21,7 @@ from usdsmoke.base.time_codes import (
     describe_gaps,
     format_time_code,
     format_time_codes,
+    name_time_codes,
     parse_frames,
     select_frames,
 )
@@ -224,15 +225,12 @@ def _select_time_codes(
         for outline in outlines
     )
     nothing = len(missing) > 1 and not any_selected
-    which = (
-        f"any timeCode in {config.frames!r}"
-        if nothing
-        else f"timeCode {format_time_codes(missing)}"
-    )
+    which = f"any timeCode in {config.frames!r}" if nothing else name_time_codes(missing)
     sentence = f"no density is authored at {which} ({there})"
     if any_selected and config.allow_missing:
         return selections, [
-            f"those of the requested timeCodes {config.frames} that do not exist ({there})",
+            f"{name_time_codes(missing)} of the requested {config.frames}: "
+            f"they do not exist ({there})",
             *notes,
         ]
     otherwise = ", or pass --allow-missing" if any_selected else ""
@@ -256,7 +254,7 @@ def _split_by_file(
     """The timeCodes whose density file exists, and a sentence about the others."""
     samples = FieldSamples(outline.fields.prims[outline.fields.density])
     absent = [code for code in selected if not Path(samples.at(code).file_path or "/").is_file()]
-    sentence = f"<{outline.prim.GetPath()}> has no file at timeCode {format_time_codes(absent)}"
+    sentence = f"<{outline.prim.GetPath()}> has no file at {name_time_codes(absent)}"
     return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
 
