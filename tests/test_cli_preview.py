@@ -19,7 +19,7 @@ def test_the_files_the_view_and_the_extinction_are_printed(
     assert main(["preview", str(shot.stage), "-o", str(target), "--width", "16"]) == 0
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == str(target) and target.is_file() and err == ""
-    assert "timeCodes 1-3 through the front view, 16 x " in out
+    assert "timeCodes 1-3, the front view, 16 x " in out
     assert "</World/smoke>: extinction " in out
 
 

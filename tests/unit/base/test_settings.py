@@ -52,7 +52,7 @@ def values_of(name: str) -> st.SearchStrategy[Any]:
     elif "number" in text:
         finite = {"allow_nan": False, "allow_infinity": False, "exclude_min": "gt" in limits}
         single = st.floats(low, high, **finite)  # type: ignore[arg-type]
-    elif "text" in text:
+    elif "string" in text:
         single = st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)))
     else:
         single = st.booleans()

@@ -176,7 +176,7 @@ def test_an_empty_frame_is_known_from_its_header(tmp_path: Path) -> None:
     openvdb.write(str(tmp_path / "cache/smoke.0002.vdb"), grids=[grid])
     plan = plan_of(stage)
     assert [frame.is_empty for frame in plan.volumes[0].frames] == [False, True, False, False]
-    assert reason_for(plan, "pictures and features at timeCodes 2") == "the frames are empty"
+    assert reason_for(plan, "pictures and features at timeCode 2") == "the frames are empty"
 
 
 def test_a_grid_that_holds_no_smoke_is_refused_before_it_is_read(tmp_path: Path) -> None:

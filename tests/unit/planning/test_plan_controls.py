@@ -47,7 +47,7 @@ def test_a_fade_is_optimised_though_the_runs_strength_is_0(shot: Shot) -> None:
     assert fade.volumes[0].windows == whole.volumes[0].windows != none.volumes[0].windows
     assert fade.volumes[0].coarse_runs == whole.volumes[0].coarse_runs != ()
     assert none.estimate.seconds < fade.estimate.seconds < whole.estimate.seconds
-    what = "the optimisation at timeCodes 1 of </World/smoke>"
+    what = "the optimisation at timeCode 1 of </World/smoke>"
     assert [item.what for item in fade.omitted if item.what.startswith("the opt")] == [what]
     assert "optimize.strength is 0 there" in reason_for(fade, what)
 

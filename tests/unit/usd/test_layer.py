@@ -156,7 +156,7 @@ def test_a_result_that_does_not_fit_its_source_is_refused(tmp_path, change, reas
     with pytest.raises(LayerError, match=reason):
         author(stage, source, [dataclasses.replace(volume, **change)], tmp_path)
     strange = dataclasses.replace(volume, frames=[dataclasses.replace(frame, time_code=9.0)])
-    with pytest.raises(LayerError, match=r"timeCodes 9\b.* 1-4"):
+    with pytest.raises(LayerError, match=r"timeCode 9\b.* 1-4"):
         author(stage, source, [strange], tmp_path)
     with pytest.raises(LayerError, match="no stylized Volume to author"):
         author(stage, source, [], tmp_path)

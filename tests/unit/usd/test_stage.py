@@ -149,7 +149,7 @@ def test_missing_time_codes_are_left_out_by_name_where_that_is_allowed(tmp_path)
     source = find_volumes(open_stage(stage_file), config)
     assert codes_of(source.volumes[0]) == [2, 4]
     assert len(source.missing) == 2
-    assert "timeCodes 2-9 " in source.missing[0] and "</World/smoke> has 1-4" in source.missing[0]
+    assert "2-9 " in source.missing[0] and "</World/smoke> has 1-4" in source.missing[0]
     assert "</World/smoke> has no file at timeCode 3" in source.missing[1]
 
 

@@ -245,7 +245,7 @@ def test_no_frame_at_all_is_refused_even_where_frames_may_be_missing(tmp_path, f
         find_volumes(open_stage(plume_stage(tmp_path)), config)
     for file_path in (tmp_path / "cache").iterdir():
         file_path.unlink()
-    with pytest.raises(StageError, match=r"no file at timeCode 1-4.*Choose other frames"):
+    with pytest.raises(StageError, match=r"no file at timeCodes 1-4.*Choose other frames"):
         find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig(allow_missing=True))
 
 

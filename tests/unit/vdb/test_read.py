@@ -89,7 +89,7 @@ def test_grid_not_found_lists_what_the_file_has(
     ("changes", "words"),
     [
         ({"value_type": "points"}, "points"),
-        ({"value_type": "double"}, "double values.*float or vec3s"),
+        ({"value_type": "double"}, "double values.*float"),
         ({"value_type": "int32"}, "int32 values"),
         ({"tree_levels": "4_3"}, "float in a 4_3 tree"),
         ({"grid_class": "level set"}, "level set"),

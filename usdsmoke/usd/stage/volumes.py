@@ -229,8 +229,7 @@ def _select_time_codes(
     sentence = f"no density is authored at {which} ({there})"
     if any_selected and config.allow_missing:
         return selections, [
-            f"{name_time_codes(missing)} of the requested {config.frames}: "
-            f"they do not exist ({there})",
+            f"some of {config.frames} do not exist ({there})",
             *notes,
         ]
     otherwise = ", or pass --allow-missing" if any_selected else ""
