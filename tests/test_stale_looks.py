@@ -1,12 +1,13 @@
 """Looks that are older than their source, and flattened stages (td.md B, C, D11)."""
 
+import dataclasses
 import os
 from pathlib import Path
 
 import pytest
-from pxr import Usd
+from pxr import Usd, UsdUtils
 
-from tests.pipeline_fixtures import Shot, make_style, run
+from tests.pipeline_fixtures import Shot, contents, make_style, run
 from tests.usd_fixtures import sequence, write_text, write_vdb
 from usdsmoke import provenance, verify
 from usdsmoke.ui.cli.main import main
@@ -138,3 +139,35 @@ def test_c_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Pat
         own.record.run, own.record.version, own.record.created,
     )  # fmt: skip
     assert [style.name for style in record.styles] == ["style.png"]
+
+
+def test_c_a_package_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    package = tmp_path / "p.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(result.root_stage), str(package))
+    texts = {finding.rule: finding.message for finding in validate(package)}
+    assert "inside the package p.usdz" in texts["ResultChanged"]
+    assert "Unpack it" in texts["FieldFileMissing"]
+    assert main(["inspect", str(package)]) == 1
+    assert "inside the package" in capsys.readouterr().err
+    (found,) = provenance(package)
+    assert found.record.run == provenance(result.look_layer)[0].record.run
+
+
+def test_versions_of_a_look_stand_beside_one_another_by_folder_and_by_name(tmp_path: Path) -> None:
+    shot = takes(tmp_path, "takeB")
+    layers = []
+    for folder, look in (("look_v001", "v001"), ("look_v002", "v001"), ("look_v002", "v002")):
+        own = dataclasses.replace(shot, output=tmp_path / folder)
+        seed = f"optimize.seed={len(layers)}"
+        layers.append(run(own, f"layer.look={look}", seed).look_layer)
+    assert [path.relative_to(tmp_path).as_posix() for path in layers] == [
+        "look_v001/look_v001.usda", "look_v002/look_v001.usda", "look_v002/look_v002.usda",
+    ]  # fmt: skip
+    assert [verify(path) for path in layers] == [[], [], []]
+    # the next version starts from the source, whichever version the shot shows
+    shown = dataclasses.replace(
+        shot, stage=tmp_path / "look_v002/shot_look_v002.usda", output=tmp_path / "look_v003"
+    )
+    result = run(shown, "layer.look=v003", "optimize.seed=2")
+    assert contents(result.root_stage) == contents(tmp_path / "look_v002/shot_look_v002.usda")

@@ -209,7 +209,11 @@ def _of_authorship(path: Path) -> Iterator[FoundRecord]:
             for field in fields
             if field
         ]
-        files = [Path(asset.resolvedPath) for asset in assets if asset and asset.resolvedPath]
+        files = [
+            Path(asset.resolvedPath)
+            for asset in assets
+            if asset and os.path.isfile(asset.resolvedPath)
+        ]
         for file in files:
             found = [
                 item

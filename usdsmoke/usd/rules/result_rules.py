@@ -6,7 +6,7 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
-from pxr import Gf, Sdf, Usd
+from pxr import Ar, Gf, Sdf, Usd
 
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.sections import GridsConfig
@@ -40,6 +40,14 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
         results = recorded_results(layer)
     except LayerError as error:
         return [Problem(Severity.ERROR, "", str(error))]
+    packed = [path for path in results if Ar.IsPackageRelativePath(path)]
+    if packed:
+        package, _ = Ar.SplitPackageRelativePathOuter(packed[0])
+        text = (
+            f"the result's files lie inside the package {os.path.basename(package)} and were not "
+            "compared. Unpack it (a .usdz is a zip) to compare them."
+        )
+        return [Problem(Severity.INFO, "", text)]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = list(pool.map(_compare, results.keys(), results.values()))
     return [

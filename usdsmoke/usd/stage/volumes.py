@@ -44,7 +44,7 @@ from usdsmoke.usd.stage.fields import (
     find_fields,
 )
 from usdsmoke.usd.stage.places import find_instancers, place_notes
-from usdsmoke.usd.values import selected_variants
+from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
@@ -254,6 +254,10 @@ def _split_by_file(
     samples = FieldSamples(outline.fields.prims[outline.fields.density])
     absent = [code for code in selected if not Path(samples.at(code).file_path or "/").is_file()]
     sentence = f"<{outline.prim.GetPath()}> has no file at {name_time_codes(absent)}"
+    if absent:
+        sample = samples.at(absent[0])
+        reason = vdb_problem(sample.authored_path, sample.file_path).partition(". ")[0]
+        sentence += f" (@{sample.authored_path}@: {reason})"
     return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
 
