@@ -65,7 +65,7 @@ def preview(
 
     Args:
         stage: a USD file, or an open stage, which is drawn with its unsaved edits; for a look its
-            root stage, ``NAME_look.usda``.
+            root layer, ``NAME_look.usda``.
         output: ``.png`` for a screen, one picture or a contact sheet of several; ``.webp`` for an
             animation; ``.exr`` for scene-linear parts, one file a frame. An old file is replaced.
             The folder must exist.

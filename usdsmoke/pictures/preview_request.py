@@ -43,7 +43,7 @@ class PreviewRequest:
         WriteFailed: the output is a folder, or its folder does not exist.
     """
 
-    stage: StageOrFile  # for a look its root stage, NAME_look.usda
+    stage: StageOrFile  # for a look its root layer, NAME_look.usda
     output: Path  # .png, .exr or .webp
     camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
     # timeCodes such as 1-24; "" takes the first, the middle and the last, for an animation all, and

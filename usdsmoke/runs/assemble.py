@@ -1,7 +1,7 @@
 """From finished windows to a result: frames blended, layer authored, sheets drawn."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,8 @@ class StylizeResult:
     overlap_difference: Mapping[str, float] | None = None
     error_budget: ErrorBudget | None = None  # what is left of which error
     seconds: Mapping[str, float] | None = None  # by part of the work, and of "all"
+    # By Volume: gamma_w, 1/stage unit per unit of density, which materials multiply density by.
+    extinction: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,10 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
         ),
         error_budget=budget,
         seconds=dict(run.seconds),
+        extinction={
+            volume.source.prim_path: float(scene["gamma_w"])
+            for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
+        },
     )
 
 

@@ -23,7 +23,7 @@ def validate_look(
     Rule, severity, prim and timeCode decide whether two findings are the same one.
 
     Args:
-        stage: the root stage of a result, or any stage with looks.
+        stage: the root layer of a result, or any stage with looks.
 
     Raises:
         StageError: as of ``validate``; or the stage has no look.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from usdsmoke.farm.openjd import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
-    from usdsmoke.runs.budget.error_budget import ErrorBudget
+    from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
 
@@ -77,6 +77,7 @@ def result_text(result: "StylizeResult") -> str:
         ("look layer", str(result.look_layer)),
         (count_text(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
+        *_extinctions(result.extinction),
         *_measured("temporal error", result.temporal_error),
         *_measured("difference of windows", result.overlap_difference),
     ]
@@ -85,8 +86,16 @@ def result_text(result: "StylizeResult") -> str:
     return "\n".join([*columns(rows), "", *_use_of(result), check])
 
 
+def _extinctions(extinctions: Mapping[str, float]) -> list[tuple[str, str]]:
+    """A row for each Volume; without its path where there is one."""
+    rows = [(f"{value:.4g} per density", path) for path, value in extinctions.items()]
+    return [
+        ("extinction gamma_w", f"{text} <{path}>" if len(rows) > 1 else text) for text, path in rows
+    ]
+
+
 def _use_of(result: "StylizeResult") -> list[str]:
-    """What to do with a result that is not a root stage over the source."""
+    """What to do with a result that is not a root layer over the source."""
     layer = result.plan.config.layer
     if layer.mode == "layer":
         return [f"use: add it above its source, subLayers = [@{result.look_layer}@, ...]"]
@@ -285,7 +294,7 @@ def budget_text(
             f"{estimate.seconds:.2f} s" if estimate.seconds else "-",
             budget.verdict(estimate.name),
         )
-        for estimate in budget.estimates
+        for estimate in sorted(budget.estimates, key=_least_urgent(budget))
     ]
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
     left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
@@ -296,6 +305,16 @@ def budget_text(
     unusual = [item for item in omitted if not item.expected]
     rest = [_left_out(unusual)] if unusual else []
     return "\n".join([*columns(rows), *notes, *left_out, *rest, time])
+
+
+def _least_urgent(budget: "ErrorBudget") -> Callable[["ErrorEstimate"], int]:
+    """Puts rows that ask for a setting first, then those that deserve a look, then the others."""
+
+    def urgency(estimate: "ErrorEstimate") -> int:
+        verdict = budget.verdict(estimate.name)
+        return 2 if verdict == "fine" else 1 if verdict == "look at it" else 0
+
+    return urgency
 
 
 def _short(seconds: float) -> str:

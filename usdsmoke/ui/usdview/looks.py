@@ -99,7 +99,7 @@ def _switch_layers(stage: Usd.Stage, volumes: Sequence[Usd.Prim], looks: Sequenc
     if any(look.layer == stage.GetRootLayer() for look in looks):
         raise StageError(
             f"the look {stage.GetRootLayer().identifier} is the root layer, which cannot be "
-            "muted. Open the root stage that was written beside it, NAME_look.usda."
+            "muted. Open the root layer that was written beside it, NAME_look.usda."
         )
     runs = {shown_run(volume) for volume in volumes}
     shown = next((n for n, look in enumerate(looks) if not look.muted and look.run in runs), None)

@@ -1,4 +1,4 @@
-"""The look layer, and the root stage or the asset that puts it over the source.
+"""The look layer, and the root layer or the asset that puts it over the source.
 
 - `look`: writes and checks the layers
 - `records`: a Volume's result, and the names of the files
@@ -8,7 +8,7 @@
 - `networks`: the material's shaders for each renderer
 - `storm_shader`: the volume shader for Hydra Storm
 - `attributes`: what a Volume records of the run
-- `root`: the root stage, and the asset with a variant for each look
+- `root`: the root layer, and the asset with a variant for each look
 
 New layers are written through Sdf. The source's layers and the session layer are only read.
 """

@@ -41,7 +41,7 @@ def author_look(
     record: RunRecord,
     earlier: EarlierLooks | None = None,
 ) -> LookFiles:
-    """Write the look layer and then the thin root stage, both checked and each in one step.
+    """Write the look layer and then the root layer, both checked and each in one step.
 
     Before them comes the shader that a material of the layer needs.
 

@@ -28,7 +28,7 @@ def choose_volumes(stage: Usd.Stage, named: Sequence[str]) -> tuple[list[Usd.Pri
     if is_look_layer(stage.GetRootLayer()):
         raise VolumeNotFound(
             f"{stage.GetRootLayer().realPath} is a look layer by itself, without the smoke that it "
-            "belongs to. Use the root stage that was written beside it, NAME_look.usda."
+            "belongs to. Use the root layer that was written beside it, NAME_look.usda."
         )
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "

@@ -29,7 +29,7 @@ def open_source(
 ) -> tuple[Usd.Stage, EarlierLooks]:
     """A stage without the looks that usdsmoke added, and what was left out.
 
-    Where the file itself was made by usdsmoke, a root stage or an asset, the stage that it stands
+    Where the file itself was made by usdsmoke, a root layer or an asset, the stage that it stands
     on is opened in its place. Other stages are opened as they are: of assets in them the variant
     ``original`` is selected, then look layers are muted, wherever in the stage they come in.
 
@@ -164,9 +164,9 @@ def _real_path(stage: Usd.Stage) -> Path:
 
 
 def _stands_on(root: Sdf.Layer) -> str:
-    """The source of a root stage or an asset of ours; "" for any other layer.
+    """The source of a root layer or an asset of ours; "" for any other layer.
 
-    A root stage that somebody has added prims or sublayers to is theirs.
+    A root layer that somebody has added prims or sublayers to is theirs.
     """
     source = root.customLayerData.get(ASSET_SOURCE, "")
     if not source and len(root.subLayerPaths) == 2 and not root.rootPrims:
