@@ -7,12 +7,15 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
-from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.errors import OutputExists, UsdSmokeError
+from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.usd.layer_record import read_record, record_values
-from usdsmoke.usd.rules import Finding, Severity, validate
+from usdsmoke.usd.look.root import copy_stage_metadata
+from usdsmoke.usd.rules import Finding, Severity, mend, validate
 from usdsmoke.usd.rules.staleness import switched_files
-from usdsmoke.usd.stage import find_volumes, open_original
+from usdsmoke.usd.stage import find_volumes, open_original, open_stage
 
 
 def validate_look(
@@ -34,6 +37,33 @@ def validate_look(
     own = [finding for finding in findings if _what(finding) not in known]
     own = [*_switched(source), *own]
     return own, [finding for finding in findings if _what(finding) in known]
+
+
+def write_mends(stage_file: Path, target: Path) -> list[Finding]:
+    """A new layer above a stage that mends what can be mended; not written if that is nothing.
+
+    Returns:
+        The findings that are gone on the new layer's stage.
+
+    Raises:
+        StageError: the stage cannot be opened, or OpenUSD has no fixers.
+        OutputExists: there is such a file.
+        WriteFailed: it cannot be written.
+    """
+    if target.exists():
+        raise OutputExists(f"{target} exists. Give the name of a new layer.")
+    source = open_stage(stage_file)
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    copy_stage_metadata(source, layer, target.absolute().parent)
+    layer.subLayerPaths.append(relative_asset_path(stage_file, target.absolute().parent))
+    publish_file(target, layer.ExportToString())
+    mended = []
+    try:
+        mended = mend(open_stage(target))
+    finally:
+        if not mended:
+            target.unlink()
+    return mended
 
 
 def junit_xml(name: str, findings: Sequence[Finding]) -> str:

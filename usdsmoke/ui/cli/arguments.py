@@ -161,6 +161,12 @@ def _add_validate(commands: Any) -> None:
         help="leave out the findings of this rule, named as it is printed; may be repeated",
     )
     parser.add_argument("--junit", metavar="FILE.xml", help="also write the findings as JUnit XML")
+    parser.add_argument(
+        "--mend",
+        metavar="NEW.usda",
+        help="write a new layer above the stage that mends missing extents, wrong types of fields "
+        "and absolute paths, and check that",
+    )
 
 
 def _add_preview(commands: Any) -> None:

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from usdsmoke.base.errors import count_text
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import resolve_config, settings_yaml
@@ -64,11 +65,15 @@ def run_stage(arguments: argparse.Namespace) -> int:
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """``usdsmoke validate``; the exit code, 1 where there are errors that count."""
-    from usdsmoke.usd.gate import junit_xml, validate_look
+    from usdsmoke.usd.gate import junit_xml, validate_look, write_mends
     from usdsmoke.usd.rules import Severity, validate
     from usdsmoke.usd.rules.validation import check_rules
 
     check_rules(arguments.ignore)
+    if arguments.mend:
+        mended = write_mends(Path(arguments.stage), Path(arguments.mend))
+        print(f"mended: {count_text(len(mended), 'finding')}", file=sys.stderr)
+        arguments.stage = arguments.mend if mended else arguments.stage
     of_source: list[Finding] = []
     if arguments.look_only:
         findings, of_source = validate_look(arguments.stage)

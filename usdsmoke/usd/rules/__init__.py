@@ -6,6 +6,7 @@
   GridUnsupported, FieldTypeMismatch, FieldClassMismatch, FieldTokenUnknown, FrameGap, AbsolutePath
 - `volume_rules`: VolumeExtentMissing, MixedFilesPerVolume, FieldNameMismatch,
   GridTransformMismatch, FieldPlaceDiffers, RequestInvalid, RequestNotApplied, RequestMisplaced
+- `fixers`: what can be mended without a decision
 - `staleness`: whether the source has moved on since a look was made
 - `result_rules`: GridHashMismatch, LookStale, ResultChanged
 
@@ -18,6 +19,6 @@ instead, so that validating and stylizing give one reason:
 """
 
 from usdsmoke.usd.rules.facts import Finding, Severity
-from usdsmoke.usd.rules.validation import PREFIX, register_validators, validate
+from usdsmoke.usd.rules.validation import PREFIX, mend, register_validators, validate
 
-__all__ = ["PREFIX", "Finding", "Severity", "register_validators", "validate"]
+__all__ = ["PREFIX", "Finding", "Severity", "mend", "register_validators", "validate"]

@@ -17,6 +17,7 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly, readable_values
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
 from usdsmoke.usd.rules.facts import Finding, Problem, Severity
+from usdsmoke.usd.rules.fixers import fixers_of
 from usdsmoke.usd.schema import LOOK_API, late_note, register_schema
 
 if TYPE_CHECKING:
@@ -109,7 +110,9 @@ def register_validators() -> list[str]:
                 schemaTypes=["UsdVolVolume"] if name in _VOLUME_RULES else [],
                 isTimeDependent=True,
             )
-            registry.RegisterPrimValidator(metadata, _prim_task(name, rule))
+            fixers = fixers_of(name, module)  # none in OpenUSD older than 26.11
+            arguments = (metadata, _prim_task(name, rule), *([fixers] if fixers else []))
+            registry.RegisterPrimValidator(*arguments)
     for name, (layer_rule, doc) in _LAYER_RULES.items():
         if not registry.HasValidator(PREFIX + name):
             metadata = module.ValidatorMetadata(
@@ -186,6 +189,34 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
             item.message,
         ),
     )
+
+
+def mend(stage: Usd.Stage) -> list[Finding]:
+    """Apply the fixers of all findings of ours at a stage's edit target, whose layer is saved.
+
+    Returns:
+        The findings that were mended.
+
+    Raises:
+        StageError: OpenUSD is older than 26.11.
+    """
+    register_schema()
+    register_validators()
+    module = _validation()
+    if not hasattr(module, "ValidationFixer"):
+        raise StageError(
+            "mending needs OpenUSD 26.11 or later. Install a newer usd-core, or correct the "
+            "findings of 'usdsmoke validate' by hand."
+        )
+    validators = module.ValidationRegistry().GetOrLoadAllValidators()
+    mended, target = [], stage.GetEditTarget()
+    with captured_diagnostics():
+        for error in module.ValidationContext(validators).Validate(stage):
+            for fixer in error.GetFixersByKeywords(["usdsmoke"]):
+                if fixer.CanApplyFix(error, target, Usd.TimeCode.Default()):
+                    if fixer.ApplyFix(error, target, Usd.TimeCode.Default()):
+                        mended.append(_to_finding(error))
+    return mended
 
 
 def _validation() -> "UsdValidation":

@@ -1,0 +1,115 @@
+"""Fixers for findings that can be mended without a decision, in USD's registry of validators.
+
+A fixer authors opinions at an edit target that its caller chooses: the layer of a stage, or a new
+one above it. OpenUSD has fixers since 26.11.
+"""
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pxr import Gf, Sdf, Usd
+
+from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.usd.field_samples import FieldSamples, usd_time
+from usdsmoke.usd.field_tokens import DATA_TYPES
+from usdsmoke.usd.rules.facts import collect_fields, field_to_stage, sample_grid
+from usdsmoke.usd.values import extent_value, value_at
+from usdsmoke.vdb.boxes import box_extent, corners_extent, union_extent
+
+if TYPE_CHECKING:
+    from pxr import UsdValidation
+
+Fix = Callable[[Usd.Prim, Sdf.Layer], bool]  # edits at the stage's edit target; whether it did
+_ALWAYS = Gf.Interval(-math.inf, math.inf)
+
+
+def author_missing_extent(volume: Usd.Prim, _layer: Sdf.Layer) -> bool:
+    """The box of all grids of a Volume, from the headers of its files, at every timeCode."""
+    boxes: dict[float | None, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for field in collect_fields(volume, _ALWAYS):
+        for sample in field.samples:
+            grid = sample_grid(sample)
+            if grid is None or grid.bbox_min is None or grid.box_shape is None:
+                continue
+            if grid.index_to_world is None:
+                continue
+            place = field_to_stage(volume, sample.time_code)
+            if not abs(np.linalg.det(place[:3, :3])) > 0:
+                continue
+            to_volume = field_to_stage(field.prim, sample.time_code) @ np.linalg.inv(place)
+            box = box_extent(grid.bbox_min, grid.box_shape, grid.index_to_world)
+            boxes.setdefault(sample.time_code, []).append(corners_extent(*box, to_volume))
+    if not boxes:
+        return False
+    extent = volume.GetAttribute("extent")
+    extent.Set(extent_value(*union_extent([box for each in boxes.values() for box in each])))
+    for code, each in boxes.items():
+        if code is not None:
+            extent.Set(extent_value(*union_extent(each)), code)
+    return True
+
+
+def author_data_type(field: Usd.Prim, _layer: Sdf.Layer) -> bool:
+    """``fieldDataType`` of a field that shows grids of one type."""
+    samples = FieldSamples(field).inside(_ALWAYS)
+    types = {grid.value_type for sample in samples if (grid := sample_grid(sample)) is not None}
+    fitting = DATA_TYPES.get(types.pop(), ()) if len(types) == 1 else ()
+    attribute = field.GetAttribute("fieldDataType")
+    if not fitting or attribute.GetTimeSamples():
+        return False
+    return bool(attribute.Set(fitting[0]))
+
+
+def author_relative_paths(field: Usd.Prim, layer: Sdf.Layer) -> bool:
+    """File paths relative to the layer that is edited, at every timeCode."""
+    if not layer.realPath:
+        return False
+    attribute, folder = field.GetAttribute("filePath"), Path(layer.realPath).parent
+    values = {code: value_at(attribute, usd_time(code)) for code in attribute.GetTimeSamples()}
+    values[None] = value_at(attribute, Usd.TimeCode.Default())
+    for code, value in values.items():
+        if value is None:
+            value = Sdf.ValueBlock() if code is not None else None
+        elif os.path.isabs(value.resolvedPath):
+            value = Sdf.AssetPath(relative_asset_path(value.resolvedPath, folder))
+        if value is not None:
+            attribute.Set(value, usd_time(code))
+    return True
+
+
+_FIXES: dict[str, tuple[Fix, str]] = {
+    "VolumeExtentMissing": (author_missing_extent, "Author the box that the files' headers name."),
+    "FieldTypeMismatch": (author_data_type, "Author the type of the grid that the field shows."),
+    "AbsolutePath": (author_relative_paths, "Author paths relative to the edited layer."),
+}
+
+
+def fixers_of(rule: str, module: Any) -> list["UsdValidation.ValidationFixer"]:
+    """The fixers of a rule; none before OpenUSD 26.11.
+
+    Args:
+        module: UsdValidation.
+    """
+    if rule not in _FIXES or not hasattr(module, "ValidationFixer"):
+        return []
+    fix, description = _FIXES[rule]
+
+    def apply(
+        error: "UsdValidation.ValidationError", target: Usd.EditTarget, _time: Usd.TimeCode
+    ) -> bool:
+        prim = error.GetSites()[0].GetPrim()
+        with Usd.EditContext(prim.GetStage(), target):
+            return fix(prim, target.GetLayer())
+
+    def can_apply(
+        error: "UsdValidation.ValidationError", target: Usd.EditTarget, _time: Usd.TimeCode
+    ) -> bool:
+        sites = error.GetSites()
+        return bool(sites and sites[0].IsPrim() and target.GetLayer().permissionToEdit)
+
+    name = f"Fix{rule}"
+    return [module.ValidationFixer(name, description, apply, can_apply, ["usdsmoke"], rule)]
