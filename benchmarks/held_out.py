@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
-from benchmarks.display import composite, mean_colour
-from benchmarks.measures import score_views
+from benchmarks.display import composite, encode_display, mean_colour
+from benchmarks.measures import outlier_share, score_views
 from benchmarks.raymarch import march_rays
 from benchmarks.splats import render_fields
 from usdsmoke.base.sections import GridsConfig
@@ -157,6 +157,9 @@ def score_result(
 ) -> tuple[dict[str, dict[str, Any]], list[np.ndarray]]:
     """Scores of the result's held-out views (see `measures.score_views`) and their pictures.
 
+    Beside the measures there is ``outliers``, a share of pixels and no closure: ``value`` by view,
+    ``mean`` and ``max``.
+
     Args:
         result: as read from its file.
         style: display-encoded, at the scale of the pictures (see `read_style`).
@@ -165,13 +168,17 @@ def score_result(
         renderer: a key of RENDERERS.
     """
     fill = mean_colour(style)
-    images, masks = [], []
+    images, masks, outliers = [], [], []
     for azimuth, elevation in angles:
         view = fit_view(result, float(azimuth), float(elevation), image_size)
         premultiplied, alpha = RENDERERS[renderer](result, view)
         images.append(composite(premultiplied, alpha, fill))
         masks.append(alpha)
-    return score_views(style, images, masks), images
+        own = encode_display(premultiplied / np.maximum(alpha, 1e-6)[..., None])
+        outliers.append(outlier_share(style, own, alpha))
+    scores = score_views(style, images, masks)
+    spread = {"value": outliers, "mean": float(np.mean(outliers)), "max": max(outliers)}
+    return {**scores, "outliers": spread}, images
 
 
 def fit_view(result: Result, azimuth: float, elevation: float, image_size: int) -> View:

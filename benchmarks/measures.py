@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, spatial
 
 from benchmarks.display import composite, decode_display, mean_colour
 
@@ -22,6 +22,8 @@ __all__ = [
     "MEASURES",
     "closure",
     "colour_distance",
+    "edge_distance",
+    "outlier_share",
     "paste_style",
     "patch_distance",
     "score_views",
@@ -37,6 +39,9 @@ DIRECTIONS = 64  # of the sliced distance
 QUANTILES = 512
 RINGS = 24  # of the radial spectrum, from the window's own resolution to Nyquist
 CROPS = 16  # style crops whose spectra are averaged
+EDGE_SCALES = (1, 2)  # area down-sampling factors at which edges are measured
+FAR = 0.12  # distance in display-encoded RGB from which on a colour is none of the style's
+SHADES = 9  # of every colour of the style, from black to itself, that are no outliers
 PASTES = 6  # style pastes that make anchor 1
 TEXTURE_FLOOR = 0.01  # standard deviation of white luminance noise that counts as no texture at all
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
@@ -117,11 +122,44 @@ def spectrum_root_distance(style: np.ndarray, image: np.ndarray, mask: np.ndarra
     return float(np.sqrt(spectrum_distance(style, image, mask)))
 
 
+def edge_distance(style: np.ndarray, image: np.ndarray, mask: np.ndarray) -> float:
+    """Wasserstein-1 distance of the sizes of luminance gradients inside ``mask > 0.5``.
+
+    Against the style's, mean over the picture and half of its size. The closure falls for too soft
+    *and* for too hard edges: blur has too many small gradients, noise too many large ones.
+    """
+    _check(style, image, mask)
+    found = []
+    for factor in EDGE_SCALES:
+        inside = _shrink(mask[..., None], factor)[..., 0] > 0.5
+        sizes = _gradient_sizes(_shrink(image, factor))[inside[:-1, :-1]]
+        if sizes.size:
+            levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
+            wanted = np.quantile(_gradient_sizes(_shrink(style, factor)), levels)
+            found.append(np.abs(np.quantile(sizes, levels) - wanted).mean())
+    return float(np.mean(found))
+
+
+def outlier_share(style: np.ndarray, image: np.ndarray, mask: np.ndarray) -> float:
+    """Share of the pixels inside ``mask > 0.5`` whose colour is none of the style's, in [0, 1].
+
+    That is farther than 0.12 in display-encoded RGB from all of the style's colours and from their
+    shades in the dark. Confetti has many, a blur few. No background may shine through: give the
+    smoke's own colours, with the opacity divided out.
+    """
+    _check(style, image, mask)
+    palette = np.unique(np.rint(style.reshape(-1, 3) * 32.0), axis=0) / 32.0
+    shades = palette * np.linspace(0.0, 1.0, SHADES)[:, None, None]
+    distance, _ = spatial.cKDTree(shades.reshape(-1, 3)).query(image[mask > 0.5])
+    return float((distance > FAR).mean())
+
+
 MEASURES: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], float]] = {
     "patch": patch_distance,
     "colour": colour_distance,
     "spectrum": spectrum_distance,
     "spectrum_root": spectrum_root_distance,
+    "edges": edge_distance,
 }
 
 
@@ -214,6 +252,12 @@ def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
     height, width = (size // factor for size in image.shape[:2])
     blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
     return blocks.mean(axis=(1, 3))
+
+
+def _gradient_sizes(image: np.ndarray) -> np.ndarray:
+    """Of the luminance, per pixel, [H-1 W-1]: forward differences."""
+    light = image @ LUMINANCE
+    return np.hypot(np.diff(light, axis=1)[:-1], np.diff(light, axis=0)[:, :-1])
 
 
 def _patches(image: np.ndarray, inside: np.ndarray | None) -> np.ndarray:

@@ -2,10 +2,10 @@
 
     python -m benchmarks.style_scores [--styles A.png B.png] [--set views.count=3] [--quick]
 
-Runs ``usdsmoke stylize`` in a child process for every style, once for cameras within +-12 degrees
-of azimuth and +-6 of elevation and once for cameras all round, reads the result through the stage
-that it wrote, draws held-out views with a renderer of its own and prints the table (also into
---report). Without --styles it paints the example styles and adds those of the data folder, if any.
+Runs ``usdsmoke stylize`` in a child process for every style, reads the result through the stage
+that it wrote, draws held-out views with a renderer of its own, within +-12 degrees of azimuth and
++-6 of elevation and from all round, and prints the table (also into --report). Without --styles it
+paints the example styles and adds those of the data folder.
 """
 
 import argparse
@@ -33,7 +33,7 @@ __all__ = ["Run", "main", "stylize_in_child"]
 RANGES = {"front": (12.0, 6.0), "all round": (180.0, 6.0)}
 N_VIEWS = 12
 IMAGE_SIZE = 192  # the default of views.image_size
-MEASURES = ("patch", "colour", "spectrum", "spectrum_root")
+MEASURES = ("patch", "colour", "spectrum", "spectrum_root", "edges")
 PAINTED = ("strokes", "waves")
 
 
@@ -83,12 +83,11 @@ def main(arguments: list[str] | None = None) -> int:
         styles = options.styles or _default_styles(options.data, options.out)
         runs: list[Run] = []
         for style in styles:
-            for cameras in ["front"] if options.quick else RANGES:
-                runs.append(_measure(stage, style, cameras, options))
-                report = _report(runs, arguments if arguments is not None else sys.argv[1:])
-                if options.report:  # after every run, for they take minutes
-                    options.report.parent.mkdir(parents=True, exist_ok=True)
-                    options.report.write_text(report, encoding="utf-8")
+            runs += _measure(stage, style, options)
+            report = _report(runs, arguments if arguments is not None else sys.argv[1:])
+            if options.report:  # after every run, for they take minutes
+                options.report.parent.mkdir(parents=True, exist_ok=True)
+                options.report.write_text(report, encoding="utf-8")
     except (OSError, RuntimeError, ValueError, UsdSmokeError) as error:
         print(f"benchmarks.style_scores: {error}", file=sys.stderr)
         return 1
@@ -105,7 +104,7 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder to write into")
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
-    parser.add_argument("--quick", action="store_true", help="front cameras only")
+    parser.add_argument("--quick", action="store_true", help="front views only")
     parser.add_argument("--reuse", action="store_true", help="score results that are there already")
     return parser.parse_args(arguments)
 
@@ -119,22 +118,24 @@ def _default_styles(data_folder: Path, out_folder: Path) -> list[Path]:
     return [painted / f"{name}.png" for name in PAINTED] + extra
 
 
-def _measure(stage: Path, style: Path, cameras: str, options: argparse.Namespace) -> Run:
-    azimuth, elevation = RANGES[cameras]
-    folder = options.out / f"{style.stem}_{cameras.replace(' ', '_')}"
+def _measure(stage: Path, style: Path, options: argparse.Namespace) -> list[Run]:
+    folder = options.out / style.stem
     noted = options.out / f"{folder.name}.json"
     if not (options.reuse and noted.is_file()):
-        ranges = [f"views.azimuth={azimuth}", f"views.elevation={elevation}"]
-        costs = stylize_in_child(stage, style, folder, [*ranges, *options.settings])
+        costs = stylize_in_child(stage, style, folder, options.settings)
         noted.write_text(json.dumps(costs), encoding="utf-8")
     cost = json.loads(noted.read_text(encoding="utf-8"))
     (root_stage,) = folder.glob("*_look.usda")
     result = read_result(Usd.Stage.Open(str(root_stage)))
-    angles = held_out_angles(N_VIEWS, azimuth, elevation)
     picture = read_style(style, IMAGE_SIZE)
-    scores, images = score_result(result, picture, angles, IMAGE_SIZE)
-    _write_sheet(options.out / f"{folder.name}.png", picture, images[:4])
-    return Run(style.stem, cameras, *cost, scores)
+    runs = []
+    for cameras in ["front"] if options.quick else RANGES:
+        angles = held_out_angles(N_VIEWS, *RANGES[cameras])
+        scores, images = score_result(result, picture, angles, IMAGE_SIZE)
+        sheet_name = f"{folder.name}_{cameras.replace(' ', '_')}.png"
+        _write_sheet(options.out / sheet_name, picture, images[:4])
+        runs.append(Run(style.stem, cameras, *cost, scores))
+    return runs
 
 
 def _write_sheet(image_file: Path, style: np.ndarray, images: Sequence[np.ndarray]) -> None:
@@ -154,9 +155,10 @@ def _report(runs: Sequence[Run], arguments: Sequence[str]) -> str:
         "`benchmarks/raymarch.py`. Closure 0 is the smoke tinted with the style's mean colour, 1",
         "the style pasted through its mask (`benchmarks/measures.py`): mean over the views, in",
         "brackets the worst view; ± is the standard deviation of a single paste, its noise.",
+        "Outliers: share of pixels in colours that the style does not have; mean (worst view).",
         "",
-        "| style | cameras | " + " | ".join(MEASURES) + " | wall s | CPU s | peak GiB |",
-        "|---|---|" + "---|" * (len(MEASURES) + 3),
+        "| style | cameras | " + " | ".join(MEASURES) + " | outliers | wall s | CPU s | peak GiB |",
+        "|---|---|" + "---|" * (len(MEASURES) + 4),
         *(_row(run) for run in runs),
         "",
         *circumstances(["python -m benchmarks.style_scores", *arguments]),
@@ -170,6 +172,8 @@ def _row(run: Run) -> str:
         f" ± {np.mean(run.scores[name]['noise']):.2f}"
         for name in MEASURES
     ]
+    outliers = run.scores["outliers"]
+    cells.append(f"{outliers['mean']:.3f} ({outliers['max']:.3f})")
     cost = [f"{run.wall_s:.0f}", f"{run.cpu_s:.0f}", f"{run.peak_gib:.1f}"]
     return "| " + " | ".join([run.style, run.cameras, *cells, *cost]) + " |"
 

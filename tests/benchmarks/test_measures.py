@@ -41,7 +41,9 @@ def test_the_pasted_style_scores_one_and_flat_colour_zero(
         noise = float(np.mean(row["noise"]))
         assert noise < 0.15 and abs(row["mean"] - 1.0) < 3.0 * noise + 0.01, name
     flat = np.broadcast_to(mean_colour(style), (SIZE, SIZE, 3))
-    assert list(closures(style, flat, mask).values()) == pytest.approx([0.0] * 4, abs=1e-6)
+    assert list(closures(style, flat, mask).values()) == pytest.approx(
+        [0.0] * len(measures.MEASURES), abs=1e-6
+    )
 
 
 def test_blur_a_wrong_palette_and_noise_score_less(style: np.ndarray, mask: np.ndarray) -> None:
@@ -56,12 +58,30 @@ def test_blur_a_wrong_palette_and_noise_score_less(style: np.ndarray, mask: np.n
     assert scores["patch"] < 0.0 and scores["colour"] < 0.7
 
 
+def test_edges_see_a_blur_of_one_pixel_and_noise(style: np.ndarray, mask: np.ndarray) -> None:
+    pasted = measures.paste_style(style, mask, np.random.default_rng(1234))
+    assert closures(style, pasted, mask)["edges"] > 0.8
+    soft = ndimage.gaussian_filter(pasted, (1.0, 1.0, 0))
+    assert closures(style, soft, mask)["edges"] < 0.7
+    assert closures(style, ndimage.gaussian_filter(pasted, (3.0, 3.0, 0)), mask)["edges"] < 0.4
+    noise = np.random.default_rng(6).uniform(0.0, 1.0, (SIZE, SIZE, 3)).astype(np.float32)
+    assert closures(style, noise, mask)["edges"] < 0.4
+
+
+def test_confetti_is_all_outliers_and_shades_are_none(style: np.ndarray, mask: np.ndarray) -> None:
+    crop = style[:SIZE, :SIZE]
+    assert measures.outlier_share(style, crop, mask) == 0.0
+    assert measures.outlier_share(style, 0.6 * crop, mask) < 0.02
+    confetti = np.where(np.random.default_rng(6).random((SIZE, SIZE, 1)) < 0.3, [1, 0, 1], crop)
+    assert measures.outlier_share(style, confetti, mask) == pytest.approx(0.3, abs=0.05)
+
+
 def test_only_pixels_of_the_smoke_are_measured(style: np.ndarray, mask: np.ndarray) -> None:
     pasted = measures.paste_style(style, mask, np.random.default_rng(1234))
     littered = np.where(mask[..., None] > 0.5, pasted, 1.0 - pasted)
     for name, measure in measures.MEASURES.items():
-        # blocks of the coarser patch scales reach a pixel or two over the border
-        bound = 0.01 if name == "patch" else 1e-7
+        # blocks and differences reach a pixel or two over the border
+        bound = {"patch": 0.01, "edges": 0.002}.get(name, 1e-7)
         expected = measure(style, pasted, mask)
         assert measure(style, littered, mask) == pytest.approx(expected, abs=bound)
 
