@@ -1,6 +1,6 @@
 """Paint the example style images: brush strokes that follow a flow, on a canvas made by code.
 
-    python examples/styles/paint.py OUT_FOLDER [--size 512] [--seed 7] [--only strokes waves petals]
+    python examples/styles/paint.py OUT_FOLDER [--size 512] [--seed 7] [--only strokes waves ...]
 
 Every picture is painted the way a painter would: broad strokes first, finer ones over them, each
 stroke one colour of a small palette, pulled along the flow of the picture by a brush whose bristles
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from brush import SAMPLE_STEP, Brush, Canvas, Flow, Tone, paint_layer, palette_colour, smooth_noise
 
@@ -148,10 +149,82 @@ def _paint_flower(
         canvas.stroke(dab, 0.16 * radius, palette_colour(hearts, rng.random(), rng), 0.4, rng)
 
 
+def paint_dabs(size: int, seed: int) -> Image.Image:
+    """Thick short dabs that fly out of a light in a corner, from cream over blue into the night."""
+    palette = _colours(
+        "10102c", "1a1f63", "1c3fa8", "2272cf", "35a6dd", "8fd3ea", "e9e8d2", "f6d48c"
+    )
+    rng = np.random.default_rng(seed + 100)
+    warp = smooth_noise(seed + 8, 0.25, 2)
+
+    def flow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.arctan2(y - 0.9, x - 0.75) + 0.35 * warp(x, y)
+
+    def tone(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 0.95 - 0.85 * np.hypot(x - 0.75, y - 0.9) + 0.10 * warp(y, x)
+
+    canvas = Canvas(size, tuple(palette[0]))
+    for brush in (
+        Brush(width=0.07, length=0.16, count=500, tone_jitter=0.10, dryness=0.2),
+        Brush(width=0.042, length=0.11, count=1100, tone_jitter=0.16, dryness=0.5),
+        Brush(width=0.026, length=0.075, count=900, tone_jitter=0.22, dryness=0.6),
+    ):
+        paint_layer(canvas, brush, flow, tone, palette, rng)
+    return canvas.picture()
+
+
+def paint_ink(size: int, seed: int) -> Image.Image:
+    """Ink on paper: grey washes, then black strokes of a dry brush that sweep in arcs, some red."""
+    paper, washes = _colours("f1e9d8"), _colours("c9c2b4", "9c978e", "6c6963")
+    inks = _colours("0c0c10", "1d1c22", "35343a")
+    rng = np.random.default_rng(seed + 100)
+    bend = smooth_noise(seed + 11, 0.35, 2)
+
+    def flow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 0.6 + 2.4 * bend(x, y)
+
+    canvas = Canvas(size, tuple(paper[0]))
+    layers = (
+        (washes, Brush(width=0.10, length=0.40, count=55, tone_jitter=0.4, dryness=0.3)),
+        (inks, Brush(width=0.055, length=0.42, count=60, tone_jitter=0.4, dryness=0.9)),
+        (inks, Brush(width=0.018, length=0.26, count=110, tone_jitter=0.4, dryness=0.6)),
+        (_colours("a3201c", "c43a24"), Brush(0.035, 0.10, 12, 0.4, 0.4)),
+    )
+    for palette, brush in layers:
+        paint_layer(canvas, brush, flow, lambda x, _: 0.4 + 0.0 * x, palette, rng)
+    return canvas.picture()
+
+
+def paint_mosaic(size: int, seed: int) -> Image.Image:
+    """Stones in dark mortar: bands of terracotta, gold, ivory and turquoise that wind around."""
+    palette = _colours("15384a", "1f7d86", "5cc0ad", "f3ead0", "efc04a", "d9772b", "9b2f22")
+    rng = np.random.default_rng(seed + 100)
+    bend = smooth_noise(seed + 14, 0.4, 2)
+    n_rows = 26
+    lattice = np.stack(np.meshgrid(np.arange(-1, n_rows + 1), np.arange(-1, n_rows + 1)), -1)
+    stones = (lattice.reshape(-1, 2) + 0.5 + rng.uniform(-0.28, 0.28, (lattice.size // 2, 2))) / (
+        n_rows
+    )
+    place = 0.5 + 0.5 * np.sin(9.0 * stones[:, 1] + 3.0 * bend(stones[:, 0], stones[:, 1]))
+    place += rng.normal(0.0, 0.07, len(stones))
+    colours = np.stack([palette_colour(palette, float(p), rng) for p in place])
+    canvas = Canvas(size, (0.10, 0.09, 0.09))
+    y, x = np.mgrid[: canvas.side, : canvas.side] / canvas.side
+    distance, nearest = cKDTree(stones).query(np.stack([x, y], axis=-1), k=2)
+    depth = (distance[..., 1] - distance[..., 0]) * n_rows  # 0 between two stones
+    inside = depth > 0.16
+    canvas.colour[inside] = colours[nearest[..., 0][inside]]
+    canvas.relief[inside] = 1.5 * np.minimum(depth[inside], 0.4) + 0.3
+    return canvas.picture()
+
+
 PAINTINGS: dict[str, Callable[[int, int], Image.Image]] = {
     "strokes": paint_strokes,
     "waves": paint_waves,
     "petals": paint_petals,
+    "dabs": paint_dabs,
+    "ink": paint_ink,
+    "mosaic": paint_mosaic,
 }
 
 
