@@ -18,15 +18,16 @@ from pxr import Usd
 from benchmarks.display import composite, mean_colour
 from benchmarks.held_out import Result, draw_march, fit_view, held_out_angles, read_result
 from benchmarks.style_scores import stylize_in_child
-from usdsmoke.base.presets import PRESETS
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.scene import measure_scene
 from usdsmoke.pictures import read_style_image
 
 __all__ = ["main", "unseen_loss"]
 
+_COMPARED = ("draft", "daily", "final")  # the paper's needs VGG-19
 _N_VIEWS = 6
 
 
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     style = read_style_image(options.style).pixels
     words = [f"stage.frames={options.frames}", "optimize.threads=1"]
     print("| preset | CPU seconds | unseen loss |\n| --- | --- | --- |")
-    for name in PRESETS:
+    for name in _COMPARED:
         folder = options.out / name
         more = ["--preset", name]
         _, cpu_s, _ = stylize_in_child(options.stage, options.style, folder, words, more)
@@ -65,7 +66,7 @@ def unseen_loss(result: Result, style: np.ndarray) -> float:
     scene = measure_scene([frame], config.views, config.optics, result.up_axis, 1)
     loss = make_targets([style], scene, config, torch.device("cpu")).at(1)
     found = []
-    for angles in held_out_angles(_N_VIEWS, config.views.azimuth, config.views.elevation):
+    for angles in held_out_angles(_N_VIEWS, *view_ranges(config.views)):
         view = fit_view(result, *map(float, angles), config.views.image_size)
         premultiplied, alpha = draw_march(result, view)
         picture = composite(premultiplied, alpha, mean_colour(style))

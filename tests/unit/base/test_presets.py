@@ -13,6 +13,7 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.presets import PRESETS, preset_file
 from usdsmoke.base.resolve import resolve_settings
 from usdsmoke.base.settings import Config
+from usdsmoke.core.style.layers import style_layers
 from usdsmoke.ui.cli.main import main
 
 
@@ -24,15 +25,23 @@ def test_a_preset_holds_settings_that_exist_and_is_not_explicit(name: str) -> No
 
 
 def test_a_draft_iterates_less_and_a_final_more() -> None:
-    draft, daily, final = (resolve_settings(preset_file(name)) for name in PRESETS)
+    draft, daily, final = (resolve_settings(preset_file(name)) for name in PRESETS[:3])
     for step in ("shape", "colour"):
         counts = [sum(getattr(config, step).iterations) for config in (draft, daily, final)]
         assert counts == sorted(counts) and len(set(counts)) == 3
     assert draft.views.image_size < daily.views.image_size < final.views.image_size
 
 
+def test_the_paper_preset_has_the_published_layers_rate_iterations_and_views() -> None:
+    config = resolve_settings(preset_file("paper"))
+    assert list(style_layers(config.features)) == ["relu2_1", "relu3_1"]
+    assert config.colour.learning_rate == pytest.approx(1 / 255, rel=0.01)
+    assert sum(config.shape.iterations) == sum(config.colour.iterations) == 300
+    assert (config.views.count, config.losses.statistic) == (9, "gram")
+
+
 def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ConfigError, match="draft, daily, final"):
+    with pytest.raises(ConfigError, match="draft, daily, final, paper"):
         preset_file("best")
 
 

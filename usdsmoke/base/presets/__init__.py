@@ -3,6 +3,7 @@
 - ``draft.yaml``: a first look
 - ``daily.yaml``: the defaults
 - ``final.yaml``: more iterations and views
+- ``paper.yaml``: what the paper publishes
 """
 
 from pathlib import Path
@@ -11,7 +12,7 @@ from usdsmoke.base.errors import ConfigError
 
 __all__ = ["PRESETS", "preset_file"]
 
-PRESETS = ("draft", "daily", "final")
+PRESETS = ("draft", "daily", "final", "paper")
 
 
 def preset_file(name: str) -> Path:
