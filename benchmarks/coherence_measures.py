@@ -16,6 +16,7 @@ from benchmarks.held_out import held_out_angles
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
 from usdsmoke.core.steps.targets import StyleTargets, make_targets
@@ -103,7 +104,7 @@ def style_distances(shot: Shot, run: Run, n_views: int = 4) -> Distances:
     """The judge's loss at full size, mean of views within the range that were never optimised."""
     targets = make_targets([shot.style], shot.scene, shot.config, torch.device("cpu"))
     views = shot.config.views
-    angles = held_out_angles(n_views, views.azimuth, views.elevation)
+    angles = held_out_angles(n_views, *view_ranges(views))
     colour, grey = [], []
     with torch.no_grad():
         for outcome in run.outcomes:
@@ -117,7 +118,7 @@ def unmoved_distance(shot: Shot, run: Run, n_views: int = 4) -> float:
     """The grey distance of the sources themselves, mean of all frames: where moving begins."""
     targets = make_targets([shot.style], shot.scene, shot.config, torch.device("cpu"))
     views = shot.config.views
-    angles = held_out_angles(n_views, views.azimuth, views.elevation)
+    angles = held_out_angles(n_views, *view_ranges(views))
     found = [
         _grey_distance(shot, item, item.source.density, _views(shot, item, angles), targets)
         for item in run.outcomes

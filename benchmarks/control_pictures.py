@@ -29,7 +29,7 @@ KINDS = ("2-D", "3-D")
 GAMMAS = ("0.001", "0.1", "0.5", "1")
 DEPTHS = (1, 2, 3, 4)
 TILINGS = (1, 2, 4)
-RESOLUTION, SLAB_RESOLUTION = 64, 96  # voxels along the box's width
+RESOLUTION, SLAB_RESOLUTION = 48, 96  # voxels along the box's width
 ONE_OCTAVE = ("shape.iterations=[0,0,100]", "colour.iterations=[0,0,240]")
 BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
 SETTINGS = {
@@ -42,14 +42,14 @@ SMALL_STEPS = (
     "colour.learning_rate=0.004",
     "optimize.tolerance=0",
 )
-ONE_OCTAVE = ("shape.iterations=[0,0,100]", "colour.iterations=[0,0,240]")
-BEHIND = 0.1  # linear grey behind masked smoke, which is black where it is not painted
-SETTINGS = {
-    "2-D": ["views.image_size=192"],
-    "3-D": ["views.image_size=112", "views.pool=12"],
+# The few settings that shape a picture, their defaults first
+WORDS = {
+    "style.size": ("1", "0.5", "2"),
+    "optimize.strength": ("1", "0.3", "0.6"),
+    "style.colour": ("1", "0", "2"),
+    "style.lift": ("0", "0.25", "0.5"),
+    "optics.depth": ("10", "2", "40"),
 }
-# One octave and steps of 0.5 in 255, as in the paper: a start from plain density washes out.
-PAPER_START = ("colour.iterations=[0,0,300]", "colour.learning_rate=0.002", "optimize.tolerance=0")
 
 
 def show_gamma(studio: Studio) -> Grid:
@@ -146,7 +146,21 @@ def show_dimensions(studio: Studio) -> Grid:
     return Grid("dimensions", "3-D and 2-D, default settings", [finished, moved])
 
 
+def show_words(studio: Studio) -> Grid:
+    """The few settings that shape a picture, at three values each."""
+    rows = []
+    for name, (default, *others) in WORDS.items():
+        looks = {default: studio.look("3-D", "strokes")}
+        looks |= {value: studio.look("3-D", "strokes", f"{name}={value}") for value in others}
+        ordered = sorted(looks, key=float)
+        rows.append(
+            [Panel(looks[value].colour(background=BEHIND), f"{name} {value}") for value in ordered]
+        )
+    return Grid("words", "The few settings that shape the picture", rows)
+
+
 GRIDS: dict[str, Callable[[Studio], Grid]] = {
+    "words": show_words,
     "gamma": show_gamma,
     "depth": show_depth,
     "tiling": show_tiling,

@@ -17,6 +17,7 @@ from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.style.style_image import scale_style
@@ -96,7 +97,7 @@ class Judge:
         self._step, self._scene, self._source = step, scene, frame.density
         self._targets = make_targets([style], scene, config, torch.device("cpu"))
         views = config.views
-        angles = held_out_angles(N_VIEWS, views.azimuth, views.elevation)
+        angles = held_out_angles(N_VIEWS, *view_ranges(views))
         self._gamma_w = scene.gamma_w_shape if step == "shape" else scene.gamma_w
         # all results are seen by the same cameras: those of the source with room for what moved
         room = _padded(frame.density, 4)

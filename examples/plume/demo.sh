@@ -1,7 +1,7 @@
 #!/bin/sh
 # Simulate the plume, paint the styles, stylize the one with the other, and say where everything is.
 #
-#   sh examples/plume/demo.sh OUT_FOLDER [STYLE]     (run by `make demo`; STYLE: strokes, waves, petals)
+#   sh examples/plume/demo.sh OUT_FOLDER [STYLE]     (run by `make demo`; STYLE: strokes, dabs, ...)
 set -eu
 here=$(dirname "$0")
 out=${1:?"usage: demo.sh OUT_FOLDER [STYLE]"}
@@ -9,7 +9,7 @@ style=${2:-strokes}
 bin=.venv/bin
 
 "$bin/python" "$here/simulate.py" "$out/source"
-"$bin/python" "$here/../styles/paint.py" "$out/styles"
+"$bin/python" "$here/../styles/paint.py" "$out/styles" --only strokes waves petals "$style"
 "$bin/usdsmoke" stylize "$out/source/plume.usda" --style "$out/styles/$style.png" \
     --config "$here/config.yaml" -o "$out/look" --force
 

@@ -88,11 +88,12 @@ class ViewsConfig(Section):
     sampling: Literal["fixed", "uniform", "poisson"] = setting(
         "poisson", "how the views are spread over the ranges of azimuth and elevation",
         request="viewSampling")
-    azimuth: float = setting(
-        12.0, "half the range of views around the up axis, or around the camera's direction",
+    azimuth: float | None = setting(
+        None, "half the range of views around the up axis, or around the camera's direction; "
+        "unset: 180, or 12 with a camera",
         ge=0, le=180, unit="degrees", request="azimuth")
-    elevation: float = setting(
-        6.0, "half the range of views above and below",
+    elevation: float | None = setting(
+        None, "half the range of views above and below; unset: 40, or 6 with a camera",
         ge=0, le=90, unit="degrees", request="elevation")
     centre_azimuth: float = setting(
         0.0, "middle of the azimuth range; 0 looks along -Z (Y-up), +Y (Z-up) or as the camera "
@@ -125,7 +126,7 @@ class OpticsConfig(Section):
         None, "extinction of the shape step's grey images; unset: chosen from optics.depth_shape",
         gt=0, unit=_PER_VOXEL, request="gammaShape")
     depth: float = setting(
-        4.0, "optical depth that the thick columns should have; used to choose gamma if it is "
+        10.0, "optical depth that the thick columns should have; used to choose gamma if it is "
         "unset", gt=0)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
     frames: str = setting(
@@ -142,6 +143,11 @@ class StyleConfig(Section):
         1, "repetitions of the style image along each side", ge=1, le=16, request="styleTiling")
     size: float = setting(
         1.0, "size of the style relative to the rendered image", gt=0, le=8, request="styleSize")
+    colour: float = setting(
+        1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)
+    lift: float = setting(
+        0.0, "level to which the style's black is lifted; 0: black, which hides what is behind it; "
+        "white stays", ge=0, le=0.9)
     weights: Weights = setting(
         [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")

@@ -70,7 +70,7 @@ def test_the_straight_picture_has_the_smoke_s_own_colour_however_thin_it_is(smok
     colour = torch.tensor([0.7, 0.2, 0.1]).expand(len(smoke.ijk), 3)
     view = views[0]
     straight = view.unpremultiplied(colour, BACKGROUND)
-    seen = view.guide[..., None]
+    seen = (view.alpha / (view.alpha + 0.01))[..., None]  # half background at 1 % of opacity
     mixed = encode_srgb(seen * colour[0] + (1 - seen) * BACKGROUND)
     assert torch.allclose(straight, mixed, atol=1e-5)
     empty = view.alpha == 0
@@ -103,7 +103,7 @@ def test_smoke_as_thin_as_the_paper_s_is_painted_like_thick_smoke():
     """The same colours in the thin limit, and nearly the loss that thick smoke gets."""
     thick, faint, fainter = (thin_run(gamma, [30, 30]) for gamma in (0.3, 1e-3, 1e-9))
     assert faint[2] == pytest.approx(thick[2], rel=0.15)
-    assert fainter[2] == pytest.approx(faint[2], rel=0.01)
+    assert fainter[2] == pytest.approx(faint[2], rel=0.02)
     assert (fainter[1] - faint[1]).abs().mean() < 0.01
 
 
@@ -169,7 +169,7 @@ def test_total_variation_smooths_the_picture(smoke, views):
             ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 25)
         )
         rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
-    assert rough[1] < 0.3 * rough[0]
+    assert rough[1] < 0.4 * rough[0]
 
 
 def test_no_smoke_colour_is_changed_by_no_iterations(smoke):

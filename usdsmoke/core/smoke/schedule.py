@@ -4,6 +4,9 @@ from collections.abc import Sequence
 
 from usdsmoke.base.sections import ViewsConfig
 
+# degrees, half the ranges of azimuth and elevation of the views
+ALL_ROUND = (180.0, 40.0)
+AROUND_CAMERA = (12.0, 6.0)
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 
@@ -41,13 +44,26 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
     return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]
 
 
+def view_ranges(views: ViewsConfig) -> tuple[float, float]:
+    """Half the ranges of azimuth and elevation, degrees: all round, or around the shot's camera.
+
+    Colours that are painted from one side only are streaks from all others. Views from above and
+    below keep smoke from being painted in level slices, which look like strokes from all round.
+    """
+    azimuth, elevation = AROUND_CAMERA if views.camera else ALL_ROUND
+    return (
+        azimuth if views.azimuth is None else views.azimuth,
+        elevation if views.elevation is None else views.elevation,
+    )
+
+
 def has_one_view(views: ViewsConfig, is_thin: bool = False) -> bool:
     """True if smoke is seen from one side only, whatever ``views.pool`` is.
 
     Args:
         is_thin: the smoke is one voxel thick, see ``ActiveSmoke.thin_axis``.
     """
-    return is_thin or (views.azimuth == 0 and views.elevation == 0)
+    return is_thin or view_ranges(views) == (0, 0)
 
 
 def pool_size(views: ViewsConfig, is_thin: bool = False) -> int:

@@ -20,8 +20,9 @@ from usdsmoke.core.views.cameras import View, draw_views
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import SparseImage, colour_map
 
-# Exposed opacity at which the guidance mask is one half, and a pixel half background
-THIN = 0.05
+THIN = 0.05  # exposed opacity at which the guidance mask is one half
+BACKDROP = 0.2  # of that, where a pixel of the colour picture is half background: thin smoke that
+# is seen mixed with it takes complementary tints, which cancel it and which the style does not have
 
 AnyView = TypeVar("AnyView")
 
@@ -109,7 +110,7 @@ class ColourView:
 
     image: SparseImage
     alpha: Tensor  # [H W], opacity of the painted smoke in this view
-    thin: float = THIN  # opacity at which a pixel of the unpremultiplied picture is half background
+    thin: float = THIN  # opacity at which the guidance mask is one half
     content: Content | None = None
 
     @property
@@ -126,8 +127,9 @@ class ColourView:
         style does not have.
         """
         alpha = self.alpha[..., None]
-        light = self.image.apply(colours) + self.thin * background
-        return encode_srgb(light / (alpha + self.thin))
+        behind = BACKDROP * self.thin
+        light = self.image.apply(colours) + behind * background
+        return encode_srgb(light / (alpha + behind))
 
 
 def prepare_views(

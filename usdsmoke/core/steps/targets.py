@@ -15,7 +15,7 @@ from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import content_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
-from usdsmoke.core.style.style_image import match_grey, scale_style
+from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
@@ -129,6 +129,8 @@ def make_targets(
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         return StyleTarget(style, network_for()(style), layers, config.losses, content, seed)
 
-    images = tuple(StyleFeatures(pixels, make_target) for pixels in styles)
+    images = tuple(
+        StyleFeatures(adjust_tones(pixels, config.style), make_target) for pixels in styles
+    )
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)

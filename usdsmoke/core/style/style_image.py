@@ -37,6 +37,21 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
     return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
 
 
+def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
+    """The style image with the amount of colour and the darkest level that are asked for, [H W 3].
+
+    Args:
+        style: [H W 3], display-encoded, in [0, 1].
+        config: ``colour`` scales the distance of each pixel from its own grey; ``lift`` is what
+            black becomes, with white fixed.
+    """
+    if config.colour == 1 and config.lift == 0:
+        return style
+    grey = luminance(torch.as_tensor(np.ascontiguousarray(style))).numpy()[..., None]
+    toned = np.clip(grey + config.colour * (style - grey), 0, 1)
+    return (config.lift + (1 - config.lift) * toned).astype(style.dtype)
+
+
 def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
     """The style's luminance with the mean and contrast of the smoke's grey pictures, [H W 3].
 

@@ -9,6 +9,7 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.smoke.schedule import view_ranges
 
 FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
@@ -195,7 +196,7 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
     which is a Poisson-disc set without a radius that could fail [Mitchell1991]. Every count and
     every range is valid, a zero range included: the angle is then constant.
     """
-    half = np.array([config.azimuth, config.elevation])
+    half = np.array(view_ranges(config))
     middle = np.array([config.centre_azimuth, config.centre_elevation])
     if config.sampling == "poisson":
         unit = _spread_points(n, half, seed)

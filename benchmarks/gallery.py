@@ -1,0 +1,174 @@
+"""Rebuilds the gallery: docs/gallery.md and its pictures, six painted styles on each scene.
+
+    python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--threads 1]
+
+Every style is painted by code and stylizes a 3-D frame of the example plume, a 2-D slab and, where
+its file is, the real plume at half its resolution, all with default settings. The page tells CPU
+seconds and scores on views that the optimiser never had.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from benchmarks.circumstances import circumstances
+from benchmarks.control_pictures import simulate_once
+from benchmarks.control_scenes import load_example, paint_styles
+from benchmarks.control_studio import Look, Studio
+from benchmarks.display import composite
+from benchmarks.equal_judge import find_scenes
+from benchmarks.held_out import Result, held_out_angles, score_result
+from benchmarks.splats import render_view
+from benchmarks.stages import PLUME_FILE
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.sections import StyleConfig
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.style.style_image import scale_style
+
+__all__ = ["Cell", "main", "make_cell", "write_page"]
+
+HEIGHT = 288  # pixels of a picture in the gallery
+GAP = 6
+GREY = np.full(3, 0.12, np.float32)  # display-encoded, behind the smoke
+REAL_WIDTH = 56  # voxels across of the real plume
+TURNS = {"3-D": (0.0, 90.0), "2-D": (0.0,), "real": (0.0, 90.0)}  # degrees of azimuth
+NAMES = {"3-D": "example plume", "2-D": "2-D slab", "real": "real plume"}
+MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "edges": "edges"}
+N_VIEWS = 6
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A style on a scene."""
+
+    kind: str  # key of NAMES
+    pictures: list[np.ndarray]  # display-encoded
+    cpu_s: float
+    scores: dict[str, float]
+
+
+def make_cell(studio: Studio, kind: str, style: str) -> Cell:
+    """Stylize, draw and score."""
+    begin = time.process_time()
+    look = studio.look(kind, style)
+    seconds = time.process_time() - begin
+    pictures = [_picture(look, azimuth) for azimuth in TURNS[kind]]
+    return Cell(kind, pictures, seconds, _scores(look, studio.styles[style], kind))
+
+
+def _picture(look: Look, azimuth: float) -> np.ndarray:
+    frame, scene = look.frame, look.scene
+    drawn = render_view(
+        frame.density, frame.emission, np.eye(4), scene.gamma_w, scene.up_axis, azimuth, 0.0, HEIGHT
+    )
+    return composite(drawn[..., :3], drawn[..., 3], GREY)
+
+
+def _scores(look: Look, style: np.ndarray, kind: str) -> dict[str, float]:
+    frame, scene = look.frame, look.scene
+    assert frame.emission is not None
+    result = Result(frame.density, frame.emission, np.eye(4), scene.gamma_w, scene.up_axis)
+    size = min(scene.image_size, max(frame.density.values.shape))
+    scaled = scale_style(style, size, StyleConfig(), torch.zeros(())).numpy()
+    if kind == "2-D":
+        found, _ = score_result(result, scaled, [(0.0, 0.0)], size, "splats")
+    else:
+        found, _ = score_result(result, scaled, held_out_angles(N_VIEWS, 180.0, 40.0), size)
+    return {name: float(found[name]["mean"]) for name in (*MEASURES, "outliers")}
+
+
+def write_page(
+    page: Path, rows: Mapping[str, Sequence[Cell]], styles: Mapping[str, np.ndarray], command: str
+) -> None:
+    """Write the page, and a picture of every row into ``pictures/gallery`` beside it.
+
+    Args:
+        page: a Markdown file.
+        rows: cells by style.
+        styles: display-encoded [H W 3] by name.
+        command: that makes the page.
+    """
+    folder = page.parent / "pictures" / "gallery"
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        "# Gallery",
+        "",
+        "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the",
+        "style, then each scene from the front, and volumes from the side too. Scores are those of",
+        "[quality and cost](../README.md#quality-and-cost), from all sides; *outliers* is the part",
+        "of pixels in colours that the style does not have.",
+        "",
+    ]
+    for style, cells in rows.items():
+        file_name = f"{style}.webp"
+        _strip([styles[style], *(p for cell in cells for p in cell.pictures)]).save(
+            folder / file_name, quality=88, method=6
+        )
+        lines += [f"## {style}", "", f"![{style}](pictures/gallery/{file_name})", ""]
+        lines += [f"| scene | CPU s | {' | '.join(MEASURES.values())} | outliers |"]
+        lines += ["| --- |" + " --- |" * (len(MEASURES) + 2)]
+        for cell in cells:
+            found = [f"{cell.scores[name]:.2f}" for name in MEASURES]
+            told = " | ".join([*found, f"{cell.scores['outliers']:.3f}"])
+            lines.append(f"| {NAMES[cell.kind]} | {cell.cpu_s:.0f} | {told} |")
+        lines.append("")
+    page.write_text("\n".join([*lines, *circumstances(command.split())]) + "\n", encoding="utf-8")
+
+
+def _strip(pictures: Sequence[np.ndarray]) -> Image.Image:
+    """Pictures side by side, HEIGHT high; the first, the style, is scaled to it."""
+    first = Image.fromarray(np.rint(pictures[0] * 255.0).astype(np.uint8))
+    first.thumbnail((HEIGHT, HEIGHT))
+    parts = [np.asarray(first), *(np.rint(p * 255.0).astype(np.uint8) for p in pictures[1:])]
+    width = sum(part.shape[1] for part in parts) + GAP * (len(parts) - 1)
+    sheet = Image.new("RGB", (width, HEIGHT), (24, 24, 26))
+    left = 0
+    for part in parts:
+        sheet.paste(Image.fromarray(part), (left, (HEIGHT - part.shape[0]) // 2))
+        left += part.shape[1] + GAP
+    return sheet
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    names = list(load_example("styles", "paint").PAINTINGS)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", nargs="+", choices=names, default=names, help="styles")
+    parser.add_argument("--page", type=Path, default=Path("docs/gallery.md"))
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
+    parser.add_argument("--work", type=Path, default=Path("out/bench/controls"))
+    parser.add_argument("--threads", type=int, default=1, help="CPU threads; 0 means all")
+    options = parser.parse_args(arguments)
+    try:
+        frames: dict[str, VolumeFrame] = dict(simulate_once(options.work, reuse=True))
+        if (options.data / PLUME_FILE).is_file():
+            frames["real"] = find_scenes(["real_plume"], REAL_WIDTH, options.data)[0]["real_plume"]
+        styles = paint_styles(options.only)
+        threads = [f"optimize.threads={options.threads}"]
+        studio = Studio(frames, styles, dict.fromkeys(frames, threads))
+        kinds = [kind for kind in TURNS if kind in frames]
+        rows: dict[str, list[Cell]] = {}
+        words = arguments if arguments is not None else sys.argv[1:]
+        for style in options.only:
+            rows[style] = [make_cell(studio, kind, style) for kind in kinds]
+            write_page(
+                options.page, rows, styles, " ".join(["python -m benchmarks.gallery", *words])
+            )
+    except (OSError, ValueError, UsdSmokeError) as error:
+        print(f"benchmarks.gallery: {error}", file=sys.stderr)
+        return 1
+    print(options.page)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
