@@ -218,7 +218,7 @@ def test_an_exr_that_takes_too_long_is_refused(
 ) -> None:
     save_exr(tmp_path / "a.exr", rgb_channels(LINEAR))
     monkeypatch.setattr(exr_channels, "_SECONDS", 1e-3)
-    with pytest.raises(ImageError, match=r"a\.exr cannot be decoded: .* CPU time"):
+    with pytest.raises(ImageError, match=r"a\.exr cannot be decoded: .* was stopped"):
         read_style_image(tmp_path / "a.exr")
 
 
