@@ -15,6 +15,7 @@ from benchmarks.control_scenes import FRAMES_PER_SECOND
 from benchmarks.held_out import held_out_angles
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.steadiness import Steadiness
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
@@ -53,16 +54,18 @@ def temporal_errors(run: Run, scene_gamma_w: float) -> dict[str, dict[int, np.nd
     """
     measures = {kind: Steadiness() for kind in ("displacement", "colour")}
     found: dict[str, dict[int, list[float]]] = {kind: {} for kind in measures}
-    before, seconds = None, 0.0
+    before = None
     for own in run.outcomes:
+        transit = None
         if before is not None:
             seconds = (own.source.time_code - before.time_code) / FRAMES_PER_SECOND
+            transit = Transit(before, seconds)
         patterns = {
             "displacement": (own.still, own.displacement.at(own.still.positions)),
             "colour": painted_colours(own, scene_gamma_w),
         }
         for kind, pattern in patterns.items():
-            errors = measures[kind].compare(*pattern, before, seconds)
+            errors = measures[kind].compare(*pattern, transit)
             for lag, error in errors.items():
                 found[kind].setdefault(lag, []).append(error)
         before = own.source

@@ -20,8 +20,8 @@ import torch
 from benchmarks.control_scenes import FRAMES_PER_SECOND, frame_of, load_example
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
-from usdsmoke.core.sequence.coherence import departure_points
 from usdsmoke.core.sequence.motion import estimate_velocity
+from usdsmoke.core.sequence.transit import Transit
 
 __all__ = ["Step", "compare", "follow_shifts", "main", "simulate"]
 
@@ -110,7 +110,7 @@ def _ways(frame: VolumeFrame, velocity: DenseField | None) -> torch.Tensor:
     places = voxels @ matrix[:3, :3] + matrix[3, :3]
     moving = VolumeFrame(1.0, frame.density, np.eye(4), velocity, np.eye(4))
     back = torch.linalg.inv(matrix[:3, :3])
-    return (places - departure_points(moving, places, SECONDS)) @ back
+    return (places - Transit(moving, SECONDS).origins(places)) @ back
 
 
 def _row(before: VolumeFrame, after: VolumeFrame, ways: torch.Tensor, truth: torch.Tensor) -> str:

@@ -69,8 +69,11 @@ class WindowsConfig(Section):
         4, "frames that neighbouring windows share; their two results are blended",
         ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
-        0.4, "share of the iterations that is run for a frame that starts from its neighbour's "
+        0.8, "share of the iterations that is run for a frame that starts from its neighbour's "
         "result", gt=0, le=1)
+    steadiness: float = setting(
+        1.0, "weight of the change of a frame's displacement against its neighbour's, carried "
+        "along; higher is steadier, and farther from the style", ge=0)
     shared_octaves: int = setting(
         2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
     pattern_speed: float = setting(
@@ -210,7 +213,7 @@ class ShapeConfig(Section):
         [60, 50, 40], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
     warm_rate: float = setting(
-        0.12, "share of the learning rate for a frame that starts from its neighbour's result",
+        0.5, "share of the learning rate for a frame that starts from its neighbour's result",
         gt=0, le=1)
     smoothing: float = setting(
         0.5, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)
@@ -226,7 +229,7 @@ class ColourConfig(Section):
         [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
-        0.35, "share of the learning rate for a frame that starts from its neighbour's result",
+        0.7, "share of the learning rate for a frame that starts from its neighbour's result",
         gt=0, le=1)
     smoothing: float = setting(
         0.25, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)

@@ -34,6 +34,10 @@ class FieldSource:
     field_to_stage: np.ndarray  # [4 4] the field prim's local-to-world at time_code
     data_type: str = ""  # fieldDataType token as authored, "" when missing
     field_class: str = ""  # fieldClass token as authored, "" when missing
+    # How layer offsets slow down what the layer of the file path holds: by timeCodes, and by
+    # seconds, which differ where the layer has another number of timeCodes per second.
+    code_stretch: float = 1.0
+    time_stretch: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class FrameReader:
         self._store.release(_files(frames) - _files(needed))
 
     def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
-        """The grids that are copied to a frame's result, unchanged: velocity, then others.
+        """The grids that are copied to a frame's result; velocity, then others.
 
         Raises:
             GridError: see ``read_velocity_grids``.
@@ -100,9 +100,11 @@ def read_frame(
     if velocity is not None:
         request = GridRequest(velocity.name, velocity.field.grid_index, field_place(velocity.field))
         moving = read_velocity(velocity.field.file_path, request, config.grids, read)
-    if moving is not None and config.stage.velocity_unit == "frame":
-        values = moving.values * np.float32(time_codes_per_second)
-        moving = dataclasses.replace(moving, values=values)
+    if moving is not None and velocity is not None:
+        factor = _slowed(velocity.field, config)
+        if config.stage.velocity_unit == "frame":
+            factor *= time_codes_per_second
+        moving = _scaled(moving, factor)
     return VolumeFrame(
         time_code=frame.time_code,
         density=density,
@@ -114,6 +116,23 @@ def read_frame(
         controls=frame.controls,
         camera=frame.camera,
     )
+
+
+def _slowed(field: FieldSource, config: Config) -> float:
+    """What layer offsets do to a velocity, in the unit it has in the file."""
+    per_frame = config.stage.velocity_unit == "frame"
+    return 1 / (field.code_stretch if per_frame else field.time_stretch)
+
+
+def _scaled(field: DenseField, factor: float) -> DenseField:
+    """The field times a number; the field itself for 1."""
+    if factor == 1:
+        return field
+    background = tuple(factor * value for value in np.broadcast_to(field.background, 3).tolist())
+    if field.values.ndim == 3:
+        background = float(background[0])  # type: ignore[assignment]
+    values = field.values * np.float32(factor)
+    return dataclasses.replace(field, values=values, background=background)
 
 
 def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
@@ -128,7 +147,10 @@ def read_velocity_grids(
     config: Config,
     read: ReadGrids = read_grids,
 ) -> list[DenseField]:
-    """The velocity's grids as they are in the file, to be written beside the density.
+    """The velocity's grids, to be written beside the density.
+
+    As they are in the file, but slowed down where layer offsets slow down the smoke: the result's
+    layer has no such offsets.
 
     Raises:
         UnsupportedGrid: the velocity's transform on the stage differs from the density's, so that
@@ -142,7 +164,9 @@ def read_velocity_grids(
             f"<{density.prim_path}>. Unset layer.copy_velocity."
         )
     requests = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
-    return read(velocity.field.file_path, requests, config.grids)
+    factor = _slowed(velocity.field, config)
+    grids = read(velocity.field.file_path, requests, config.grids)
+    return [_scaled(grid, factor) for grid in grids]
 
 
 def hash_sources(frame: VolumeFrame) -> dict[str, str]:

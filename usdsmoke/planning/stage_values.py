@@ -81,6 +81,8 @@ def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     for frame in values["frames"]:
         for field in frame["fields"].values():
             del field["file_path"]
+            if field["code_stretch"] == field["time_stretch"] == 1:
+                del field["code_stretch"], field["time_stretch"]
     return values
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.errors import LayerError, UsdSmokeError
+from usdsmoke.base.errors import LayerError, UsdSmokeError, count_text
 from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
@@ -302,10 +302,16 @@ def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
     return tuple(warnings)
 
 
+def _with_more(names: Sequence[str]) -> str:
+    return names[0] + (f" and {count_text(len(names) - 1, 'frame')} more" if names[1:] else "")
+
+
 def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
-    found = [
-        f"{name}: {warning}" for name, report in run.reports.items() for warning in report.warnings
-    ]
+    frames: dict[str, list[str]] = {}  # by warning
+    for name, report in run.reports.items():
+        for warning in report.warnings:
+            frames.setdefault(warning, []).append(name)
+    found = [f"{_with_more(names)}: {warning}" for warning, names in frames.items()]
     found += processor_warnings(run)
     found += [
         _measured(scene, volume)

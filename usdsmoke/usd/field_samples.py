@@ -91,6 +91,23 @@ class FieldSamples:
         }
         return sorted(file_codes | changes)
 
+    def stretch(self, time_code: float) -> tuple[float, float]:
+        """How many times slower than in its layer the file's motion is shown.
+
+        Layer offsets of sublayers, references and payloads are multiplied. Of value clips nothing
+        is known: 1.
+
+        Returns:
+            stage timeCodes a timeCode of the layer, and stage seconds a second of the layer.
+        """
+        rate = self._file.GetStage().GetTimeCodesPerSecond()
+        stack = self._file.GetPropertyStackWithLayerOffsets(Usd.TimeCode(time_code))
+        for spec, offset in stack:
+            if spec.HasInfo("timeSamples"):
+                scale = float(offset.scale)
+                return scale, scale * float(spec.layer.timeCodesPerSecond) / rate
+        return 1.0, 1.0
+
     def inside(self, interval: Gf.Interval) -> tuple[FieldSample, ...]:
         """One entry for every time sample in an interval; one entry if there is none."""
         attributes = (self._file, *self._grid)

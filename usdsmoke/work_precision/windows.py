@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from usdsmoke.core.sequence.stylize import StylizedFrame
+    from usdsmoke.core.sequence.transit import Transit
     from usdsmoke.core.smoke.active import ActiveSmoke
 
 _NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
@@ -74,6 +75,15 @@ class _Shot:
     @property
     def rate(self) -> float:
         return self.case.job.plan.source.time_codes_per_second
+
+    def transit(self, before: VolumeFrame, frame: VolumeFrame) -> "Transit":
+        """From a frame to the next."""
+        from usdsmoke.core.sequence.transit import Transit, ride_between
+
+        seconds = (frame.time_code - before.time_code) / self.rate
+        if self.case.config.stage.motion == "estimate":  # the Volume's motion is in it
+            return Transit(before, seconds)
+        return Transit(before, seconds, ride_between(before, frame))
 
     @cached_property
     def smokes(self) -> list["ActiveSmoke"]:
@@ -231,12 +241,10 @@ def _temporal_error(shot: _Shot, results: Sequence["StylizedFrame"]) -> float:
     from usdsmoke.core.sequence.steadiness import Steadiness
 
     steadiness, errors = Steadiness(shot.config.optimize.seed), []
-    before, seconds = None, 0.0
+    before: VolumeFrame | None = None
     for frame, result in zip(shot.frames, results, strict=True):
-        if before is not None:
-            seconds = (frame.time_code - before.time_code) / shot.rate
-        pattern = _painted(shot.case, frame, result)
-        errors.append(steadiness.compare(*pattern, before, seconds).get(1))
+        transit = None if before is None else shot.transit(before, frame)
+        errors.append(steadiness.compare(*_painted(shot.case, frame, result), transit).get(1))
         before = frame
     found = [error for error in errors if error is not None]
     return float(np.mean(found)) if found else 1.0  # no smoke stays from frame to frame

@@ -15,6 +15,7 @@ from usdsmoke.core.fields import lattice as lattice_module
 from usdsmoke.core.fields.lattice import surround
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import carry_displacement
+from usdsmoke.core.sequence.transit import Transit
 
 
 class LargeTensors(TorchDispatchMode):
@@ -45,7 +46,7 @@ def test_a_carried_displacement_takes_no_box_of_places(monkeypatch: pytest.Monke
     frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
     before = Displacement(torch.rand(*box.shape, 3), box)
     with LargeTensors(3 * int(np.prod(box.shape))) as large:
-        carried = carry_displacement(before, frame, box, 1 / 24)
+        carried = carry_displacement(before, Transit(frame, 1 / 24), box)
     assert carried.shape == (*box.shape, 3)
     # for the velocity, the displacement channel by channel, the result
     assert len(large.made) == 3, large.made

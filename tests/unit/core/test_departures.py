@@ -8,7 +8,8 @@ from scipy.linalg import expm
 from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.sequence.coherence import carry_colours, departure_points
+from usdsmoke.core.sequence.coherence import carry_colours
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
 
@@ -27,7 +28,7 @@ def test_colours_follow_smoke_that_moves_by_whole_voxels():
     before = smoke_of(DENSITY)
     now = shifted(before, (2, 0, -1))
     frame = frame_of(np.pad(DENSITY, 3), velocity=np.array([48.0, 0.0, -24.0]), ijk_min=(-3,) * 3)
-    carried = carry_colours(before, colours_of(before), frame, now, 1 / 24, seed=0)
+    carried = carry_colours(before, colours_of(before), Transit(frame, 1 / 24), now, seed=0)
     assert torch.allclose(carried, colours_of(before), atol=1e-5)
 
 
@@ -35,15 +36,15 @@ def test_the_sign_of_time_follows_the_neighbour():
     before = smoke_of(DENSITY)
     now = shifted(before, (-2, 0, 1))
     frame = frame_of(np.pad(DENSITY, 3), velocity=np.array([48.0, 0.0, -24.0]), ijk_min=(-3,) * 3)
-    carried = carry_colours(before, colours_of(before), frame, now, -1 / 24, seed=0)
+    carried = carry_colours(before, colours_of(before), Transit(frame, 1 / 24).reverse, now, seed=0)
     assert torch.allclose(carried, colours_of(before), atol=1e-5)
 
 
 def test_without_velocity_colours_stay_in_place():
     smoke = smoke_of(DENSITY)
     frame = frame_of(DENSITY)
-    assert torch.equal(departure_points(frame, smoke.positions, 1.0), smoke.positions)
-    carried = carry_colours(smoke, colours_of(smoke), frame, smoke, 1.0, seed=0)
+    assert torch.equal(Transit(frame, 1.0).origins(smoke.positions), smoke.positions)
+    carried = carry_colours(smoke, colours_of(smoke), Transit(frame, 1.0), smoke, seed=0)
     assert torch.allclose(carried, colours_of(smoke), atol=1e-5)
 
 
@@ -64,7 +65,7 @@ def test_velocity_is_read_in_its_own_grid_and_world():
     frame = VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), velocity, to_stage)
     asked = places[2:6, 2:6, 2:6].reshape(-1, 3) + 0.2
     stage = torch.from_numpy(asked @ to_stage[:3, :3] + to_stage[3, :3])
-    found = departure_points(frame, stage, 0.1)
+    found = Transit(frame, 0.1).origins(stage)
     generator = np.zeros((4, 4))
     generator[:3, :3], generator[3, :3] = slope, [1.0, 2.0, 3.0]
     earlier = np.insert(asked, 3, 1.0, axis=1) @ expm(-0.1 * generator)
@@ -77,7 +78,7 @@ def test_an_empty_velocity_grid_moves_nothing():
     field = DenseField("velocity", np.zeros((0, 0, 0, 3), np.float32), (0, 0, 0), np.eye(4))
     frame = VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), field, np.eye(4))
     positions = smoke_of(DENSITY).positions
-    assert departure_points(frame, positions, 1.0) is positions
+    assert Transit(frame, 1.0).origins(positions) is positions
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5, 50.0])
@@ -85,7 +86,7 @@ def test_any_speed_gives_finite_colours_in_range(speed):
     smoke = smoke_of(DENSITY)
     velocity = 24.0 * speed * np.array([1.0, -0.7, 0.3])
     frame = frame_of(DENSITY, velocity=velocity)
-    carried = carry_colours(smoke, colours_of(smoke), frame, smoke, 1 / 24, seed=0)
+    carried = carry_colours(smoke, colours_of(smoke), Transit(frame, 1 / 24), smoke, seed=0)
     assert torch.isfinite(carried).all()
     assert carried.min() >= 0 and carried.max() <= 1 + 1e-6
 
@@ -94,7 +95,7 @@ def test_an_absurd_velocity_is_a_named_error():
     smoke = smoke_of(DENSITY)
     frame = frame_of(DENSITY, velocity=np.array([1e9, 0.0, 0.0]))
     with pytest.raises(PlanError, match="the velocity's unit"):
-        carry_colours(smoke, colours_of(smoke), frame, smoke, 1 / 24, seed=0)
+        carry_colours(smoke, colours_of(smoke), Transit(frame, 1 / 24), smoke, seed=0)
 
 
 def test_new_smoke_takes_the_colour_of_its_surroundings_and_noise_far_from_any():
@@ -102,6 +103,6 @@ def test_new_smoke_takes_the_colour_of_its_surroundings_and_noise_far_from_any()
     colours = torch.tensor([0.2, 0.5, 0.9]).expand(512, 3)
     ijk = torch.tensor([[1, 1, 1], [8, 1, 1], [10, 1, 1], [500, 1, 1]])
     now = ActiveSmoke(ijk, torch.ones(4), np.eye(4))
-    carried = carry_colours(before, colours, frame_of(DENSITY), now, 1.0, seed=7)
+    carried = carry_colours(before, colours, Transit(frame_of(DENSITY), 1.0), now, seed=7)
     assert torch.allclose(carried[:3], colours[:3], atol=1e-6)
     assert torch.equal(carried[3:], white_noise(ijk[3:], 3, 7))

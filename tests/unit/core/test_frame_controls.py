@@ -133,8 +133,8 @@ def test_a_pattern_speed_holds_from_its_frame_to_the_next_one():
     config = quick_config()
     job = make_context([STYLES[0]], scene_of(frames, config, "Y"), config, None, 24.0, None, 3)
     links = list(run_frames(frames, job))
-    assert job.seconds(links[0], links[1]) == 2.0 / 24
-    assert job.seconds(links[1], links[2]) == -0.5 / 24
+    assert job.transit(links[0], links[1]).seconds == 2.0 / 24
+    assert job.transit(links[1], links[2]).seconds == -0.5 / 24
 
 
 def test_the_pattern_follows_the_smoke_or_stays_by_the_earlier_frames_speed():

@@ -9,8 +9,8 @@ import torch
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.sequence.coherence import departure_points
 from usdsmoke.core.sequence.motion import MotionOptions, estimate_velocity
+from usdsmoke.core.sequence.transit import Transit
 
 SECONDS = 1 / 24
 Move = Callable[[np.ndarray], np.ndarray]
@@ -61,12 +61,12 @@ def carried(after: VolumeFrame, velocity: DenseField) -> tuple[np.ndarray, np.nd
     ijk = np.argwhere(after.density.values > 0.05)
     weights = after.density.values[tuple(ijk.T)]
     places = (ijk + np.array(after.density.ijk_min)) @ matrix[:3, :3] + matrix[3, :3]
-    came_from = departure_points(moving, torch.from_numpy(places), SECONDS).numpy()
+    came_from = Transit(moving, SECONDS).origins(torch.from_numpy(places)).numpy()
     return places, places - came_from, weights
 
 
 def rms_error(after: VolumeFrame, velocity: DenseField, where_from: Move) -> float:
-    """Density-weighted, of the way that ``departure_points`` finds; grid-world units."""
+    """Density-weighted, of the way that ``Transit`` finds; grid-world units."""
     places, way, weights = carried(after, velocity)
     error = way - (places - where_from(places))
     return float(np.sqrt((weights * (error**2).sum(-1)).sum() / weights.sum()))
@@ -121,7 +121,7 @@ def test_frames_on_different_voxels_boxes_and_places_are_compared_in_stage_space
     velocity = estimate_velocity(before, after, SECONDS)
     moving = VolumeFrame(1.0, after.density, to_stage, velocity, to_stage)
     places = np.random.default_rng(0).normal(0, 4, (500, 3))
-    came_from = departure_points(moving, torch.from_numpy(places), SECONDS).numpy()
+    came_from = Transit(moving, SECONDS).origins(torch.from_numpy(places)).numpy()
     assert np.sqrt(((came_from - places) ** 2).sum(-1).mean()) < 0.1 * 0.8
 
 
@@ -244,7 +244,7 @@ def test_looking_ahead_reverses_time_and_not_the_velocity():
     velocity = estimate_velocity(later, now, -SECONDS)
     moving = VolumeFrame(1.0, now.density, np.eye(4), velocity, np.eye(4))
     places = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (200, 3)))
-    went_to = departure_points(moving, places, -SECONDS)
+    went_to = Transit(moving, SECONDS).reverse.origins(places)
     assert (went_to - places - torch.tensor(shift)).norm(dim=1).mean() < 0.1
 
 

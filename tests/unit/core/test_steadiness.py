@@ -9,8 +9,8 @@ from torch import Tensor
 
 from tests.smoke_fixtures import frame_of
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.sequence.coherence import departure_points
 from usdsmoke.core.sequence.steadiness import LAGS, Steadiness
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, sample_colours
 
 N, RATE, SPEED, N_FRAMES = 26, 24.0, 3.0, 9
@@ -40,6 +40,7 @@ def _ball() -> VolumeFrame:
 
 
 BALL = _ball()
+STEP = Transit(BALL, 1 / RATE)
 SMOKE = activate(BALL.density, np.eye(4), torch.device("cpu"))
 
 
@@ -69,8 +70,8 @@ def errors_of(pattern: Pattern) -> dict[int, float]:
     """Means by the number of frames in between."""
     measure, found = Steadiness(), dict[int, list[float]]()
     for number in range(N_FRAMES):
-        before = BALL if number else None
-        for lag, error in measure.compare(SMOKE, pattern(number, SMOKE), before, 1 / RATE).items():
+        transit = STEP if number else None
+        for lag, error in measure.compare(SMOKE, pattern(number, SMOKE), transit).items():
             found.setdefault(lag, []).append(error)
     assert tuple(found) == LAGS
     assert [len(errors) for errors in found.values()] == [N_FRAMES - lag for lag in LAGS]
@@ -124,11 +125,11 @@ def test_blur_is_not_taken_for_steadiness() -> None:
 def test_one_exact_look_up_is_below_the_floor() -> None:
     """White noise, carried frame by frame as the chain carries it."""
     kept = torch.rand(len(SMOKE.ijk), 3, generator=torch.Generator().manual_seed(0))
-    departures = departure_points(BALL, SMOKE.positions, 1 / RATE)
+    departures = STEP.origins(SMOKE.positions)
     measure = Steadiness()
-    measure.compare(SMOKE, kept, None, 0.0)
+    measure.compare(SMOKE, kept, None)
     once, _ = sample_colours(SMOKE, kept, departures)
-    assert measure.compare(SMOKE, once, BALL, 1 / RATE)[1] < 0.03
+    assert measure.compare(SMOKE, once, STEP)[1] < 0.03
 
 
 def test_a_change_of_everything_counts() -> None:
@@ -143,14 +144,14 @@ def test_a_change_of_everything_counts() -> None:
 def test_frames_without_smoke_in_common_are_not_compared() -> None:
     far = ActiveSmoke(SMOKE.ijk + 100, SMOKE.density, SMOKE.index_to_stage)
     measure, values = Steadiness(), moving(8)(0, SMOKE)
-    measure.compare(SMOKE, values, None, 0.0)
-    assert measure.compare(far, values, BALL, 1 / RATE) == {}
+    measure.compare(SMOKE, values, None)
+    assert measure.compare(far, values, STEP) == {}
 
 
 def test_a_slab_is_measured_in_its_plane() -> None:
     slab = SMOKE.take(SMOKE.ijk[:, 2] == N // 2)
-    still = frame_of(np.zeros((2, 2, 2)))
+    still = Transit(frame_of(np.zeros((2, 2, 2))), 0.1)
     measure, values = Steadiness(), torch.rand(len(slab.ijk), 3)
-    measure.compare(slab, values, None, 0.0)
-    assert measure.compare(slab, values, still, 0.1)[1] == 0
-    assert measure.compare(slab, torch.rand(len(slab.ijk), 3), still, 0.1)[1] > 0.7
+    measure.compare(slab, values, None)
+    assert measure.compare(slab, values, still)[1] == 0
+    assert measure.compare(slab, torch.rand(len(slab.ijk), 3), still)[1] > 0.7

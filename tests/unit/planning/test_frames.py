@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from tests.grids_fixtures import make_field, raw_grid, uniform, write_raw
-from tests.usd_fixtures import density_prim, volume_prim, world, write_text, write_vdb
+from tests.usd_fixtures import (
+    density_prim,
+    sampled,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
@@ -147,3 +154,36 @@ def test_staggered_velocity_is_copied_as_it_is(tmp_path: Path, quick_grids: None
     (copied,) = read_velocity_grids(velocity, velocity.field, Config())
     assert copied.grid_class == "staggered"
     np.testing.assert_array_equal(copied.values, values)
+
+
+@pytest.mark.parametrize("scale", [2.0, 0.5])
+@pytest.mark.parametrize(("unit", "rate", "speed"), [
+    ("second", 24, 2.0), ("frame", 24, 48.0), ("second", 48, 2.0), ("frame", 48, 48.0),
+])  # fmt: skip
+def test_a_retimed_reference_slows_the_velocity_down(
+    tmp_path: Path, quick_grids: None, scale: float, unit: str, rate: int, speed: float
+) -> None:
+    """Read and copied, whatever the stage's own number of timeCodes per second is."""
+    write_vdb(tmp_path / "smoke.vdb", ("density", "vel"), value=2.0)
+    samples = sampled("asset filePath", {1: "@./smoke.vdb@", 2: "@./smoke.vdb@"})
+    body = volume_prim(density_prim(samples))
+    header = '#usda 1.0\n(\n    defaultPrim = "World"\n    timeCodesPerSecond = {}\n)\n'
+    text = world(body)
+    write_text(tmp_path / "asset.usda", header.format(24) + text[text.index("def ") :])
+    reference = f"(prepend references = @./asset.usda@ (offset = 10; scale = {scale}))"
+    stage = write_text(
+        tmp_path / "s.usda", header.format(rate) + f'def "World" {reference}\n{{\n}}\n'
+    )
+    config = resolve_config([f"stage.velocity_unit={unit}"])
+    volume, frame = only_frame(stage, config)
+    assert [item.time_code for item in volume.frames] == [
+        10 + n * scale * rate / 24 for n in (1, 2)
+    ]
+    velocity = velocity_of(stage, config)
+    assert velocity is not None
+    read = read_frame(volume, frame, config, velocity, float(rate))
+    assert read.velocity is not None
+    np.testing.assert_allclose(read.velocity.values, speed / scale)
+    (copied,) = read_velocity_grids(velocity, velocity.field, config)
+    per_code = 24 / rate if unit == "frame" else 1.0
+    np.testing.assert_allclose(copied.values, 2.0 * per_code / scale)

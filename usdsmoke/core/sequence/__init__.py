@@ -7,6 +7,8 @@
 - ``frame_loop``: the phases: opened, shaped, moved, painted, finished
 - ``controls``: the settings of each frame, and which frames are computed
 - ``start``: where a frame's optimisation starts: its neighbour and the coarse step
+- ``transit``: where the smoke of one frame is in its neighbour
+- ``cuts``: smoke that jumps, and velocities that do not explain it
 - ``coherence``: results carried along by the velocity, averaged
 - ``steadiness``: the temporal error: what does not move with the smoke
 - ``coarse``: the shared coarse step and its files

@@ -20,8 +20,8 @@ from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
-    share_from,
 )
+from usdsmoke.core.sequence.cuts import judge_passage
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.sequence.frame_state import (
     NO_STRENGTH,
@@ -44,7 +44,6 @@ from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
-LEAST_SHARE_FROM = 0.5  # of the smoke that comes from the frame before's; else they are not alike
 Result = TypeVar("Result", bound=ShapedFrame)
 
 
@@ -132,13 +131,17 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         start: Start | None = None
         if before is not None or frame.has_coarse_displacement:
             carried = before.unclamped if before is not None else None
-            mover, seconds = _velocity_between(before, frame, context)
-            start = partial(start_displacement, carried, frame.coarse, mover, seconds)
+            transit = None if before is None else context.transit(before, frame)
+            limit = max_displacement(frame.source, config.shape.reach)
+            start = partial(start_displacement, carried, frame.coarse, transit, limit)
         iterations = _iterations(config.shape.iterations, frame, before is not None)
         watch = context.watch(frame.time_code)("shape", iterations)
         rate_share = 1.0 if before is None else config.shape.warm_rate
         problem = frame.problem(frame.source)
-        unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share)
+        steadiness = 0.0 if before is None else config.windows.steadiness
+        unclamped, ends = run_shape_step(
+            problem, iterations, start, watch, rate_share, steadiness
+        )  # fmt: skip
         report = replace(report, shape=_step_report(ends, frame, started))
     kept = Carried(frame.time_code, unclamped) if context.keeps_carried else None
     return advance(
@@ -153,8 +156,8 @@ def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | No
         return frame
     if later.is_cold:
         return frame
-    started, seconds = time.perf_counter(), context.seconds(frame, later)
-    averaged = average_displacement(frame.unclamped, later.unclamped, frame.frame, seconds, share)
+    started, transit = time.perf_counter(), context.transit(frame, later)
+    averaged = average_displacement(frame.unclamped, later.unclamped, transit, share)
     report = frame.report.with_transport_time(time.perf_counter() - started)
     return replace(frame, unclamped=averaged, report=report)
 
@@ -201,9 +204,8 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         colours = known.colours
     else:
         paint = before.paint if before is not None else None
-        mover, seconds = _velocity_between(before, frame, context)
-        seed = config.optimize.seed
-        start = start_colours(paint, frame.coarse, mover, painted, seconds, seed)
+        transit = None if before is None else context.transit(before, frame)
+        start = start_colours(paint, frame.coarse, transit, painted, config.optimize.seed)
         iterations = _iterations(config.colour.iterations, frame, paint is not None)
         watch = context.watch(frame.time_code)("colour", iterations)
         problem, is_warm = frame.problem(frame.smoke), paint is not None
@@ -229,8 +231,7 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
         if later is not None and later.is_cold:
             later = None
         if later is not None and paint is not None and later.paint is not None and share:
-            seconds = context.seconds(frame, later)
-            averaged = average_colours(*paint, later.paint, frame.frame, seconds, share)
+            averaged = average_colours(*paint, later.paint, context.transit(frame, later), share)
             frame = replace(frame, colours=averaged)
         report = frame.report
         if not frame.left_out:
@@ -255,16 +256,17 @@ def _temporal_errors(
     context: WindowContext,
 ) -> TemporalErrors:
     """Of a frame's displacement and colours against the frames before it."""
-    mover, seconds = None, 0.0
+    transit = None
     if before is not None and not frame.is_cold:
-        mover, seconds = before.frame, context.seconds(before, frame)
+        transit = context.transit(before, frame)
     moved: Mapping[int, float] = {}
     coloured: Mapping[int, float] = {}
     if frame.displacement is not None:
         values = frame.displacement.at(frame.source.positions)
-        moved = moves.compare(frame.source, values, mover, seconds)
+        along = frame.displacement.lattice.from_stage(values)  # which turn with the Volume
+        moved = moves.compare(frame.source, along, transit)
     if frame.paint is not None:
-        coloured = colours.compare(*frame.paint, mover, seconds)
+        coloured = colours.compare(*frame.paint, transit)
     else:
         colours.restart()
     return TemporalErrors.of(moved, coloured)
@@ -290,31 +292,26 @@ def _chain(
 def _connected(
     context: WindowContext, frame: OpenedFrame, before: Result | None
 ) -> tuple[Result | None, FrameReport, bool]:
-    """The frame before, if enough smoke comes from it; the report, with a warning if not, and
-    whether the frame starts cold for that."""
+    """The frame before, unless the smoke jumps; the report, with what is wrong with the velocity,
+    and whether the frame starts cold for that."""
     if before is None or context.known_of(frame) is not None:
         return before, frame.report, False
-    share = share_from(before.source, frame.source, before.frame, context.seconds(before, frame))
-    if share >= LEAST_SHARE_FROM:
-        return before, frame.report, False
-    text = (
-        f"{1 - share:.0%} of the smoke at timeCode {frame.time_code:g} comes from where there is "
-        f"none at {before.time_code:g}: the frame starts anew. Check the velocity's unit (per "
-        "second or per frame), or cut the shot there."
+    if isinstance(frame, ShapedFrame) and frame.unclamped is not None:  # the shape step has looked
+        return (None if frame.is_cold else before), frame.report, frame.is_cold
+    rate = context.time_codes_per_second
+    way = replace(  # the smoke's, not the pattern's
+        context.transit(before, frame), seconds=(frame.time_code - before.time_code) / rate
     )
-    warnings = frame.report.warnings
-    if text not in warnings:
-        warnings = (*warnings, text)
-    return None, replace(frame.report, warnings=warnings), True
-
-
-def _velocity_between(
-    before: OpenedFrame | None, frame: OpenedFrame, context: WindowContext
-) -> tuple[VolumeFrame, float]:
-    """Whose velocity brings smoke from one frame to the next, the earlier one's, and the time."""
-    if before is None:
-        return frame.frame, 0.0
-    return before.frame, context.seconds(before, frame)
+    passage = judge_passage(before.source, frame.source, way, rate)
+    texts = [passage.doubt] if passage.doubt else []
+    if passage.is_cut:
+        texts.append(
+            f"the smoke jumps: {passage.difference:.0%} of it at timeCode {frame.time_code:g} is "
+            f"not that of {before.time_code:g} carried along. The frame starts anew, as after a cut"
+        )
+    warnings = (*frame.report.warnings, *(t for t in texts if t not in frame.report.warnings))
+    report = replace(frame.report, warnings=warnings)
+    return (None if passage.is_cut else before), report, passage.is_cut
 
 
 def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:

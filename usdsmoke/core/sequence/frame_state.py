@@ -21,6 +21,7 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum
@@ -48,13 +49,17 @@ class WindowContext:
     keeps_carried: bool = False  # whether frames keep what their next ones start from
     known: Carried | None = None  # of a frame that is not optimised again
 
-    def seconds(self, earlier: "OpenedFrame", later: "OpenedFrame") -> float:
-        """Time between two frames for the pattern: ``windows.pattern_speed`` times the real time.
+    def transit(self, earlier: "OpenedFrame", later: "OpenedFrame") -> Transit:
+        """From a frame to a later one.
 
-        The earlier frame's speed is used in both directions.
+        The pattern goes with ``windows.pattern_speed`` times the earlier frame's velocity, in both
+        directions, and with the Volume. An estimated velocity has the Volume's motion in it.
         """
         span = later.time_code - earlier.time_code
-        return span / self.time_codes_per_second * earlier.config.windows.pattern_speed
+        seconds = span / self.time_codes_per_second * earlier.config.windows.pattern_speed
+        if self.config.stage.motion == "estimate":
+            return Transit(earlier.frame, seconds)
+        return Transit(earlier.frame, seconds, ride_between(earlier.frame, later.frame))
 
     def known_of(self, frame: "OpenedFrame") -> Carried | None:
         """The result of a frame that is not optimised again."""

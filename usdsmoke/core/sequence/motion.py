@@ -12,7 +12,7 @@ over the voxels around each point of the motion's lattice [Lucas1981, Bruhn2005]
 again after every warp, coarse to fine [Brox2004].
 
 The unknown is a velocity, not a displacement: each warp traces back along it exactly as
-``coherence.departure_points`` does, so that curved paths end where they should.
+``transit.Transit`` does, so that curved paths end where they should.
 """
 
 import math
@@ -77,7 +77,7 @@ def estimate_velocity(
 ) -> DenseField:
     """The velocity that carries ``after``'s smoke back to ``before``'s, named "vel".
 
-    Steady during the step: traced back from ``after`` by ``seconds``, as ``departure_points`` does,
+    Steady during the step: traced back from ``after`` by ``seconds``, as ``transit.Transit`` does,
     it ends in ``before``. Motion of the field prims themselves is part of it. Along an axis on
     which ``after`` is one voxel thick nothing moves. Source: see the module.
 

@@ -11,10 +11,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import carry_colours, carry_displacement, fill_colours
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
 # Share of the difference to the coarse result by which a carried result is corrected. More keeps
@@ -58,25 +58,29 @@ class CoarseStart:
 def start_displacement(
     before: Displacement | None,
     coarse: CoarseStart | None,
-    mover: VolumeFrame,
-    seconds: float,
+    transit: Transit | None,
+    limit: float,
     lattice: Lattice,
 ) -> Tensor:
-    """The displacement to start from, [I J K 3] along the lattice's axes, stage units.
+    """The velocity to start from, [I J K 3] along the lattice's axes, stage units.
+
+    The neighbour's is carried no longer than it counts: what is beyond the limit would grow from
+    frame to frame, turn more and more sharply, and fold space (decision 026).
 
     Args:
         before: the neighbour's.
         coarse: this frame's.
-        mover: the earlier of the two frames: its velocity carries smoke to the later one.
-        seconds: since the neighbour.
+        transit: from the neighbour to this frame; None without one.
+        limit: of a displacement's length, stage units.
         lattice: of this frame, at any octave.
     """
     shared = coarse.displacement if coarse is not None else None
-    if before is None:
+    if before is None or transit is None:
         if shared is None:
             return torch.zeros(*lattice.shape, 3)
         return shared.on(lattice)
-    carried = carry_displacement(before, mover, lattice, seconds)
+    carried = carry_displacement(before, transit, lattice)
+    carried *= limit / carried.norm(dim=-1, keepdim=True).clamp_min(limit)
     if shared is None:
         return carried
     in_stage = Displacement(lattice.to_stage(carried), lattice)
@@ -88,9 +92,8 @@ def start_displacement(
 def start_colours(
     before: tuple[ActiveSmoke, Tensor] | None,
     coarse: CoarseStart | None,
-    mover: VolumeFrame,
+    transit: Transit | None,
     painted: ActiveSmoke,
-    seconds: float,
     seed: int,
 ) -> Tensor | None:
     """The display-encoded colours to start from, [N 3]; None where there is nothing.
@@ -108,11 +111,11 @@ def start_colours(
     shared = None
     if coarse is not None and coarse.smoke is not None and coarse.colours is not None:
         shared = (coarse.smoke, coarse.colours) if len(coarse.smoke.ijk) else None
-    if before is None:
+    if before is None or transit is None:
         if shared is None:
             return None
         return fill_colours(*shared, painted, painted.positions, seed)
-    carried = carry_colours(*before, mover, painted, seconds, seed)
+    carried = carry_colours(*before, transit, painted, seed)
     if shared is None:
         return carried
     missing = _coarse_difference(*shared, painted, carried)

@@ -16,14 +16,14 @@ Frames are compared over 1, 4 and 8 steps, along the whole way: what boils has c
 one step as after eight, what drifts, the longer the more.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.core.sequence.coherence import NEAR, departure_points
+from usdsmoke.core.sequence.coherence import NEAR
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.noise import white_noise
@@ -66,22 +66,23 @@ class Steadiness:
         self._clouds = []
 
     def compare(
-        self, smoke: ActiveSmoke, values: Tensor, mover: VolumeFrame | None, seconds: float
+        self, smoke: ActiveSmoke, values: Tensor, transit: Transit | None
     ) -> Mapping[int, float]:
         """The errors of the next frame against those before it, by the number of steps.
 
         Args:
             smoke: the frame's.
             values: the pattern at its voxels, [N C].
-            mover: the frame before, whose velocity carries smoke to this one; None at the start.
-            seconds: since then.
+            transit: from the frame before; None at the start.
 
         Returns:
             those of ``LAGS`` that there are frames for, with some smoke in common.
         """
-        if mover is None:
+        if transit is None:
             self.restart()
-        self._clouds = [_carried(clouds, mover, seconds) for clouds in self._clouds if mover]
+        else:
+            trace = transit.reverse.tracer(smoke.ijk.device)
+            self._clouds = [_carried(clouds, trace) for clouds in self._clouds]
         found = {}
         for clouds in self._clouds:
             if clouds.age in LAGS and (error := _error(clouds, smoke, values)) is not None:
@@ -106,9 +107,9 @@ def _start(smoke: ActiveSmoke, values: Tensor, seed: int) -> _Clouds:
     return replace(here, floor=_floor(smoke, values, index[few], part))
 
 
-def _carried(clouds: _Clouds, mover: VolumeFrame, seconds: float) -> _Clouds:
-    shape = clouds.positions.shape
-    moved = departure_points(mover, clouds.positions.view(-1, 3), -seconds).view(shape)
+def _carried(clouds: _Clouds, trace: Callable[[Tensor], Tensor]) -> _Clouds:
+    """The clouds a frame later."""
+    moved = trace(clouds.positions.view(-1, 3)).view(clouds.positions.shape)
     return replace(clouds, positions=moved, age=clouds.age + 1)
 
 

@@ -81,6 +81,7 @@ class _Octave:
         reach: _Reach,
         n_channels: int,
         start: Start | None,
+        steadiness: float,
     ) -> None:
         smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
         self.lattice = smoke_box(smoke, reach.fade)
@@ -105,11 +106,13 @@ class _Octave:
         if self.density.numel() > 1:
             self._folding = FoldingPenalty(Nodes.where(self.density > 0), active, self.density)
         self._weight, self._active = config.losses.style, active
+        self._steadiness = steadiness
         self._mass = self.density.sum()
         self._base_there = None if self.base is None else self.base[where]
         self._share_there = None if self._share is None else self._share[where]
         positions = self.lattice.positions(self.active)
         still = self.density[where]
+        self._shares = still / still.sum()
         views = frame_views(smoke, config.views, scene, seed, factor)
 
         self._background = background = scene.grey_mean
@@ -146,16 +149,16 @@ class _Octave:
         """Iterations that see every view once."""
         return self._pool.passage
 
-    def displacement(self, potential: Tensor) -> Tensor:
+    def displacement(self, change: Tensor) -> Tensor:
         """The displacement of the active voxels, [N 3] index units.
 
         Args:
-            potential: [n C] at the pyramid's nodes of the finest level.
+            change: of the velocity against the start's, [N 3], stage units.
 
         Raises:
             NonFiniteError: the displacement is not finite.
         """
-        unclamped = self._moves.apply(potential)
+        unclamped = change
         if self._base_there is not None:
             unclamped = unclamped + self._base_there
         clamped = clamp_displacement(unclamped, self.limit, self._share_there)
@@ -163,7 +166,12 @@ class _Octave:
 
     def loss(self, potential: Tensor, iteration: int) -> Tensor:
         """Style loss of the moved smoke's pictures, and penalties: what leaves the source's
-        silhouette, what mass is gained or lost, and what folds."""
+        silhouette, what mass is gained or lost, what folds, and what leaves the start.
+
+        Args:
+            potential: [n C] at the pyramid's nodes of the finest level.
+            iteration: its number.
+        """
 
         def view_loss(view: GreyView, density: Tensor) -> Tensor:
             grey = view.picture(density)
@@ -171,14 +179,18 @@ class _Octave:
             loss = self._loss(picture, view.guide, view.content, iteration)
             return loss + self._keep * view.outside_change(grey) if self._keep else loss
 
-        u = self.displacement(potential)
+        change = self._moves.apply(potential)
+        u = self.displacement(change)
         # not ``warp``: it would check the density, which never changes, in every iteration
         moved = sample_linear(self.density, self._arrivals - u)
         loss = self._pool.mean_loss(moved, iteration, view_loss)
-        change = (moved.sum() / self._mass - 1) / LARGE_CHANGE
-        loss = loss + self._weight * MASS_WEIGHT * softened(change)
+        gain = (moved.sum() / self._mass - 1) / LARGE_CHANGE
+        loss = loss + self._weight * MASS_WEIGHT * softened(gain)
         if self._folding is not None:
             loss = loss + self._weight * FOLDING_WEIGHT * self._folding(u)
+        if self._steadiness:
+            away = (change / self.limit).square().sum(1) @ self._shares
+            loss = loss + self._weight * self._steadiness * away
         return loss
 
 
@@ -188,6 +200,7 @@ def run_shape_step(
     start: Start | None = None,
     watch: Callable[[int, Minimum], None] | None = None,
     rate_share: float = 1.0,
+    steadiness: float = 0.0,
 ) -> tuple[Displacement, list[Minimum]]:
     """What moves one frame's smoke so that its grey pictures take the style's structure.
 
@@ -200,6 +213,8 @@ def run_shape_step(
             from; None starts from rest.
         watch: called with the octave and the optimiser's state after every iteration.
         rate_share: share of the learning rate, in (0, 1].
+        steadiness: weight of the change against the start, as a share of the largest
+            displacement, squared, mean over the smoke; see ``windows.steadiness``.
 
     Returns:
         The velocity, before it is clamped and before ``optimize.strength``, and how each octave
@@ -213,7 +228,7 @@ def run_shape_step(
     n_channels = 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
     for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
-        octave = _Octave(here, factor, seed, reach, n_channels, start)
+        octave = _Octave(here, factor, seed, reach, n_channels, start, steadiness)
         first = _potential_on(octave.lattice, potential, n_channels, octave.density)
         watch_octave = partial(watch, number) if watch is not None else None
         descent = Descent(rate, n_iterations, tolerance)

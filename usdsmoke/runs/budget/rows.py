@@ -315,8 +315,8 @@ UNSEEN_VIEWS = ErrorRow(
 )
 
 
-def _temporal(kind: str, step: str, n: int = 1) -> ErrorRow:
-    """The temporal error of the displacement or the colour, over n frames."""
+def _temporal(kind: str, step: str, setting: str, n: int) -> ErrorRow:
+    """Over n frames."""
     field = kind if n == 1 else f"{kind}_{n}"
     return ErrorRow(
         name=f"temporal, {kind}" + ("" if n == 1 else f", {n} frames"),
@@ -326,17 +326,15 @@ def _temporal(kind: str, step: str, n: int = 1) -> ErrorRow:
         why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_pairs,
         without=f"no chain of {n + 1} frames, or no {step} step",
         temporal=(field, step) if n == 1 else None,
-        most=1.2,  # noise drawn anew has 1 on average
-        advice=f"set a lower {step}.warm_rate, or look at the sequence",
-        setting=f"{step}.warm_rate",
+        most=1.2,  # noise drawn anew: 1
+        advice=f"change {setting}, or look at the sequence",
+        setting=setting,
     )
 
 
-TEMPORAL = tuple(
-    _temporal(kind, step, n)
-    for n in (1, 4, 8)
-    for kind, step in (("displacement", "shape"), ("colour", "colour"))
-)
+_MOVED = ("displacement", "shape", "windows.steadiness")
+_PATTERNS = (_MOVED, ("colour", "colour", "colour.warm_rate"))
+TEMPORAL = tuple(_temporal(*pattern, n) for n in (1, 4, 8) for pattern in _PATTERNS)
 OVERLAP_DENSITY = ErrorRow(
     name="windows, density",
     relative_to=_DENSITY,

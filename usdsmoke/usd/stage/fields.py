@@ -175,9 +175,11 @@ def field_source(
         time_code: any; time samples are held.
         xforms: a cache at ``time_code``.
     """
-    sample = FieldSamples(prim).at(time_code)
+    samples = FieldSamples(prim)
+    sample = samples.at(time_code)
     if not sample.has_path:
         return None
+    code_stretch, time_stretch = samples.stretch(time_code)
     return FieldSource(
         relationship=relationship,
         prim_path=str(prim.GetPath()),
@@ -189,6 +191,8 @@ def field_source(
         field_to_stage=np.array(xforms.GetLocalToWorldTransform(prim), dtype=np.float64),
         data_type=value_at(prim.GetAttribute("fieldDataType"), time_code) or "",
         field_class=value_at(prim.GetAttribute("fieldClass"), time_code) or "",
+        code_stretch=code_stretch,
+        time_stretch=time_stretch,
     )
 
 

@@ -1,0 +1,98 @@
+"""Whether the velocity brings one frame's smoke to the next: jumps, and wrong velocities.
+
+The density of a frame is compared with the one before, carried along: sum |a - b| / sum (a + b)
+over the smoke of both, at half the resolution. In shots that flow it is 0.05 to 0.1, 0.15 if the
+pattern only rests; for two plumes that have nothing to do with each other 0.45 to 0.65.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from usdsmoke.base.errors import PlanError
+from usdsmoke.core.sequence.transit import Transit
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.smoke.levels import bounded
+
+UNLIKE = 0.4  # from this difference on the frames have nothing in common
+DOUBTFUL = 0.1  # below this difference no other velocity is tried, which takes many steps
+MOST_TRACED = 2**12  # voxels of each frame that are looked at
+LARGER, LEAST_LARGER = 1.25, 0.02  # than with another velocity: a factor and a difference that tell
+
+
+@dataclass(frozen=True)
+class Passage:
+    """How one frame's smoke comes out of the frame before."""
+
+    difference: float  # of the densities, the earlier one carried along; 0 to 1
+    doubt: str  # what is wrong with the velocity; "" if nothing is
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether nothing can be carried from frame to frame."""
+        return self.difference >= UNLIKE
+
+
+def judge_passage(
+    before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, time_codes_per_second: float
+) -> Passage:
+    """Compare a frame's density with the one before, carried along.
+
+    Args:
+        before, smoke: of both frames; some thousand of their voxels are looked at.
+        transit: from the frame before.
+        time_codes_per_second: what a velocity per frame is slower than one per second by.
+    """
+    before, smoke = coarsen(bounded(before)), coarsen(bounded(smoke))
+    given = _difference(before, smoke, transit)
+    velocity = transit.mover.velocity
+    if given < DOUBTFUL or velocity is None or velocity.is_empty or transit.seconds == 0:
+        return Passage(given, "")
+    factors = {
+        "0": 0.0,
+        "per frame": time_codes_per_second,
+        "per second": 1 / time_codes_per_second,
+    }
+    found = {
+        name: _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
+        for name, factor in factors.items()
+    }
+    best = min(found, key=lambda name: found[name])
+    if given <= max(LARGER * found[best], found[best] + LEAST_LARGER):
+        return Passage(given, "")
+    if best == "0":
+        cure = "without any. Check its unit and direction, or set stage.motion=estimate"
+    else:
+        cure = f"with {factors[best]:.3g} times of it, as if it were {best}. Check its unit"
+        cure += f", stage.velocity_unit={best.removeprefix('per ')}"
+    text = f"the densities do not move by the velocity: they agree better {cure}."
+    return Passage(given, text)
+
+
+def _difference(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> float:
+    before_some, some = _some(before), _some(smoke)
+    try:
+        carried = _density_at(before, transit.origins(some.positions))
+        arrived = _density_at(smoke, transit.reverse.origins(before_some.positions))
+    except PlanError:  # too fast to be traced
+        return 1.0
+    off = total = 0.0
+    pairs = ((some, carried, smoke), (before_some, arrived, before))
+    for chosen, other, whole in pairs:
+        own, share = chosen.density.double(), len(whole.ijk) / len(chosen.ijk)
+        off += share * float((own - other).abs().sum())
+        total += share * float((own + other).sum())
+    return off / total
+
+
+def _some(smoke: ActiveSmoke) -> ActiveSmoke:
+    chosen = torch.zeros(len(smoke.ijk), dtype=torch.bool, device=smoke.ijk.device)
+    chosen[:: max(1, len(smoke.ijk) // MOST_TRACED)] = True
+    return smoke.take(chosen)
+
+
+def _density_at(smoke: ActiveSmoke, positions: Tensor) -> Tensor:
+    """The density at points, [N] float64; 0 outside."""
+    found, near = sample_colours(smoke, smoke.density[:, None], positions)
+    return (found * near)[:, 0].double()
