@@ -21,7 +21,7 @@ from pxr import Usd, UsdVol
 from tests.forks import run_forks
 from tests.grids_fixtures import check_content, raw_grid, write_raw
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text, write_vdb
-from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.frame_report import FrameReport, Progress, TemporalErrors
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField, VolumeFrame
@@ -243,8 +243,8 @@ def run_here(
         for n, array in enumerate(arrays):
             np.save(Path(folder) / f"in{n}.npy", array)
         try:
-            answer, n_arrays = worker._ACTIONS[request["action"]](request, Path(folder))
-        except (BindingMissing, GridTooLarge):
+            answer, n_arrays = worker.find_action(request["action"])(request, Path(folder))
+        except UsdSmokeError:
             raise
         except worker._BINDING_ERRORS as error:
             raise ChildFailure(str(error)) from None

@@ -2,6 +2,7 @@
 
 - `png`: style images, PNG files, sRGB
 - `exr`, `webp`: OpenEXR files, animations
+- `exr_channels`: the channels of an OpenEXR style image, decoded in a process with limits
 - `contact_sheet`: pictures in rows, with labels and style images
 - `drawing`: smoke as pixels, for previews and contact sheets
 - `preview`: draws a stage's smoke

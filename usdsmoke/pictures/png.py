@@ -11,19 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import hash_stream
+from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
 
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
 
-# What Pillow and OpenEXR raise on files they cannot take.
+# What Pillow raises on files that it cannot take.
 _READ_ERRORS = (OSError, RuntimeError, SyntaxError, TypeError, ValueError, EOFError, MemoryError)
 
 
@@ -114,7 +114,7 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
             # Pillow warns about large images; our own limit is checked below.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(where, formats=formats) as image:
-                _check_size(where, image.width, image.height)
+                check_size(where, image.width, image.height, _MAX_PIXELS)
                 return _pillow_pixels(where, ImageOps.exif_transpose(image))
     except UnidentifiedImageError:
         raise ImageError(
@@ -153,42 +153,21 @@ def _grey_to_rgb(grey: np.ndarray) -> np.ndarray:
 
 
 def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    try:
-        with OpenEXR.File(os.fspath(where), header_only=True) as image:
-            low, high = image.header()["dataWindow"]
-        _check_size(where, int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1)
-        channels = _exr_channels(where)
-    except _READ_ERRORS as error:
+    channels, all_names = read_exr_channels(where, _MAX_PIXELS)
+    names = ("R", "G", "B") if {"R", "G", "B"} <= set(all_names) else ("Y", "Y", "Y")
+    if names[0] not in channels or {"RY", "BY"} & set(all_names):
         raise ImageError(
-            f"the style image {where} cannot be decoded: {error}. Save it again, as PNG or EXR."
-        ) from None
-    names = ("R", "G", "B") if {"R", "G", "B"} <= set(channels) else ("Y", "Y", "Y")
-    if names[0] not in channels or {"RY", "BY"} & set(channels):
-        raise ImageError(
-            f"the style image {where} has the channels {', '.join(channels) or 'none'}. "
+            f"the style image {where} has the channels {', '.join(all_names) or 'none'}. "
             "Save it with R, G and B, or with Y alone."
         )
-    linear = np.stack([channels[name].astype(np.float32) for name in names], axis=-1)
+    linear = np.stack([channels[name] for name in names], axis=-1)
     _check_finite(f"the style image {where}", linear)
     alpha = channels.get("A")
     if alpha is not None:
-        alpha = np.clip(alpha.astype(np.float32), 0.0, 1.0)
+        alpha = np.clip(alpha, 0.0, 1.0)
         _check_finite(f"the alpha channel of the style image {where}", alpha)
         linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
     return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32), alpha
-
-
-def _exr_channels(file_path: Path) -> dict[str, np.ndarray]:
-    with OpenEXR.File(os.fspath(file_path), separate_channels=True) as image:
-        return {name: np.array(channel.pixels) for name, channel in image.channels().items()}
-
-
-def _check_size(where: Path, width: int, height: int) -> None:
-    if width * height > _MAX_PIXELS:
-        raise ImageError(
-            f"the style image {where} has {width} x {height} pixels; at most "
-            f"{_MAX_PIXELS // 1_000_000} million are allowed. Scale it down."
-        )
 
 
 def _check_finite(what: str, values: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 - `stage`, `look`, `rules`: rooms of their own
 - `schema`: the names of usdsmoke's schemas, and their registration
+- `crates`: crate files looked at in a process with limits
 - `diagnostics`: OpenUSD's warnings and errors as messages
 - `layer_record`: the record of a run in a look layer, and its digests
 - `field_tokens`: USD's tokens for what a grid holds

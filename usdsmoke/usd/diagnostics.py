@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from usdsmoke.base.errors import StageError
+from usdsmoke.usd.crates import check_crates
 
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
 _LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
@@ -50,13 +51,16 @@ def open_quietly(file_path: str) -> Usd.Stage:
     """The stage at ``file_path`` with all payloads; one sentence instead of OpenUSD's trace.
 
     Raises:
-        StageError: the file is missing, of no USD format, or cannot be parsed.
+        StageError: the file is missing, of no USD format, or cannot be parsed, or reading a crate
+            file takes too much memory or time.
     """
     with captured_diagnostics():
+        layers = check_crates(file_path)
         try:
             stage = Usd.Stage.Open(file_path)
         except Tf.ErrorException as error:
             raise StageError(layer_problem(file_path, error)) from None
+        del layers  # not before the stage has them
     if not stage:
         raise StageError(layer_problem(file_path))
     return stage

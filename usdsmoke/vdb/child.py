@@ -1,7 +1,8 @@
 """The caller's side of the process that touches VDB files: start it, ask it, limit it.
 
 OpenVDB trusts what it reads: a damaged file can abort the process or make it take all memory. So
-this process opens no file with OpenVDB. A worker process does it under a limit of address space
+this process opens no file with OpenVDB. (OpenEXR and OpenUSD do too: style images and crate files
+use the same process.) A worker process does it under a limit of address space
 and of time, and hands arrays over through files in a private folder.
 
 One worker serves all requests of a process, one after the other. It is replaced after a failure,
@@ -53,7 +54,8 @@ def run_child(
     """Send a request to ``usdsmoke.vdb.worker``, starting it if needed. Threads take turns.
 
     Args:
-        request: JSON values; ``action`` names one of the worker's functions.
+        request: JSON values; ``action`` names one of the worker's functions, or
+            ``package.module:function``; ``reader`` the library, for messages (OpenVDB).
         arrays: handed over with it, in this order.
         config: ``memory_limit_gib`` and ``time_limit_s`` apply to this request.
 
@@ -77,7 +79,7 @@ def run_child(
                 np.save(Path(folder) / f"in{n}.npy", array, allow_pickle=False)
             text = json.dumps({**request, **limits})
             (Path(folder) / "request.json").write_text(text, encoding="utf-8")
-            _run(folder, config)
+            _run(folder, config, request.get("reader", "OpenVDB"))
             answer = _answer(folder)
             files = [Path(folder) / f"out{n}.npy" for n in range(answer["n_arrays"])]
             return answer["answer"], [np.load(file, allow_pickle=False) for file in files]
@@ -191,7 +193,7 @@ def _forget_parents_worker() -> None:
 os.register_at_fork(after_in_child=_forget_parents_worker)
 
 
-def _run(folder: str, config: GridsConfig) -> None:
+def _run(folder: str, config: GridsConfig, reader: str) -> None:
     """Have the request in a folder answered there.
 
     Raises:
@@ -211,24 +213,26 @@ def _run(folder: str, config: GridsConfig) -> None:
             goes_on = worker.ask(folder, _PATIENCE * config.time_limit_s)
             patience = _FAREWELL
         except _Ended as ended:
-            raise ChildFailure(_ending(ended.args[0], worker.last_words(), config)) from None
+            raise ChildFailure(
+                _ending(ended.args[0], worker.last_words(), config, reader)
+            ) from None
         finally:
             if not goes_on:
                 _worker = None
                 worker.end(patience)
 
 
-def _ending(return_code: int, last_words: str, config: GridsConfig) -> str:
+def _ending(return_code: int, last_words: str, config: GridsConfig, reader: str) -> str:
     """Why a worker ended."""
     if return_code == -_OUT_OF_TIME:
         return f"it took more than {config.time_limit_s:.3g} s of CPU time and was stopped"
     if return_code < 0:
         try:
-            ending = f"OpenVDB ended with {signal.Signals(-return_code).name}"
+            ending = f"{reader} ended with {signal.Signals(-return_code).name}"
         except ValueError:
-            ending = f"OpenVDB ended with signal {-return_code}"
+            ending = f"{reader} ended with signal {-return_code}"
     else:
-        ending = f"OpenVDB's process ended with code {return_code}"
+        ending = f"{reader}'s process ended with code {return_code}"
     return f"{ending} ({last_words})" if last_words else ending
 
 

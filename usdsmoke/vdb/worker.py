@@ -1,4 +1,5 @@
-"""The process that touches VDB files through OpenVDB; started by ``usdsmoke.vdb.child``.
+"""The process that touches files through OpenVDB, OpenEXR and OpenUSD; started by
+``usdsmoke.vdb.child``.
 
 ``python -m usdsmoke.vdb.worker`` reads the name of a folder from stdin, a JSON text on a line. It
 answers the ``request.json`` there with ``answer.json`` and arrays beside it. Then it prints
@@ -8,18 +9,19 @@ The parent checks the file's header before a request, and the result after it. N
 from one request to the next: a worker ends after a refused request, and when its memory has grown.
 """
 
+import importlib
 import json
 import os
 import shutil
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import BindingMissing, GridTooLarge
+from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
 from usdsmoke.vdb.boxes import check_dense_size
@@ -60,16 +62,16 @@ def answer_request(folder: Path, grown: int = 0) -> bool:
     _set_limits(request["memory_limit_bytes"] + grown, request["cpu_limit_s"])
     answer: dict[str, Any]
     try:
-        content, n_arrays = _ACTIONS[request["action"]](request, folder)
+        content, n_arrays = find_action(request["action"])(request, folder)
         answer = {"answer": content, "n_arrays": n_arrays}
-    except (BindingMissing, GridTooLarge) as error:
+    except UsdSmokeError as error:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
         limit = request["memory_limit_bytes"] / 2**30
         answer = {"failure": f"it needs more than {limit:g} GiB of memory"}
     except _BINDING_ERRORS as error:
         text = " ".join(str(error).split()) or type(error).__name__
-        answer = {"failure": f"OpenVDB says: {text}"}
+        answer = {"failure": f"{request.get('reader', 'OpenVDB')} says: {text}"}
     (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
     return "answer" in answer
 
@@ -171,6 +173,16 @@ def _build_transform(binding: Any, index_to_world: list[list[float]]) -> Any:
     add_translation = getattr(transform, "postTranslate", None) or transform.translate
     add_translation(tuple(index_to_world[3][:3]))
     return transform
+
+
+def find_action(name: str) -> Callable[[Mapping[str, Any], Path], tuple[Any, int]]:
+    """One of the functions above, or for ``package.module:function`` another package's."""
+    module, _, function = name.partition(":")
+    if not function:
+        return _ACTIONS[name]
+    found: Callable[[Mapping[str, Any], Path], tuple[Any, int]]
+    found = getattr(importlib.import_module(module), function)
+    return found
 
 
 _ACTIONS = {"describe": _describe, "read": _read, "write": _write}

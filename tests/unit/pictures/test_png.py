@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from usdsmoke.base.errors import ImageError
-from usdsmoke.pictures import encode_srgb, read_style_image
+from usdsmoke.pictures import encode_srgb, exr_channels, read_style_image
 from usdsmoke.pictures import png as images
 
 LEVELS = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
@@ -211,6 +211,15 @@ def test_cut_off_images_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture
         (tmp_path / "a.exr").write_bytes(packed[:length])
         with pytest.raises(ImageError, match=r"a\.exr cannot be decoded"):
             read_style_image(tmp_path / "a.exr")
+
+
+def test_an_exr_that_takes_too_long_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_exr(tmp_path / "a.exr", rgb_channels(LINEAR))
+    monkeypatch.setattr(exr_channels, "_SECONDS", 1e-3)
+    with pytest.raises(ImageError, match=r"a\.exr cannot be decoded: .* was stopped"):
+        read_style_image(tmp_path / "a.exr")
 
 
 def test_nan_pixels_are_counted(tmp_path: Path) -> None:

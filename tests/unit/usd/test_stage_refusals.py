@@ -41,7 +41,7 @@ def refuse(folder, body, error, reason, header=HEADER, **settings):
             '#usda 1.0\ndef Xform "a" {',
             r"bad\.usda.* valid \.usda file \(line [23]\b.*\)",
         ),
-        ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc.* valid \.usdc file"),
+        ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc.*too small.* damaged"),
         ("notes.txt", "hello", r"notes\.txt.* not a USD file.*\.usda"),
     ],
 )
