@@ -9,6 +9,7 @@ would have filled in.
 
 import argparse
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -25,6 +26,22 @@ __all__ = ["generate", "main", "schema_text"]
 PROJECT = Path(__file__).resolve().parent.parent
 SCHEMA = PROJECT / "schemas" / "usdSmoke" / "schema.usda"
 PLUGIN_FOLDER = PROJECT / "usdsmoke" / "plugin"
+CAPABILITIES = {
+    "usdSmoke": {
+        "docstring": "Smoke that usdsmoke has stylized.",
+        "name": "usdSmoke",
+        "predecessors": ["usd"],
+        "style": "core",
+        "subgraph": "usdSmoke",
+    },
+    "usdSmoke.look": {
+        "docstring": "Volumes with the density and the emission of a look (UsdSmokeLookAPI).",
+        "name": "Look of a Volume",
+        "predecessors": ["usdSmoke"],
+        "style": "core",
+        "subgraph": "usdSmoke",
+    },
+}
 RESOURCES = "resources/usdSmoke"  # where plugInfo.json says that generatedSchema.usda is
 
 PLACEHOLDERS = {
@@ -87,6 +104,21 @@ def with_aliases(plug_info: str) -> str:
     return pattern.sub(alias, plug_info)
 
 
+def with_capabilities(plug_info: str) -> str:
+    """``plugInfo.json`` with the capability that a Volume with a look claims (UsdProfiles, 26.11).
+
+    Older releases ignore it.
+    """
+    head, brace, rest = plug_info.partition("{")
+    plugins = json.loads(brace + rest)
+    info = plugins["Plugins"][0]["Info"]
+    kinds = info["Types"]
+    look = next(name for name in kinds if name.endswith("UsdSmokeLookAPI"))
+    kinds[look]["impliesCapabilities"] = ["usdSmoke.look"]
+    plugins["Plugins"][0]["Info"] = {"Profiles": {"Capabilities": CAPABILITIES}, **info}
+    return head + json.dumps(plugins, indent=4)
+
+
 def generate(plugin_folder: Path, schema: Path) -> list[Path]:
     """Write the schema, and plugInfo.json and generatedSchema.usda below ``plugin_folder``."""
     schema.write_text(schema_text(), encoding="utf-8")
@@ -96,7 +128,7 @@ def generate(plugin_folder: Path, schema: Path) -> list[Path]:
         generated = (Path(scratch) / "generatedSchema.usda").read_text(encoding="utf-8")
     for placeholder, value in PLACEHOLDERS.items():
         plug_info = plug_info.replace(placeholder, value)
-    plug_info = with_aliases(plug_info)
+    plug_info = with_capabilities(with_aliases(plug_info))
     contents = {
         plugin_folder / "plugInfo.json": plug_info,
         plugin_folder / RESOURCES / "generatedSchema.usda": generated,

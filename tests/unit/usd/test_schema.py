@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from pxr import Sdf
+from pxr import Sdf, Tf
 
 from tests.usd_fixtures import needs_usd
 from usdsmoke.usd import schema
@@ -239,3 +239,13 @@ def test_a_request_takes_what_its_setting_takes(
     assert str(item.typeName) == type_name
     assert (item.variability == Sdf.VariabilityVarying) == animated
     assert text in item.customData["userDocBrief"]
+
+
+@needs_usd(26, 11)
+def test_a_look_claims_a_capability():
+    from pxr import UsdProfiles
+
+    registry = UsdProfiles.ProfileRegistry
+    assert {"usdSmoke", "usdSmoke.look"} <= {str(name) for name in registry.GetAllCapabilities()}
+    kind = Tf.Type.FindByName("UsdSmokeUsdSmokeLookAPI")
+    assert "usdSmoke.look" in {str(name) for name in registry.GetSchemaImpliedCapabilities(kind)}
