@@ -26,7 +26,7 @@ KINDS = {
     "reference": ("layer.mode=reference",),
     "part": ("stage.frames=1-2", "layer.scatter_colour=[Cd,color]", "layer.split_rgb=true"),
     "all materials": (
-        "layer.material_targets=[glslfx,mtlx,arnold,karma]", "layer.material=replace",
+        "layer.material_targets=[glslfx,mtlx,arnold,karma,renderman]", "layer.material=replace",
     ),
     "copied": ("layer.copy_fields=[all]", "layer.emission_mode=perDensity"),
 }  # fmt: skip

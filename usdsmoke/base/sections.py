@@ -297,9 +297,9 @@ class LayerConfig(Section):
     material: Literal["auto", "replace", "none"] = setting(
         "auto", "material of the Volume: one that shows the look, unless a volume material is "
         "bound (auto); one that shows the look in place of a bound one (replace); no change (none)")
-    material_targets: list[Literal["glslfx", "mtlx", "arnold", "karma"]] = setting(
+    material_targets: list[Literal["glslfx", "mtlx", "arnold", "karma", "renderman"]] = setting(
         ["glslfx", "mtlx"], "what the material has a volume shader for: Hydra Storm (glslfx), "
-        "MaterialX (mtlx), Arnold, Karma", min_length=1, distinct=True)
+        "MaterialX (mtlx), Arnold, Karma, RenderMan", min_length=1, distinct=True)
     digital_source_type: Literal[
         "algorithmicallyEnhanced",
         "compositeWithTrainedAlgorithmicMedia",

@@ -173,6 +173,23 @@ def test_only_the_targets_that_are_asked_for_are_written(tmp_path):
     assert files.shader is None and not list((tmp_path / "out").glob("*.glslfx"))
 
 
+def test_renderman_multiplies_density_by_gamma_w(tmp_path):
+    """After Pixar's documents: rendered nowhere."""
+    files = look(shot(tmp_path), tmp_path / "out", material_targets=["renderman"])
+    volume = shader(opened(files.root_stage), "ri")
+    assert volume.GetShaderId() == "PxrVolume"
+
+    def source_of(item, name):
+        (found,), _ = item.GetInput(name).GetConnectedSources()
+        return UsdShade.Shader(found.source.GetPrim())
+
+    remap = source_of(volume, "densityFloat")
+    assert values(remap)["outputMax"] == 0.5 and values(remap)["clampInput"] == 0
+    assert values(source_of(source_of(remap, "inputRGB"), "input"))["varname"] == "density"
+    assert values(source_of(volume, "emitColor")) == {"varname": "emission", "type": "color"}
+    assert values(source_of(volume, "diffuseColor"))["outputMax"] == 0
+
+
 def test_frames_that_show_the_source_are_smoke_as_without_a_material(tmp_path):
     files = look(shot(tmp_path, codes=(1, 2, 3)), tmp_path / "out", {2.0: 0.25}, "2")
     stage = opened(files.root_stage)

@@ -4,7 +4,8 @@ All of them extinguish gamma_w * density, add ``emission`` as it is, and scatter
 light that they take away: none in a look's own frames.
 
 Sources: OpenUSD's tests of Storm's volumes; MaterialX 1.39 ``stdlib_defs`` and ``pbrlib_defs``;
-Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``. MaterialX and ``kma_volume``
+Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``; Pixar's of ``PxrVolume``,
+``PxrPrimvar``, ``PxrToFloat3`` and ``PxrRemap``, and hdPrman's fallback material. MaterialX and ``kma_volume``
 count absorption per metre. USD's Material takes the place of MaterialX's ``volumematerial``, so
 the terminal is its ``volume`` node.
 """
@@ -127,6 +128,41 @@ def _arnold(smoke: Smoke) -> tuple[Node, ...]:
     return (Node("volume", "arnold:standard_volume", inputs, ("out", _TYPES.Token)),)
 
 
+def _renderman(smoke: Smoke) -> tuple[Node, ...]:
+    """PxrRemap multiplies: with bias and gain at their defaults it maps [0, 1] to [0, gamma_w], and
+    beyond that linearly."""
+    remap = {
+        "inputRGB": Input(_TYPES.Color3f, source="grey.resultRGB"),
+        "clampInput": Input(_TYPES.Int, 0),
+        "outputMax": Input(_TYPES.Float, smoke.extinction),
+    }
+    grey = {
+        "inputRGB": Input(_TYPES.Color3f, (1.0, 1.0, 1.0)),
+        "outputMax": Input(_TYPES.Float, smoke.albedo),
+    }
+    volume = {
+        "densityFloat": Input(_TYPES.Float, source="extinction.resultR"),
+        "emitColor": Input(_TYPES.Color3f, source="emission.resultRGB"),
+        "diffuseColor": Input(_TYPES.Color3f, source="albedo.resultRGB"),
+    }
+    rgb = ("resultRGB", _TYPES.Color3f)
+    number = {"input": Input(_TYPES.Float, source="density.resultF")}
+    return (
+        _primvar("density", smoke.density, "float", ("resultF", _TYPES.Float)),
+        _primvar("emission", EMISSION, "color", rgb),
+        Node("grey", "PxrToFloat3", number, rgb),
+        Node("extinction", "PxrRemap", remap, ("resultR", _TYPES.Float)),
+        Node("albedo", "PxrRemap", grey, rgb),
+        Node("volume", "PxrVolume", volume, ("bxdf_out", _TYPES.Token)),
+    )
+
+
+def _primvar(name: str, field_name: str, kind: str, output: tuple[str, Sdf.ValueTypeName]) -> Node:
+    """RenderMan's reader of a grid."""
+    inputs = {"varname": Input(_TYPES.String, field_name), "type": Input(_TYPES.String, kind)}
+    return Node(name, "PxrPrimvar", inputs, output)
+
+
 def _materialx_rates(smoke: Smoke) -> tuple[list[Node], dict[str, str]]:
     """MaterialX nodes for absorption, scattering (where there is any) and emission, per metre.
 
@@ -198,10 +234,17 @@ def _combined(one: Varying, other: Varying, rule: Callable[[float, float], float
     return Varying(rule(one.default, other.default), samples)
 
 
-_CONTEXTS = {"glslfx": "glslfx", "mtlx": "mtlx", "arnold": "arnold", "karma": "kma"}
+_CONTEXTS = {
+    "glslfx": "glslfx",
+    "mtlx": "mtlx",
+    "arnold": "arnold",
+    "karma": "kma",
+    "renderman": "ri",
+}
 _MAKERS: Mapping[str, Callable[[Smoke], tuple[Node, ...]]] = {
     "glslfx": _storm,
     "mtlx": _materialx,
     "arnold": _arnold,
     "karma": _karma,
+    "renderman": _renderman,
 }
