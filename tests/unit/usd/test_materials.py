@@ -176,7 +176,8 @@ def test_only_the_targets_that_are_asked_for_are_written(tmp_path):
 def test_renderman_multiplies_density_by_gamma_w(tmp_path):
     """After Pixar's documents: rendered nowhere."""
     files = look(shot(tmp_path), tmp_path / "out", material_targets=["renderman"])
-    volume = shader(opened(files.root_stage), "ri")
+    stage = opened(files.root_stage)
+    volume = shader(stage, "ri")
     assert volume.GetShaderId() == "PxrVolume"
 
     def source_of(item, name):

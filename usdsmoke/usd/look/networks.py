@@ -5,9 +5,9 @@ light that they take away: none in a look's own frames.
 
 Sources: OpenUSD's tests of Storm's volumes; MaterialX 1.39 ``stdlib_defs`` and ``pbrlib_defs``;
 Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``; Pixar's of ``PxrVolume``,
-``PxrPrimvar``, ``PxrToFloat3`` and ``PxrRemap``, and hdPrman's fallback material. MaterialX and ``kma_volume``
-count absorption per metre. USD's Material takes the place of MaterialX's ``volumematerial``, so
-the terminal is its ``volume`` node.
+``PxrPrimvar``, ``PxrToFloat3`` and ``PxrRemap``, and hdPrman's fallback material. MaterialX and
+``kma_volume`` count absorption per metre. USD's Material takes the place of MaterialX's
+``volumematerial``, so the terminal is its ``volume`` node.
 """
 
 from collections.abc import Callable, Mapping
