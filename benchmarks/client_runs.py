@@ -18,6 +18,7 @@ from benchmarks.display import decode_display
 __all__ = ["GREY", "ClientRuns", "over_black"]
 
 GREY = 0.18  # display-encoded background that the Storm script puts its picture on
+_EXAMPLE = Path(__file__).parents[1] / "examples/blender/import_look.py"
 _SHOWN = "shows "  # how cycles_emission.py names the file that Blender reads
 
 
@@ -59,6 +60,14 @@ class ClientRuns:
         files = [line.split(_SHOWN, 1)[1] for line in said.splitlines() if _SHOWN in line]
         return picture, files[0] if files else ""
 
+    def look_in_cycles(self, stage_file: Path, name: str, frame: int) -> np.ndarray:
+        """Cycles over black, with the material that examples/blender/import_look.py builds."""
+        script, out = _EXAMPLE, self.folder / f"{name}.png"
+        command = [str(self.python), str(script), str(stage_file), "--render", str(out)]
+        command += ["--frame", str(frame), "--size", str(self.size), *self._samples()]
+        _run(command)
+        return _read_picture(out)
+
     def _samples(self) -> list[str]:
         return ["--samples", str(self.samples)]
 
@@ -68,8 +77,12 @@ class ClientRuns:
         out = self.folder / f"{name}.png"
         command = [str(self.python), str(script), str(stage_file), str(out), *words]
         said = _run([*command, "--camera", self.camera, "--size", str(self.size)])
-        with Image.open(out) as image:
-            return np.asarray(image.convert("RGB"), np.float32) / 255.0, said
+        return _read_picture(out), said
+
+
+def _read_picture(file_path: Path) -> np.ndarray:
+    with Image.open(file_path) as image:
+        return np.asarray(image.convert("RGB"), np.float32) / 255.0
 
 
 def over_black(picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:

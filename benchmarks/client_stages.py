@@ -53,6 +53,32 @@ def _scale_in_world(volume: UsdGeom.Xformable, factor: float, time: Usd.TimeCode
     volume.SetResetXformStack(True)
 
 
+def author_in_centimetres(stage_file: Path, out_file: Path) -> Path:
+    """A stage in centimetres that shows one in metres at the same size, as a pipeline does.
+
+    Every root prim is referenced under a scale of 100; cameras too, whose lens does not change.
+    """
+    source, stage = Usd.Stage.Open(str(stage_file)), Usd.Stage.CreateNew(str(out_file))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.GetStageUpAxis(source))
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.GetStageMetersPerUnit(source) / 100)
+    for key in ("startTimeCode", "endTimeCode", "timeCodesPerSecond", "framesPerSecond"):
+        if source.HasAuthoredMetadata(key):
+            stage.SetMetadata(key, source.GetMetadata(key))
+    for root in source.GetPseudoRoot().GetChildren():
+        prim = stage.DefinePrim(root.GetPath(), root.GetTypeName() or "Xform")
+        prim.GetReferences().AddReference(str(stage_file.absolute()), root.GetPath())
+        UsdGeom.Xformable(prim).AddScaleOp(opSuffix="unit").Set(Gf.Vec3f(100, 100, 100))
+        UsdGeom.Xformable(prim).SetXformOpOrder(
+            [
+                UsdGeom.XformOp(prim.GetAttribute("xformOp:scale:unit")),
+                *UsdGeom.Xformable(root).GetOrderedXformOps(),
+            ]
+        )
+    stage.SetDefaultPrim(stage.GetPrimAtPath(source.GetDefaultPrim().GetPath()))
+    stage.GetRootLayer().Save()
+    return out_file
+
+
 def author_overlay(stage_file: Path, out_file: Path) -> Usd.Stage:
     """A new stage over another one, in a new file; with its metadata, which no sublayer brings."""
     source = Usd.Stage.Open(str(stage_file))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Usd, UsdGeom, UsdVol
+from pxr import Usd, UsdGeom, UsdRender, UsdVol
 
 from usdsmoke.base.resolve import read_settings, resolve_config
 from usdsmoke.ui.cli.main import main
@@ -250,3 +250,23 @@ def test_styles_are_painted_the_same_every_time_in_many_colours(
         assert pixels.shape == (48, 48, 3)
         assert pixels.std(axis=(0, 1)).min() > 15.0  # no channel is flat
         np.testing.assert_array_equal(pixels, np.asarray(Image.open(first / name)))
+
+
+def test_the_solaris_shot_composes_with_a_look_and_has_what_a_renderer_asks_for(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "look").mkdir()
+    look = Usd.Stage.CreateNew(str(tmp_path / "look/shot_look.usda"))
+    UsdVol.Volume.Define(look, "/plume/smoke")
+    look.Save()
+    shot = tmp_path / "render_look.usda"
+    shot.write_bytes((PROJECT / "examples/solaris/render_look.usda").read_bytes())
+    stage = Usd.Stage.Open(str(shot))
+    assert stage.GetPrimAtPath("/plume/smoke")
+    settings = UsdRender.Settings.GetStageRenderSettings(stage)
+    (product,) = settings.GetProductsRel().GetTargets()
+    for prim in (settings.GetPrim(), stage.GetPrimAtPath(product)):
+        (camera,) = prim.GetRelationship("camera").GetTargets()
+        assert stage.GetPrimAtPath(camera).IsA(UsdGeom.Camera)
+    (beauty,) = UsdRender.Product.Get(stage, product).GetOrderedVarsRel().GetTargets()
+    assert stage.GetPrimAtPath(beauty).IsA(UsdRender.Var)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from benchmarks.client_pictures import compare
+from benchmarks.client_pictures import difference
 from benchmarks.client_runs import GREY, over_black
-from benchmarks.client_stages import author_dark_stage, author_scaled_stage
+from benchmarks.client_stages import author_dark_stage, author_in_centimetres, author_scaled_stage
 from benchmarks.display import encode_display
 from benchmarks.usd_picture_stages import Case, author_stage_without_looks, author_still_stage
 from benchmarks.usd_pictures import find_difference
@@ -72,16 +72,27 @@ def test_the_dark_stage_lacks_the_emission_and_nothing_else(stage_file: Path, tm
     assert stage_file.read_bytes() == before
 
 
-def test_the_comparison_finds_a_factor_and_its_difference():
-    wanted = np.full((4, 4, 3), 0.2)
-    inside = np.ones((4, 4), bool)
-    inside[0] = False
-    found = np.where(inside[..., None], 0.5 * wanted, 1.0)
-    gain, rms = compare(found, wanted, inside)
-    assert gain == pytest.approx(0.5)
-    assert rms == pytest.approx(
-        float(encode_display(np.array(0.2)) - encode_display(np.array(0.1)))
+def test_a_stage_in_centimetres_shows_the_same_smoke_a_hundred_times_as_large(
+    tmp_path: Path,
+) -> None:
+    source_file = plume_stage(tmp_path / "in", (1, 2))
+    made = author_in_centimetres(source_file, tmp_path / "cm.usda")
+    source, stage = Usd.Stage.Open(str(source_file)), Usd.Stage.Open(str(made))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == UsdGeom.GetStageMetersPerUnit(source) / 100
+    small, large = (
+        np.array(UsdGeom.Xformable(each.GetPrimAtPath(VOLUME)).ComputeLocalToWorldTransform(1))
+        for each in (source, stage)
     )
+    np.testing.assert_allclose(large[:, :3], 100 * small[:, :3])
+    field = stage.GetPrimAtPath(f"{VOLUME}/density").GetAttribute("filePath")
+    assert Path(field.Get(2).resolvedPath).is_file()
+
+
+def test_a_difference_is_over_the_whole_picture() -> None:
+    wanted = np.zeros((2, 2, 3))
+    found = wanted.copy()
+    found[0, 0] = 1.0
+    assert difference(found, wanted) == pytest.approx(0.5)
 
 
 def look(folder: Path, mode: str) -> Path:

@@ -1,0 +1,122 @@
+"""Import a result of usdsmoke into Blender, with a material that shows the look in Cycles.
+
+    blender -P examples/blender/import_look.py -- look/shot_look.usda
+    BPY_PYTHON examples/blender/import_look.py look/shot_look.usda --render out.png --frame 3
+
+Blender's own importer brings the Volumes without a material. This script builds one for each Volume
+that has a look: absorption gamma_w * density, and emission. Cycles counts lengths in the Volume's
+own space, so both are multiplied by ``usdSmoke:stageUnitsPerUnit``. With ``--render`` one frame is
+drawn over black, square, through the stage's camera. Made for Blender 5.0, whose Python has pxr.
+"""
+
+import argparse
+import os
+import sys
+
+import bpy
+
+bpy.utils.expose_bundled_modules()  # pxr, OpenUSD as Blender was built with it
+from pxr import Usd, UsdVol  # noqa: E402
+
+EXTINCTION = "usdSmoke:extinctionPerDensity"
+STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"
+EMISSION_MODE = "usdSmoke:emissionMode"
+
+
+def read_looks(stage_file: str, frame: float) -> dict[str, tuple[float, float, bool]]:
+    """By Volume name: gamma_w, stage units in a unit of the Volume, emission per density or not."""
+    found = {}
+    stage = Usd.Stage.Open(stage_file)
+    for prim in stage.Traverse():
+        if prim.IsA(UsdVol.Volume) and prim.HasAttribute(EXTINCTION):
+            units = prim.GetAttribute(STAGE_UNITS).Get(frame)
+            found[prim.GetName()] = (
+                float(prim.GetAttribute(EXTINCTION).Get(frame)),
+                1.0 if units is None else float(units),
+                prim.GetAttribute(EMISSION_MODE).Get() == "perDensity",
+            )
+    return found
+
+
+def make_material(gamma_w: float, units: float, per_density: bool) -> "bpy.types.Material":
+    """Absorption and emission as the look means them; nothing scatters."""
+    material = bpy.data.materials.new("usdsmoke_look")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    density, emission = (nodes.new("ShaderNodeAttribute") for _ in range(2))
+    density.attribute_name, emission.attribute_name = "density", "emission"
+    extinction, strength = (nodes.new("ShaderNodeMath") for _ in range(2))
+    for node, factor in ((extinction, gamma_w * units), (strength, units)):
+        node.operation = "MULTIPLY"
+        node.inputs[1].default_value = factor
+    absorption, light = nodes.new("ShaderNodeVolumeAbsorption"), nodes.new("ShaderNodeEmission")
+    absorption.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    both, output = nodes.new("ShaderNodeAddShader"), nodes.new("ShaderNodeOutputMaterial")
+    links.new(density.outputs["Fac"], extinction.inputs[0])
+    links.new(extinction.outputs[0], absorption.inputs["Density"])
+    links.new(emission.outputs["Color"], light.inputs["Color"])
+    if per_density:
+        links.new(density.outputs["Fac"], strength.inputs[0])
+    else:
+        strength.inputs[0].default_value = 1.0
+    links.new(strength.outputs[0], light.inputs["Strength"])
+    links.new(absorption.outputs["Volume"], both.inputs[0])
+    links.new(light.outputs["Emission"], both.inputs[1])
+    links.new(both.outputs[0], output.inputs["Volume"])
+    return material
+
+
+def import_look(stage_file: str, frame: int) -> list[str]:
+    """Import a stage; the names of the Volumes that have got a material."""
+    looks = read_looks(stage_file, frame)
+    bpy.ops.wm.usd_import(filepath=os.path.abspath(stage_file), import_volumes=True)
+    bpy.context.scene.frame_set(frame)
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    done = []
+    for item in bpy.data.objects:
+        name = item.name.partition(".")[0]
+        if item.type == "VOLUME" and name in looks:
+            item.data.materials.clear()
+            item.data.materials.append(make_material(*looks[name]))
+            done.append(item.name)
+    return done
+
+
+def render(out: str, size: int, samples: int) -> None:
+    """One square picture over black."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device, scene.cycles.samples = "CPU", samples
+    scene.cycles.use_denoising = False
+    scene.cycles.volume_bounces = 0
+    scene.render.resolution_x = scene.render.resolution_y = size
+    scene.render.resolution_percentage, scene.render.dither_intensity = 100, 0.0
+    scene.render.image_settings.color_mode = "RGB"
+    scene.world = bpy.data.worlds.new("black")
+    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (0.0, 0.0, 0.0, 1.0)
+    scene.camera = next(item for item in bpy.data.objects if item.type == "CAMERA")
+    scene.render.filepath = os.path.abspath(out)
+    bpy.ops.render.render(write_still=True)
+
+
+def main() -> int:
+    """Run the command line; the exit code."""
+    words = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("stage")
+    parser.add_argument("--frame", type=int, default=1)
+    parser.add_argument("--render", metavar="OUT.png", help="draw the frame; needs a camera")
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--samples", type=int, default=64)
+    options = parser.parse_args(words)
+    if options.render:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+    done = import_look(options.stage, options.frame)
+    print(f"materials for {', '.join(done) or 'no Volume'}")
+    if options.render:
+        render(options.render, options.size, options.samples)
+    return 0 if done else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
