@@ -4,7 +4,6 @@ The stand-ins can be put in place of the real modules before those are imported,
 that is only there to be killed starts without torch.
 """
 
-import os
 import shutil
 import sys
 import tempfile
@@ -112,14 +111,12 @@ class FakeCore:
         self.velocities: list[bool] = []
         self.masks: list[bool] = []
         self.processor = "stand-in"
-        self.threads: list[int] = []  # that windows were computed with
         self.before_frame: Callable[[float], None] = lambda time_code: None
         self.before_coarse: Callable[[float], None] = lambda time_code: None
 
     def describe_machine(self, config: Any) -> types.SimpleNamespace:
-        threads = config.threads or len(os.sched_getaffinity(0))
         device = "cpu" if config.device == "auto" else config.device
-        return types.SimpleNamespace(threads=threads, device=device, processor=self.processor)
+        return types.SimpleNamespace(device=device, processor=self.processor)
 
     def measure_scene(
         self, frames: Sequence[VolumeFrame], views: Any, optics: Any, up_axis: str, refine: int
@@ -137,7 +134,6 @@ class FakeCore:
         starts: Callable[[float], FakeStart | None] | None = None,
     ) -> Iterator[FakeStylized]:
         carried = 0.0
-        self.threads.append(config.optimize.threads)
         for number, frame in enumerate(frames):
             start = starts(frame.time_code) if starts is not None else None
             if start is not None:

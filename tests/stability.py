@@ -252,9 +252,8 @@ REPEATABILITY = _group(
     "Repeatability",
     ("the same seed twice on one machine", "finite: the same bits",
      (STYLIZE + "test_the_same_run_gives_the_same_bits",)),
-    ("1 and 2 threads", "finite: densities agree to 1e-3, emissions to 1e-2, on a puff of smoke "
-     "of density and extinction of order 1",
-     (STYLIZE + "test_two_threads_agree_with_one_but_for_round_off",)),
+    ("1 and 3 threads", "finite: the same bits",
+     (STYLIZE + "test_three_threads_give_the_same_bits_as_one",)),
 )  # fmt: skip
 
 REFERENCE = _group("Faults of the reference code", *FAULTS)

@@ -46,7 +46,7 @@ class StandIn:
 
 
 def start(monkeypatch, tasks: StandIn, jobs: int, told: list[float]) -> None:
-    monkeypatch.setattr(processes, "divide_run", lambda request, planned, threads: tasks)
+    monkeypatch.setattr(processes, "divide_run", lambda request: tasks)
     monkeypatch.setattr(processes, "assemble", lambda *arguments: told.append(-1.0))
     request = Request("shot.usda", (), tasks.folder)
     processes.stylize_in_processes(jobs, request, lambda report: told.append(report.share))

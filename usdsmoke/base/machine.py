@@ -36,11 +36,21 @@ _INSTALL = {  # module: what to do if it is missing
 }
 
 
+_most_cpus = 2**31  # see ``limit_cpus``
+
+
+def limit_cpus(n: int) -> None:
+    """Let this process use at most n processors: others compute beside it."""
+    global _most_cpus
+    _most_cpus = n
+
+
 def usable_cpus() -> int:
     """Processors that this process may use."""
+    there = os.cpu_count() or 1
     if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return max(1, os.cpu_count() or 1)
+        there = len(os.sched_getaffinity(0))
+    return max(1, min(there, _most_cpus))
 
 
 def available_memory_gib() -> float:

@@ -60,7 +60,6 @@ class MachineRecord:
     """What the run was begun with."""
 
     platform: str = ""  # system and processor family
-    threads: int | None = None
     device: str = ""
     processor: str = ""  # kind, with the instructions that torch uses
     others: Mapping[str, str] = field(default_factory=dict)  # other kinds, by window or coarse step

@@ -58,8 +58,7 @@ def stylize_on_cluster(
     """``stylize`` with its windows computed by the workers of a Dask cluster; the same bits.
 
     The coarse step is one task, then every window is one; the result is assembled here. Workers
-    need the same usdsmoke and see the inputs and the output folder under the same paths. A task
-    uses ``optimize.threads`` threads, or as many as the run started with, or as a plain run here.
+    need the same usdsmoke and see the inputs and the output folder under the same paths.
 
     Args:
         address: of the scheduler, ``tcp://HOST:PORT``.

@@ -1,7 +1,7 @@
 """Windows of a run as processes of this machine, side by side.
 
 Windows do not depend on each other, and several processes with one thread each finish sooner than
-one process with several threads.
+one process with several threads. The result has the same bits, whatever their number.
 """
 
 import multiprocessing
@@ -13,28 +13,49 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
 from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
-from usdsmoke.base.machine import available_memory_gib, usable_cpus
+from usdsmoke.base.machine import available_memory_gib, limit_cpus, usable_cpus
 from usdsmoke.farm.tasks import Tasks, divide_run
-from usdsmoke.pipeline import Request, StylizeResult, assemble
+from usdsmoke.pipeline import Request, StylizeResult, assemble, stylize
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
+SHORT_S = 40.0  # estimated time of a run that one process does
 _END_S = 20.0  # for a process to tidy up after it was stopped
 
 
+def choose_jobs(plan: Plan) -> int:
+    """Processes that compute a plan's windows: as many as processors and memory allow.
+
+    A short run is done by one: every process loads torch and learns the style's features.
+    """
+    if plan.estimate.seconds < SHORT_S:
+        return 1
+    by_memory = int(available_memory_gib() / plan.estimate.memory_gib)
+    return max(1, min(len(plan.tasks), usable_cpus(), by_memory))
+
+
+def with_jobs(plan: Plan, jobs: int) -> Plan:
+    """The plan with a note on the processes that compute it."""
+    if jobs < 2:
+        return plan
+    note = f"{jobs} windows are computed at once, in processes of their own (--jobs)"
+    return replace(plan, notes=(*plan.notes, note))
+
+
 def stylize_in_processes(
-    jobs: int,
+    jobs: int | None,
     request: Request,
     progress: RunProgressCallback | None = None,
     planned: Callable[[Plan], None] | None = None,
 ) -> StylizeResult:
-    """``stylize`` with its windows computed by several processes of this machine.
+    """``stylize`` with its windows computed by several processes of this machine; the same bits.
 
-    A new run divides the machine's processors among the processes. The result has the same bits
-    as that of one process with as many threads (``optimize.threads``).
+    The processes divide the machine's processors among themselves, unless ``optimize.threads`` says
+    how many threads each has.
 
     Args:
-        jobs: processes; no more are started than there are windows.
+        jobs: processes; no more are started than there are windows. None: see ``choose_jobs``; a
+            single one is this process itself.
         progress: called often, with how far the run is.
         planned: called once with the plan.
 
@@ -44,9 +65,16 @@ def stylize_in_processes(
         UsdSmokeError: the errors of ``stylize``, also if they occur in a process.
         Interrupted: by Ctrl-C.
     """
-    tasks = divide_run(request, planned, max(usable_cpus() // jobs, 1))
-    n_processes = min(jobs, len(tasks.windows))
+    tasks = divide_run(request) if jobs != 1 else None
+    n_processes = 0 if tasks is None else min(jobs or choose_jobs(tasks.plan), len(tasks.windows))
+    if tasks is None or n_processes < 2:
+        return stylize(
+            request.stage, request.style, request.output, request.settings,
+            force=request.force, progress=progress, planned=planned,
+        )  # fmt: skip
     _check_memory(tasks.plan, n_processes)
+    if planned is not None:
+        planned(with_jobs(tasks.plan, n_processes))
     tell = progress or (lambda report: None)
     pool = _Pool(tasks, tell)
     try:
@@ -88,7 +116,7 @@ class _Pool:
         while waiting or self._busy:
             while waiting and len(self._busy) < n_processes:
                 connection, process = self._idle.pop() if self._idle else self._start()
-                connection.send(waiting[0])
+                connection.send((waiting[0], max(usable_cpus() // n_processes, 1)))
                 self._busy[connection] = (waiting.pop(0), process)
             for item in wait(list(self._busy)):
                 assert isinstance(item, Connection)
@@ -147,10 +175,11 @@ class _Pool:
 
 
 def _work(connection: Connection, tasks: Tasks) -> None:
-    """The life of a process: a window's number in, progress out, then None or an error."""
+    """The life of a process: windows come in, progress goes out, then None or an error."""
     while True:
         try:
-            window = connection.recv()
+            window, n_cpus = connection.recv()
+            limit_cpus(n_cpus)
             tasks.run(window, connection.send)
             connection.send(None)
         except UsdSmokeError as error:

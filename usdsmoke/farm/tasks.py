@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from usdsmoke.pipeline import Request, plan_request, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.opening import frames_again
 from usdsmoke.runs.progress import RunProgressCallback
-from usdsmoke.runs.run_machine import settle_threads
 
 
 @dataclass(frozen=True)
@@ -17,8 +15,7 @@ class Tasks:
     """What every task of a run is given.
 
     Attributes:
-        request: with a fixed number of threads and, if some frames of a result are selected, with
-            all of its frames.
+        request: if some frames of a result are selected, with all of its frames.
         plan: of the whole run.
         redo: windows to compute once more though they are finished.
     """
@@ -47,16 +44,12 @@ class Tasks:
             run_window(request, window, progress, redo=window in self.redo)
 
 
-def divide_run(
-    request: Request, planned: Callable[[Plan], None] | None = None, threads: int | None = None
-) -> Tasks:
+def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) -> Tasks:
     """The tasks of a run that begins, goes on or repeats frames of a result.
 
     Args:
         request: what is asked for.
         planned: called once with the plan.
-        threads: of a task, where neither the settings nor a run that has begun say it; None takes
-            those of this machine.
     """
     found = plan_request(request, fits=False)
     if planned is not None:
@@ -67,5 +60,4 @@ def divide_run(
         if repeated is not None:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
-    config = settle_threads(Path(request.output), request.config, request.force, threads)
-    return Tasks(request.with_config(config), found)
+    return Tasks(request, found)

@@ -5,7 +5,7 @@ The files are imported by name, because most of them load OpenUSD.
 - ``run``: the run on disk: folder, record, manifests, claims of processes on its tasks
 - ``manifests``: what a finished window or the coarse step has left
 - ``identity``: what decides a result, and whether a call asks for a run's
-- ``run_machine``: threads, device and kind of processor of a run
+- ``run_machine``: device and kind of processor of a run
 - ``changes``: what differs between two runs, in words
 - ``opening``: which run a call belongs to, and results that are made longer (a folder)
 - ``opened``: a run that this process works on: what is left to do, disk, how far

@@ -44,7 +44,7 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     from usdsmoke.core.smoke.device import describe_machine
     from usdsmoke.core.views.scene import measure_scene
 
-    describe_machine(plan.config.optimize)  # sets threads: sums depend on the number of threads
+    describe_machine(plan.config.optimize)  # and use its threads
     scenes = []
     for volume in plan.volumes:
         frames = [reader.read(volume, frame) for frame in _measured_frames(volume)]

@@ -1,6 +1,6 @@
 """What decides a run's result, as JSON values: equal descriptions give equal results.
 
-What a job leaves to the machine (threads, device) is as the run has settled it: see
+What a job leaves to the machine (the device) is as the run has settled it: see
 ``run_machine``.
 """
 
@@ -28,7 +28,7 @@ from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES
 # Values that leave a choice to the machine on which a run begins, or to the run that a look grew
 # from; by section.
 _OPEN: dict[str, dict[str, Any]] = {
-    "optimize": {"threads": 0, "device": "auto"},
+    "optimize": {"device": "auto"},
     "optics": {"frames": ""},
 }
 
@@ -36,7 +36,7 @@ _OPEN: dict[str, dict[str, Any]] = {
 _NEUTRAL = {
     "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("memory_limit_gib", "error_budget"),
+    "optimize": ("threads", "memory_limit_gib", "error_budget"),
     "layer": ("mode", "contact_sheet"),
 }
 
@@ -67,7 +67,7 @@ class Identity:
             ConfigError: the device is not there.
         """
         machine = machine_of(self._job)
-        here = {"settings": {"optimize": {"threads": machine.threads, "device": machine.device}}}
+        here = {"settings": {"optimize": {"device": machine.device}}}
         return _as_stored(_settled(describe_run(self._job, self._features), here))
 
     def beside(self, run: Run) -> dict[str, Any]:

@@ -1,21 +1,19 @@
-"""The machine that a run computes with: threads, device and kind of processor.
+"""The machine that a run computes with: device and kind of processor.
 
-A run settles them when it begins. Every later task computes with that number of threads on that
-kind of device, however many processors it has, because bits depend on them. Another kind of
-processor cannot be made the same: each manifest names the one that made it, and the result names
-those that differ.
+Bits depend on both, and not on the number of threads. A run settles the device when it begins, and
+every later task uses one of that kind. Another kind of processor cannot be made the same: each
+manifest names the one that made it, and the result names those that differ.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.machine import platform_name, usable_cpus
+from usdsmoke.base.machine import platform_name
 from usdsmoke.base.record_format import MachineRecord
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
-from usdsmoke.runs.run import Run, find_runs
+from usdsmoke.runs.run import Run
 
 if TYPE_CHECKING:
     from usdsmoke.core.smoke.device import Machine
@@ -32,29 +30,8 @@ def machine_of(job: Job) -> "Machine":
     return describe_machine(job.config.optimize)
 
 
-def settle_threads(
-    output: Path, config: Config, force: bool, otherwise: int | None = None
-) -> Config:
-    """Settings with a number of threads for processes elsewhere: that of the run which they
-    continue, or, where there is none, what this process may use.
-
-    Args:
-        force: a result is replaced, and not continued.
-        otherwise: the number where there is no run; None: what this process may use.
-    """
-    threads = config.optimize.threads
-    if threads == 0:
-        runs = [run for run in find_runs(output) if run.look == config.layer.look]
-        runs = [run for run in runs if not (force and run.complete)]
-        begun = min(runs, key=lambda run: run.complete, default=None)
-        threads = _optimize(begun).get("threads", 0) if begun is not None else 0
-    return config.replace(
-        optimize=config.optimize.replace(threads=threads or otherwise or usable_cpus())
-    )
-
-
 def with_settled(job: Job, run: Run) -> Job:
-    """The job with what was left open as its run was begun: threads, device, measured frames."""
+    """The job with what was left open as its run was begun: the device, measured frames."""
     settled = _optimize(run)
     measured = run.description.get("settings", {}).get("optics", {}).get("frames", "")
 
@@ -62,7 +39,6 @@ def with_settled(job: Job, run: Run) -> Job:
         device = config.optimize.device
         settled_device = settled.get("device", device)
         optimize = config.optimize.replace(
-            threads=settled.get("threads", config.optimize.threads),
             # a device of the same kind may be another one of several GPUs
             device=device if device.partition(":")[0] == settled_device else settled_device,
         )
@@ -94,11 +70,10 @@ def processor_warnings(run: Run) -> list[str]:
 
 
 def machine_record(run: Run) -> MachineRecord:
-    """For the record: threads, device, processor, and what other kinds of processors made."""
+    """For the record: device, processor, and what other kinds of processors made."""
     settled, others = _optimize(run), _others(run)
     return MachineRecord(
         platform=platform_name(),
-        threads=settled.get("threads"),
         device=settled.get("device", ""),
         processor=run.processor,
         others={name: kind for kind in sorted(others) for name in others[kind]},

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,10 +112,13 @@ class _Shown:
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
         """By name of the view."""
+        from usdsmoke.core.smoke.tasks import run_tasks
+
         fields = _read_result(self.volume, folder / self.frame.file_name)
         media = self._media(fields[0], fields[1] if len(fields) > 1 else None)
         del fields
-        return {side: _draw(media, view) for side, view in views.items()}
+        pictures = run_tasks([partial(_draw, media, view) for view in views.values()])
+        return dict(zip(views, pictures, strict=True))
 
     def _media(self, density: DenseField, emission: DenseField | None) -> list["Medium"]:
         from usdsmoke.core.views.media import make_media

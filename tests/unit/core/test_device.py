@@ -9,12 +9,14 @@ import torch
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.sections import OptimizeConfig
 from usdsmoke.core.smoke.device import choose_device
+from usdsmoke.core.smoke.tasks import n_sharing, share_among
 
 
 @pytest.fixture(autouse=True)
 def same_threads_afterwards() -> Iterator[None]:
-    threads = torch.get_num_threads()
+    threads, sharing = torch.get_num_threads(), n_sharing()
     yield
+    share_among(sharing)
     torch.set_num_threads(threads)
 
 
@@ -43,8 +45,9 @@ def test_a_device_that_is_not_there_is_refused_with_those_that_are(device, no_gp
         choose_device(OptimizeConfig(device=device))
 
 
-def test_threads_are_those_asked_for_or_all_there_are():
-    choose_device(OptimizeConfig(device="cpu", threads=1))
-    assert torch.get_num_threads() == 1
+def test_tasks_share_the_threads_asked_for_or_all_there_are_and_torch_has_none_of_its_own():
+    choose_device(OptimizeConfig(device="cpu", threads=3))
+    assert n_sharing() == 3
     choose_device(OptimizeConfig(device="cpu", threads=0))
-    assert torch.get_num_threads() == len(os.sched_getaffinity(0))
+    assert n_sharing() == len(os.sched_getaffinity(0))
+    assert torch.get_num_threads() == 1

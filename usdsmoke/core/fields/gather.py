@@ -6,14 +6,18 @@ array, so a 3-D sum costs 8 or 64 gathers and no index arithmetic. Axes of lengt
 Positions are processed in chunks that stay in the processor's second-level cache.
 """
 
+import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.smoke.memory import chunks, share_rows
+from usdsmoke.core.smoke.tasks import run_tasks
 
+ADJOINT_BLOCKS = 4  # of positions, at most
 GATHER_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
 
 
@@ -57,7 +61,8 @@ class _GatherSum(torch.autograd.Function):
         want_slopes = ctx.needs_input_grad[1]
         sums = flat.new_empty((len(planes), len(positions)))
         jacobian = flat.new_zeros((3, *sums.shape)) if want_slopes else None
-        for part in chunks(len(positions), GATHER_CHUNK, positions.device):
+
+        def gather(part: slice) -> None:
             base, by_axis = _find_weights(
                 positions[part], values.shape, strides, axes, cubic, want_slopes
             )
@@ -67,6 +72,8 @@ class _GatherSum(torch.autograd.Function):
                 if jacobian is not None:
                     for axis, slope in zip(axes, terms[1:], strict=True):
                         jacobian[axis, channel, part] = slope
+
+        share_rows(gather, len(positions), GATHER_CHUNK, positions.device)
         ctx.shape, ctx.cubic = values.shape, cubic
         ctx.save_for_backward(positions if ctx.needs_input_grad[0] else None, jacobian)
         return sums.T if flat.ndim == 2 else sums[0]
@@ -80,20 +87,46 @@ class _GatherSum(torch.autograd.Function):
         if ctx.needs_input_grad[0]:
             grad_values = _adjoint(grad_planes, positions, ctx.shape, ctx.cubic)
         if ctx.needs_input_grad[1]:
-            grad_positions = (jacobian * grad_planes).sum(dim=1).T
+            by_axis = torch.empty_like(jacobian[:, 0])
+
+            def multiply(part: slice) -> None:
+                by_axis[:, part] = (jacobian[..., part] * grad_planes[:, part]).sum(dim=1)
+
+            n = grad_planes.shape[1]
+            share_rows(multiply, n, GATHER_CHUNK, grad_planes.device)
+            grad_positions = by_axis.T
         return grad_values, grad_positions, None
 
 
 def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: bool) -> Tensor:
-    """What each voxel's weight is in all sums together, weighted with ``grad_planes`` [C N]."""
+    """What each voxel's weight is in all sums together, weighted with ``grad_planes`` [C N].
+
+    Threads share a fixed number of blocks of positions. Neighbours in the list are neighbours in
+    the box, so each block adds up the part of the box that it reads, and little is added twice.
+    """
     planes = grad_planes.new_zeros((len(grad_planes), shape[:3].numel()))
     strides, axes = _layout(shape)
-    for part in chunks(len(positions), GATHER_CHUNK, positions.device):
-        base, by_axis = _find_weights(
-            positions[part], shape, strides, axes, cubic, want_slopes=False
-        )
-        for plane, grad_plane in zip(planes, grad_planes, strict=True):
-            _add_weighted(plane, base, strides, by_axis, grad_plane[part])
+
+    def add_block(block: slice) -> tuple[int, Tensor]:
+        low, high = 0, planes.shape[1]
+        if axes:
+            least, most = torch.aminmax(positions[block, axes[0]])
+            low = min(max(math.floor(least) - 1, 0), shape[axes[0]] - 1 - cubic) * strides[0]
+            high = min(max(math.floor(most) + 3, 2 + cubic), shape[axes[0]]) * strides[0]
+        sums = planes.new_zeros(len(planes), high - low)
+        for part in chunks(block.stop - block.start, GATHER_CHUNK, positions.device):
+            here = slice(block.start + part.start, block.start + part.stop)
+            base, by_axis = _find_weights(
+                positions[here], shape, strides, axes, cubic, want_slopes=False
+            )
+            for plane, grad_plane in zip(sums, grad_planes, strict=True):
+                _add_weighted(plane, base - low, strides, by_axis, grad_plane[here])
+        return low, sums
+
+    size = max(-(-len(positions) // ADJOINT_BLOCKS), GATHER_CHUNK)
+    blocks = chunks(len(positions), size, positions.device)
+    for low, sums in run_tasks([partial(add_block, block) for block in blocks]):
+        planes[:, low : low + sums.shape[1]].add_(sums)
     return planes.T.reshape(shape)
 
 

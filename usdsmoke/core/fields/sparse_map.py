@@ -12,10 +12,9 @@ from functools import partial
 from typing import Any, cast
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
 
 Table = tuple[Tensor, Tensor]
 
@@ -82,13 +81,7 @@ class SparseSums:
         """[m C] from [n C]; without gradients."""
         if len(self.index) == 0:
             return table.new_zeros(len(self.start), table.shape[1])
-        return F.embedding_bag(
-            self.index,
-            table.detach().contiguous(),
-            self.start,
-            mode="sum",
-            per_sample_weights=self.weight,
-        )
+        return weighted_rows(table.detach(), self.index, self.start, self.weight)
 
 
 class _Apply(torch.autograd.Function):

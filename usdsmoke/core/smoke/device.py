@@ -11,6 +11,7 @@ import torch
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import usable_cpus
 from usdsmoke.base.sections import OptimizeConfig
+from usdsmoke.core.smoke.tasks import n_sharing, share_among
 
 # Variables by which libraries under torch take other instructions than the processor offers.
 _LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR")
@@ -20,7 +21,6 @@ _LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", 
 class Machine:
     """What of a machine decides bits."""
 
-    threads: int  # that the core computes with; may be more than there are processors
     device: str  # "cpu" or "cuda"
     processor: str  # its kind: family, instructions that torch uses, on a GPU also its name
 
@@ -39,7 +39,7 @@ def choose_device(config: OptimizeConfig) -> torch.device:
             f"optimize.device {config.device!r} is not available. "
             f"Use one of auto, {', '.join(available)}."
         )
-    torch.set_num_threads(config.threads or usable_cpus())
+    share_among(config.threads or usable_cpus())
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return device
@@ -52,12 +52,13 @@ def computing_threads(count: int) -> Iterator[None]:
     Args:
         count: at least 1.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
+    before, before_of_torch = n_sharing(), torch.get_num_threads()
+    share_among(count)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        share_among(before)
+        torch.set_num_threads(before_of_torch)
 
 
 def describe_machine(config: OptimizeConfig) -> Machine:
@@ -71,7 +72,7 @@ def describe_machine(config: OptimizeConfig) -> Machine:
     limits = [f"{name}={os.environ[name]}" for name in _LIMITS if os.environ.get(name)]
     if device.type == "cuda":
         limits.append(torch.cuda.get_device_name(device))
-    return Machine(config.threads or usable_cpus(), device.type, ", ".join([kind, *limits]))
+    return Machine(device.type, ", ".join([kind, *limits]))
 
 
 def _parse_device(name: str) -> torch.device | None:

@@ -1,12 +1,17 @@
 """Work in bounded memory: long tensors in chunks, lazy lists, sums whose graph is freed by term."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, Generic, TypeVar, cast, overload
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.smoke.tasks import run_tasks
+
 CHUNK_ROWS = 2**14  # voxels or sums in a chunk, unless a module has measured a better size
+SHARED_ROWS = 2**17  # sums that a thread does at once
 GPU_CHUNK_FACTOR = 256  # times as many on a GPU, where every chunk costs time
 
 Item = TypeVar("Item")
@@ -18,6 +23,34 @@ def chunks(n: int, size: int, device: torch.device) -> Iterator[slice]:
     size *= 1 if device.type == "cpu" else GPU_CHUNK_FACTOR
     for first in range(0, n, size):
         yield slice(first, min(first + size, n))
+
+
+def share_rows(work: Callable[[slice], None], n: int, size: int, device: torch.device) -> None:
+    """``work(part)`` for the slices of ``chunks``, which threads share."""
+    run_tasks([partial(work, part) for part in chunks(n, size, device)])
+
+
+def weighted_rows(table: Tensor, index: Tensor, start: Tensor, weight: Tensor) -> Tensor:
+    """Weighted sums of rows of a table [n C], each over a run of entries, [m C]; no gradients.
+
+    Args:
+        index: [E], the row that an entry reads.
+        start: [m], the first entry of each sum.
+        weight: [E].
+    """
+    table, m = table.contiguous(), len(start)
+    found = table.new_empty(m, table.shape[1])
+
+    def add(part: slice) -> None:
+        first = int(start[part.start]) if part.start else 0
+        last = int(start[part.stop]) if part.stop < m else len(index)
+        found[part] = F.embedding_bag(
+            index[first:last], table, start[part] - first, mode="sum",
+            per_sample_weights=weight[first:last],
+        )  # fmt: skip
+
+    share_rows(add, m, SHARED_ROWS, table.device)
+    return found
 
 
 class LazyList(Sequence[Item], Generic[Item]):
@@ -47,20 +80,33 @@ class LazyList(Sequence[Item], Generic[Item]):
             self._made[number] = self._make(number)
         return self._made[number]
 
+    def prepare(self, numbers: Iterable[int]) -> None:
+        """Make some items, which threads share, before they are read."""
+        missing = [number for number in numbers if number not in self._made]
+        made = run_tasks([partial(self._make, number) for number in missing])
+        self._made.update(zip(missing, made, strict=True))
+
 
 class _Accumulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, shared: Tensor, terms: Iterable[Term]) -> Tensor:
-        total, gradient = shared.new_zeros(()), None
-        for term in terms:
+        needs_gradient = ctx.needs_input_grad[0]
+
+        def evaluate(term: Term) -> tuple[Tensor, Tensor | None]:
             with torch.enable_grad():
-                leaf = shared.detach().requires_grad_(ctx.needs_input_grad[0])
+                leaf = shared.detach().requires_grad_(needs_gradient)
                 value = term(leaf)
-                if leaf.requires_grad and value.requires_grad:
-                    (found,) = torch.autograd.grad(value, leaf, materialize_grads=True)
-                    # not in place: a gradient may be one number, expanded
-                    gradient = found if gradient is None else gradient + found
-            total = total + value.detach()
+                if not (leaf.requires_grad and value.requires_grad):
+                    return value.detach(), None
+                (found,) = torch.autograd.grad(value, leaf, materialize_grads=True)
+                return value.detach(), found
+
+        total, gradient = shared.new_zeros(()), None
+        for value, found in run_tasks([partial(evaluate, term) for term in terms]):
+            total = total + value
+            if found is not None:
+                # not in place: a gradient may be one number, expanded
+                gradient = found if gradient is None else gradient + found
         ctx.save_for_backward(torch.zeros_like(shared) if gradient is None else gradient)
         return total
 
@@ -71,10 +117,10 @@ class _Accumulate(torch.autograd.Function):
 
 
 def accumulate(shared: Tensor, terms: Iterable[Term]) -> Tensor:
-    """Sum of scalar functions of one tensor; the graph of each term is freed at once.
+    """Sum of scalar functions of one tensor, which threads share; a term's graph is freed at once.
 
-    Nine pictures of one smoke then take the memory of one, and the graph that leads to the smoke
-    itself is differentiated once, not nine times.
+    Nine pictures of one smoke then take the memory of one for each thread, and the graph that leads
+    to the smoke itself is differentiated once, not nine times.
 
     Args:
         shared: any shape.

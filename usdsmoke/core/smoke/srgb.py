@@ -1,7 +1,14 @@
 """Display-encoded and scene-linear colours, and luminance."""
 
+from typing import Any, cast
+
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from usdsmoke.core.smoke.memory import share_rows
+
+CHUNK_ELEMENTS = 2**16  # numbers that are decoded at once
 
 
 def encode_srgb(linear: Tensor) -> Tensor:
@@ -15,9 +22,39 @@ def encode_srgb(linear: Tensor) -> Tensor:
 
 
 def decode_srgb(encoded: Tensor) -> Tensor:
-    """Scene-linear values of display-encoded sRGB [...]; the inverse of ``encode_srgb``."""
-    curve = ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(encoded <= 0.04045, encoded / 12.92, curve)
+    """Scene-linear values of display-encoded sRGB [...]; the inverse of ``encode_srgb``.
+
+    Gradients: through ``encoded``, of first order.
+    """
+    return cast(Tensor, _Decode.apply(encoded))
+
+
+class _Decode(torch.autograd.Function):
+    """The curve and its slope in one pass over parts that stay in the cache."""
+
+    @staticmethod
+    def forward(ctx: Any, encoded: Tensor) -> Tensor:
+        flat = encoded.reshape(-1)
+        linear = torch.empty_like(flat)
+        slope = torch.empty_like(flat) if ctx.needs_input_grad[0] else None
+
+        def decode(part: slice) -> None:
+            here = flat[part]
+            base = here.clamp_min(0.04045).add_(0.055).div_(1.055)
+            steep, curve = here > 0.04045, base**2.4
+            linear[part] = torch.where(steep, curve, here / 12.92)
+            if slope is not None:
+                slope[part] = torch.where(steep, curve.div_(base).mul_(2.4 / 1.055), 1 / 12.92)
+
+        share_rows(decode, len(flat), CHUNK_ELEMENTS, flat.device)
+        ctx.save_for_backward(slope)
+        return linear.view(encoded.shape)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> Tensor:
+        (slope,) = ctx.saved_tensors
+        return upstream * slope.view(upstream.shape)
 
 
 def luminance(picture: Tensor) -> Tensor:

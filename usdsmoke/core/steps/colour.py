@@ -121,7 +121,8 @@ def optimize_colours(
     Returns:
         Colours [N 3] and how the optimisation ended.
     """
-    unknown = colours.detach().clone().requires_grad_(True)
+    pool.prepare(descent.n_iterations)
+    unknown = colours.detach().clone(memory_format=torch.contiguous_format).requires_grad_(True)
 
     def objective(iteration: int) -> Tensor:
         def view_loss(view: ColourView, linear: Tensor) -> Tensor:

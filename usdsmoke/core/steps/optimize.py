@@ -13,10 +13,12 @@ from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.core.smoke.memory import share_rows
 
 BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wrong
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
 MOST_ROLLBACKS = 12
+CHUNK_ELEMENTS = 2**16  # numbers that Adam moves at once
 REMEMBER_EVERY = 8  # iterations between two states to roll back to
 ANNEALED = 0.1  # share of the rate at the end
 SHORTEST_SPAN = 10  # iterations over which a plateau shows
@@ -51,10 +53,17 @@ class Adam:
         b1, b2 = self.betas
         unbias = math.sqrt(1 - b2**self.n_steps) / (1 - b1**self.n_steps)
         for p, g, m, v in zip(parameters, gradients, self.first, self.second, strict=True):
-            g = g / self.unit
-            m.mul_(b1).add_(g, alpha=1 - b1)
-            v.mul_(b2).addcmul_(g, g, value=1 - b2)
-            p.addcdiv_(m, v.sqrt().add_(self.epsilon), value=-rate * unbias)
+            flat = [p.view(-1), g.reshape(-1), m.view(-1), v.view(-1)]
+
+            def move(part: slice, flat: list[Tensor] = flat) -> None:
+                values, slopes, first, second = (tensor[part] for tensor in flat)
+                slopes = slopes / self.unit
+                first.mul_(b1).add_(slopes, alpha=1 - b1)
+                second.mul_(b2).addcmul_(slopes, slopes, value=1 - b2)
+                scale = second.sqrt().add_(self.epsilon)
+                values.addcdiv_(first, scale, value=-rate * unbias)
+
+            share_rows(move, len(flat[0]), CHUNK_ELEMENTS, flat[0].device)
 
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
@@ -212,6 +221,11 @@ def _evaluate(
     return float(loss.detach()), list(gradients)
 
 
+def _is_finite(values: Tensor) -> bool:
+    """Whether no value is NaN or infinite; in one pass that makes no other tensor."""
+    return values.numel() == 0 or all(map(math.isfinite, map(float, values.aminmax())))
+
+
 def _loss(objective: Callable[[int], Tensor], iteration: int) -> float:
     """The loss alone; NaN where something on the way was not finite."""
     try:
@@ -248,7 +262,7 @@ class _State:
         Args:
             loss_again: the loss of the same iteration with the parameters as they are then.
         """
-        finite = math.isfinite(value) and all(bool(torch.isfinite(g).all()) for g in gradients)
+        finite = math.isfinite(value) and all(_is_finite(g) for g in gradients)
         if finite and (self._is_sound(value) or self._was_so_before(value, loss_again)):
             begins = math.isnan(self._first_loss)
             if begins:

@@ -43,12 +43,20 @@ class ViewPool(Generic[AnyView]):
         """
         return -(-len(self.views) // min(self.n_drawn, len(self.views)))
 
+    def prepare(self, n_iterations: int) -> None:
+        """Make the views that so many iterations draw, shared among threads."""
+        if isinstance(self.views, LazyList):
+            self.views.prepare(self._drawn(n_iterations))
+
     def drawn(self, n_iterations: int) -> list[AnyView]:
         """The views that so many iterations have drawn, each once."""
+        return [self.views[number] for number in self._drawn(n_iterations)]
+
+    def _drawn(self, n_iterations: int) -> list[int]:
         n, seen = min(self.n_drawn, len(self.views)), set[int]()
         for iteration in range(min(n_iterations, self.passage)):
             seen.update(draw_views(iteration, n, len(self.views), self.seed))
-        return [self.views[number] for number in sorted(seen)]
+        return sorted(seen)
 
     def mean_loss(
         self, shared: Tensor, iteration: int, loss: Callable[[AnyView, Tensor], Tensor]

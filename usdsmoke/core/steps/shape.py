@@ -144,6 +144,10 @@ class _Octave:
         """Whether the potential has an effect on any voxel."""
         return moves_along(self.lattice.shape, self._kind) and bool((self.effect > 0).any())
 
+    def prepare(self, n_iterations: int) -> None:
+        """Make the views that so many iterations draw."""
+        self._pool.prepare(n_iterations)
+
     @property
     def passage(self) -> int:
         """Iterations that see every view once."""
@@ -276,6 +280,7 @@ def _optimize_octave(
     """
     if not octave.can_move:
         return base, None
+    octave.prepare(descent.n_iterations)
     pyramid, spacing = octave.pyramid, max(octave.lattice.spacing)
     # a coefficient of 1 moves smoke by about the limit on the finest level, and by less on coarser
     # ones, whose neighbours agree and add up: with as much on all levels frames end as near to the

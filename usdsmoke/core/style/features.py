@@ -308,6 +308,14 @@ class EmbeddedFeatures:
         return maps
 
 
+def independent_layers(network: Network, requested: frozenset[str]) -> list[frozenset[str]]:
+    """The requested layers in groups that have no layer beneath them in common."""
+    if not isinstance(network, EmbeddedFeatures):
+        return [requested]
+    halves = (requested & frozenset(part.names) for part in (OrientedFeatures, LearnedFeatures))
+    return [half for half in halves if half]
+
+
 def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:
     """A function that gives the network for a style image [H W 3].
 

@@ -18,7 +18,7 @@ channel (the histogram loss [Risser2017]), or along random directions (sliced Wa
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, cast
 
 import torch
@@ -26,9 +26,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.sections import LossesConfig
+from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.srgb import luminance
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
-from usdsmoke.core.style.features import Network
+from usdsmoke.core.style.features import Network, independent_layers
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 
@@ -146,9 +147,19 @@ class StyleTarget:
 
         Gradients: through ``picture``.
         """
-        maps, losses = self._network(picture, frozenset(self._weights)), self._losses
+        groups = independent_layers(self._network, frozenset(self._weights))
+        terms = [partial(self._loss_of, group, guide=guide, draw=draw) for group in groups]
+        return accumulate(picture, terms)
+
+    def _loss_of(
+        self, names: frozenset[str], picture: Tensor, guide: Tensor | None, draw: int
+    ) -> Tensor:
+        """The part of the loss that some of the style layers have."""
+        maps, losses = self._network(picture, names), self._losses
         total = picture.new_zeros(())
         for name, weight in self._weights.items():
+            if name not in names:
+                continue
             layer = self._layers[name]
             if losses.statistic == "sliced_wasserstein":
                 distance = layer.sliced_distance(maps[name], guide, draw % N_DRAWS)

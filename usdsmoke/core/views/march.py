@@ -22,6 +22,7 @@ from itertools import product
 import numpy as np
 import torch
 
+from usdsmoke.core.smoke.memory import share_rows
 from usdsmoke.core.views.cameras import View, view_rays
 from usdsmoke.core.views.cells import Cells
 from usdsmoke.core.views.columns import Columns, follows_axis
@@ -74,9 +75,9 @@ def march(
         rays = max(_rays_across(medium, view) for medium in media)
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
     tracer, colour = _tracer(media, view, clip), _shared_colour(media)
-    size = max(1, _CHUNK // tracer.numbers_per_ray)
-    for start in range(0, count, size):
-        pixels = np.arange(start, min(start + size, count))
+
+    def draw(part: slice) -> None:
+        pixels = np.arange(part.start, part.stop)
         for dy, dx in product(offsets, offsets):
             at = view_rays(view, pixels % view.width + dx, pixels // view.width + dy)
             depth, segments = tracer.cut(*at, with_light=colour is None)
@@ -86,6 +87,9 @@ def march(
             else:
                 light = alpha[:, None] * colour
             total[pixels] += np.column_stack([depth, light, alpha])
+
+    size = max(1, _CHUNK // tracer.numbers_per_ray)
+    share_rows(draw, count, size, torch.device("cpu"))
     return _picture(total / rays**2, view)
 
 

@@ -11,15 +11,15 @@ linear maps come out of it:
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, cast
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
@@ -40,9 +40,7 @@ class _Apply(torch.autograd.Function):
         if values.device.type == "cpu":
             return _scattered(values, image)
         voxel, by_pixel, start = image.runs
-        return F.embedding_bag(
-            voxel, values.detach(), start, mode="sum", per_sample_weights=by_pixel
-        )
+        return weighted_rows(values.detach(), voxel, start, by_pixel)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
@@ -56,12 +54,13 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
     takes no longer than sums over sorted runs on one thread, three take three times as long.
     """
     n_pixels, pixel = image.height * image.width, image.pixel.reshape(-1)
-    found = [
-        torch.bincount(
-            pixel, (image.weight * column.detach()[:, None]).reshape(-1), minlength=n_pixels
+
+    def add_up(column: Tensor) -> Tensor:
+        return torch.bincount(
+            pixel, (image.weight * column[:, None]).reshape(-1), minlength=n_pixels
         )
-        for column in values.unbind(1)
-    ]
+
+    found = run_tasks([partial(add_up, column) for column in values.detach().unbind(1)])
     return torch.stack(found, 1).to(values.dtype)
 
 
@@ -105,13 +104,7 @@ class SparseImage:
         flat = picture.reshape(self.height * self.width, -1)
         n_entries, step = self.pixel.numel(), self.pixel.shape[1]
         start = torch.arange(0, n_entries, step, dtype=torch.int32, device=flat.device)
-        return F.embedding_bag(
-            self.pixel.reshape(-1),
-            flat,
-            start,
-            mode="sum",
-            per_sample_weights=self.weight.reshape(-1),
-        )
+        return weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1))
 
 
 @dataclass(frozen=True)

@@ -103,9 +103,9 @@ def _add_stylize(commands: Any) -> None:
     part.add_argument(
         "--jobs",
         type=count_value,
-        default=1,
         metavar="N",
-        help="compute N windows at once, in processes of this machine (default: 1)",
+        help="compute N windows at once, in processes of this machine; the result is the same "
+        "(default: as many as processors and memory allow)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="print the plan and its cost; write nothing"

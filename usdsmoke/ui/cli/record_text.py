@@ -87,11 +87,10 @@ def rerun_text(again: "Rerun") -> str:
 
 
 def _machine_text(machine: MachineRecord) -> str:
-    threads = "" if machine.threads is None else f"threads={machine.threads}"
     device = f"device={machine.device}" if machine.device else ""
     processor = f"processor={machine.processor}" if machine.processor else ""
     others = [f"{name}={kind}" for name, kind in machine.others.items()]
-    return ", ".join(filter(None, [machine.platform, threads, device, processor, *others]))
+    return ", ".join(filter(None, [machine.platform, device, processor, *others]))
 
 
 def _error_texts(budget: Mapping[str, Any]) -> Iterable[str]:

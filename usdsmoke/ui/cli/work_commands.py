@@ -25,9 +25,11 @@ _Result = TypeVar("_Result")
 def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
     if arguments.dry_run:
+        from usdsmoke.farm.processes import choose_jobs, with_jobs
         from usdsmoke.pipeline import plan_request
 
         plan = plan_request(_request(arguments))
+        plan = with_jobs(plan, min(arguments.jobs or choose_jobs(plan), len(plan.tasks)))
         if arguments.window is not None:
             plan.task(arguments.window)  # raises where there is no such window
         show(
@@ -91,16 +93,9 @@ def _run_whole(
         from usdsmoke.farm.dask import stylize_on_cluster
 
         return stylize_on_cluster(arguments.cluster, request, progress, planned)
-    if arguments.jobs > 1:
-        from usdsmoke.farm.processes import stylize_in_processes
+    from usdsmoke.farm.processes import stylize_in_processes
 
-        return stylize_in_processes(arguments.jobs, request, progress, planned)
-    from usdsmoke.pipeline import stylize
-
-    return stylize(
-        request.stage, request.style, request.output, request.settings,
-        force=request.force, progress=progress, planned=planned,
-    )  # fmt: skip
+    return stylize_in_processes(arguments.jobs, request, progress, planned)
 
 
 def _run_task(

@@ -1,0 +1,85 @@
+"""Work shared among threads."""
+
+import os
+import threading
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from usdsmoke.core.smoke.memory import accumulate
+from usdsmoke.core.smoke.tasks import n_sharing, run_tasks, share_among
+
+
+@pytest.fixture(autouse=True)
+def same_threads_afterwards() -> Iterator[None]:
+    threads, sharing = torch.get_num_threads(), n_sharing()
+    yield
+    share_among(sharing)
+    torch.set_num_threads(threads)
+
+
+def test_results_come_in_the_order_of_the_tasks_from_several_threads():
+    share_among(3)
+    together = threading.Barrier(3, timeout=30)
+
+    def task(number: int) -> tuple[int, int]:
+        if number < 3:
+            together.wait()  # passes only if three threads are here at once
+        return number, threading.get_ident()
+
+    found = run_tasks([lambda n=n: task(n) for n in range(20)])
+    assert [number for number, _ in found] == list(range(20))
+    assert len({thread for _, thread in found[:3]}) == 3
+
+
+def test_tasks_inside_a_task_stay_in_its_thread():
+    share_among(2)
+
+    def outer() -> set[int]:
+        return {*run_tasks([threading.get_ident] * 5), threading.get_ident()}
+
+    assert all(len(threads) == 1 for threads in run_tasks([outer, outer, outer]))
+
+
+@pytest.mark.parametrize("bad", [0, 5])
+def test_an_error_in_a_task_is_raised_and_work_goes_on_afterwards(bad: int):
+    share_among(2)
+
+    def task(number: int) -> int:
+        if number == bad:
+            raise ValueError("the bad one")
+        return number
+
+    with pytest.raises(ValueError, match="the bad one"):
+        run_tasks([lambda n=n: task(n) for n in range(8)])
+    assert run_tasks([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
+
+
+def test_gradients_of_shared_terms_are_those_of_one_thread():
+    values = torch.linspace(-1, 1, 50, requires_grad=True)
+    terms = [lambda x, k=k: (x * k).sin().sum() for k in range(1, 7)]
+    found = []
+    for threads in (1, 3):
+        share_among(threads)
+        (gradient,) = torch.autograd.grad(accumulate(values, terms), values)
+        found.append(gradient)
+    assert torch.equal(*found)
+    exact = sum(k * (values.detach() * k).cos() for k in range(1, 7))
+    assert torch.allclose(found[0], exact, atol=1e-5)
+
+
+def test_tasks_have_gradients_enabled_as_their_caller_has():
+    share_among(2)
+    with torch.no_grad():
+        assert run_tasks([torch.is_grad_enabled] * 4) == [False] * 4
+    assert run_tasks([torch.is_grad_enabled] * 4) == [True] * 4
+
+
+def test_a_fork_has_threads_of_its_own():
+    share_among(2)
+    run_tasks([lambda: 1, lambda: 2])
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if run_tasks([lambda: 1, lambda: 2]) == [1, 2] else 1)
+    assert os.waitpid(child, 0)[1] == 0

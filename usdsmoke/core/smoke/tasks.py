@@ -1,0 +1,90 @@
+"""Work shared among threads, with the same bits for any number of them.
+
+torch's own threads split sums, which then round differently for each number of threads. Here work
+is split into tasks whose number and order do not depend on the threads; one thread computes a task,
+and results are combined in the order of the tasks. torch's own threads are switched off.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import torch
+
+Result = TypeVar("Result")
+
+_here = threading.local()  # .busy: this thread is computing a task, and does not share it again
+_helpers: ThreadPoolExecutor | None = None
+_n_threads = 1
+
+
+def share_among(n_threads: int) -> None:
+    """Set the number of threads that tasks of this process are shared among; at least 1."""
+    global _helpers, _n_threads
+    torch.set_num_threads(1)
+    if n_threads != _n_threads and _helpers is not None:
+        _helpers.shutdown()
+        _helpers = None
+    _n_threads = n_threads
+
+
+def n_sharing() -> int:
+    """The number of threads that tasks of this process are shared among."""
+    return _n_threads
+
+
+def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+    """What the tasks return, in their order.
+
+    A task is run in this thread or another, with gradients enabled as they are here. It must not
+    write what another one reads or writes. Tasks inside a task are run one after the other.
+
+    Raises:
+        Exception: that of the first task that failed.
+    """
+    n_helpers = min(_n_threads, len(tasks)) - 1
+    if n_helpers < 1 or getattr(_here, "busy", False):
+        return [task() for task in tasks]
+    results: dict[int, Result] = {}
+    waiting, with_gradients = iter(range(len(tasks))), torch.is_grad_enabled()
+
+    def work() -> None:
+        _here.busy = True
+        try:
+            with torch.set_grad_enabled(with_gradients):
+                for number in waiting:  # every number goes to one thread alone
+                    results[number] = tasks[number]()
+        finally:
+            _here.busy = False
+            deque(waiting, maxlen=0)  # after an error nothing more is begun
+
+    others = [_executor().submit(work) for _ in range(n_helpers)]
+    try:
+        work()
+    finally:
+        errors = [other.exception() for other in others]  # waits
+    for error in errors:
+        if error is not None:
+            raise error
+    return [results[number] for number in range(len(tasks))]
+
+
+def _executor() -> ThreadPoolExecutor:
+    global _helpers
+    if _helpers is None:
+        _helpers = ThreadPoolExecutor(
+            _n_threads - 1, "usdsmoke", initializer=torch.set_num_threads, initargs=(1,)
+        )
+    return _helpers
+
+
+def _forget_helpers() -> None:
+    global _helpers
+    _helpers = None
+
+
+# the threads of a process do not live on in its forks
+os.register_at_fork(after_in_child=_forget_helpers)
