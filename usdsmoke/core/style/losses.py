@@ -34,6 +34,7 @@ from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, ran
 from usdsmoke.core.style.sliced import sliced_distance
 
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
+MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
@@ -195,7 +196,7 @@ class _LayerTarget:
     def __init__(self, maps: Tensor, seed: int) -> None:
         rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
         self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(_wide(maps))
-        self._style = _wide(maps[0].flatten(1)) * self._scale[:, None]  # [C P]
+        self._style = _wide(_flat(maps)) * self._scale[:, None]  # [C P]
         self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 
@@ -210,26 +211,27 @@ class _LayerTarget:
 
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
-        flat = _wide(maps[0].flatten(1))
+        flat = _wide(_flat(maps))
         small = None if guide is None else _small(guide, flat.new_empty(1, *maps.shape[1:]))[0]
         return cast(Tensor, _GramDistance.apply(flat, small, self._scale, self._gram))
 
     def histogram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """Root mean square way from the picture's features to the style's, channel by channel."""
         weights = None if guide is None else _small(guide, maps).square()[0]
-        scaled = _wide(maps[0].flatten(1)) * self._scale[:, None]
+        scaled = _wide(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
         """The same along a draw of random directions."""
         if draw not in self._slices:
             seed = self._seed + draw
-            axes = random_directions(len(self._style), N_DIRECTIONS, seed, self._style)
+            n = min(N_DIRECTIONS, MOST_PER_CHANNEL * len(self._style))
+            axes = random_directions(len(self._style), n, seed, self._style)
             table = quantile_table(axes @ self._style)
             self._slices[draw] = axes * self._scale, table
         axes, table = self._slices[draw]
         weights = None if guide is None else _small(guide, maps).square()[0]
-        return torch.sqrt(sliced_distance(maps[0].flatten(1), weights, axes, table) + 1e-8)
+        return torch.sqrt(sliced_distance(_flat(maps), weights, axes, table) + 1e-8)
 
 
 class _GramDistance(torch.autograd.Function):
@@ -274,7 +276,7 @@ def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
 
     Gradients: through ``maps``.
     """
-    flat = _wide(maps[0].flatten(1))
+    flat = _wide(_flat(maps))
     if guide is None:
         return flat @ flat.T / flat.shape[1]
     small = _small(guide, maps)
@@ -290,6 +292,11 @@ def total_variation(picture: Tensor) -> Tensor:
     across = (picture[:, 1:] - picture[:, :-1]).abs()
     down = (picture[1:] - picture[:-1]).abs()
     return (across.sum() + down.sum()) / max(across.numel() + down.numel(), 1)
+
+
+def _flat(maps: Tensor) -> Tensor:
+    """[C P] of maps [1 C h w]: a view, also of gradients, whatever lies next to what in memory."""
+    return maps.flatten(2).squeeze(0)
 
 
 def _wide(maps: Tensor) -> Tensor:

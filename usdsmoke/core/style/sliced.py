@@ -82,7 +82,8 @@ class _Sliced(torch.autograd.Function):
         axes, pull = ctx.saved_tensors
         if ctx.kept is not None:
             pull = pull.new_zeros(len(axes), ctx.n_samples).index_copy_(1, ctx.kept, pull)
-        return (2 * upstream) * (axes.T @ pull), None, None, None, None
+        # samples by channels, as the maps lie in memory
+        return (pull.T @ ((2 * upstream) * axes)).T, None, None, None, None
 
 
 def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tensor]:
