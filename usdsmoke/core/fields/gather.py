@@ -104,16 +104,18 @@ def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: b
     Threads share a fixed number of blocks of positions. Neighbours in the list are neighbours in
     the box, so each block adds up the part of the box that it reads, and little is added twice.
     """
-    planes = grad_planes.new_zeros((len(grad_planes), shape[:3].numel()))
+    n_voxels = shape[:3].numel()
     strides, axes = _layout(shape)
+    size = max(-(-len(positions) // ADJOINT_BLOCKS), GATHER_CHUNK)
+    blocks = list(chunks(len(positions), size, positions.device))
 
     def add_block(block: slice) -> tuple[int, Tensor]:
-        low, high = 0, planes.shape[1]
-        if axes:
+        low, high = 0, n_voxels
+        if axes and len(blocks) > 1:
             least, most = torch.aminmax(positions[block, axes[0]])
             low = min(max(math.floor(least) - 1, 0), shape[axes[0]] - 1 - cubic) * strides[0]
             high = min(max(math.floor(most) + 3, 2 + cubic), shape[axes[0]]) * strides[0]
-        sums = planes.new_zeros(len(planes), high - low)
+        sums = grad_planes.new_zeros(len(grad_planes), high - low)
         for part in chunks(block.stop - block.start, GATHER_CHUNK, positions.device):
             here = slice(block.start + part.start, block.start + part.stop)
             base, by_axis = _find_weights(
@@ -123,9 +125,11 @@ def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: b
                 _add_weighted(plane, base - low, strides, by_axis, grad_plane[here])
         return low, sums
 
-    size = max(-(-len(positions) // ADJOINT_BLOCKS), GATHER_CHUNK)
-    blocks = chunks(len(positions), size, positions.device)
-    for low, sums in run_tasks([partial(add_block, block) for block in blocks]):
+    found = run_tasks([partial(add_block, block) for block in blocks])
+    if len(found) == 1:
+        return found[0][1].T.reshape(shape)
+    planes = grad_planes.new_zeros(len(grad_planes), n_voxels)
+    for low, sums in found:
         planes[:, low : low + sums.shape[1]].add_(sums)
     return planes.T.reshape(shape)
 
