@@ -35,7 +35,7 @@ def test_windows_of_one_run_may_have_different_numbers_of_threads(
 
 def test_another_device_is_refused_by_name(farm: Shot, core: FakeCore) -> None:
     windows_in(farm, [0])
-    with pytest.raises(OutputExists, match=r'settings\.optimize\.device was "cpu", now "cuda"'):
+    with pytest.raises(OutputExists, match=r'optimize\.device was "cpu", now "cuda"'):
         windows_in_with(farm, 1, "optimize.device=cuda:1")
     windows_in_with(farm, 1, "optimize.device=cpu")
 
@@ -82,7 +82,7 @@ def test_a_run_of_other_settings_is_refused_as_soon_as_another_one_reads_its_fir
 
     monkeypatch.setattr(FrameReader, "read", read_while_another_begins)
     windows_in(farm, [0, 1, 2])
-    assert "settings.optimize.seed was 0, now 5" in refusals[0]
+    assert "optimize.seed was 0, now 5" in refusals[0]
     assert outcome(assemble(farm.output).root_stage)[0]
 
 
@@ -91,7 +91,7 @@ def test_of_two_different_runs_begun_at_once_one_is_refused_by_name(farm: Shot) 
     ends = sorted(run_forks([(0, arguments) for arguments in seeds]))
     assert [code for code, _ in ends] == [0, 1]
     refusal = ends[1][1]
-    assert re.search(r"settings\.optimize\.seed was [15], now [15]", " ".join(refusal.split()))
+    assert re.search(r"optimize\.seed was [15], now [15]", " ".join(refusal.split()))
     assert len(list(farm.output.glob("vdb/*/run.json"))) == 1
 
 
