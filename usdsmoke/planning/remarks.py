@@ -31,8 +31,8 @@ def _part(volume: VolumePlan) -> list[str]:
     return [
         f"extinction and exposure of <{volume.source.prim_path}> are measured on the "
         f"{len(volume.frames)} selected of {n_all}: another selection looks slightly different. "
-        "To keep one look, stylize all of them once and then parts with --frames in the same "
-        "folder, or set optics.gamma and optics.gamma_shape"
+        "To keep one look, make this result longer with the same command and more --frames, or "
+        "set optics.gamma and optics.gamma_shape"
     ]
 
 
