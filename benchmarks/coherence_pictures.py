@@ -1,4 +1,4 @@
-"""The pictures of benchmarks.coherence: temporal errors over time, and frames across a border."""
+"""The pictures of benchmarks.coherence: errors over time, frames across a border, an animation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,10 +8,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.coherence_runs import Outcome, Run, Shot
 from benchmarks.splats import display_picture, render_fields
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
 
-__all__ = ["draw_flicker", "draw_strip"]
+__all__ = ["draw_animation", "draw_flicker", "draw_strip"]
 
 PAPER, INK, DIM, BAND = (24, 24, 26), (226, 226, 222), (120, 120, 118), (44, 46, 54)
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
@@ -117,6 +118,23 @@ def draw_strip(runs: Mapping[str, Run], shot: Shot) -> Image.Image:
     return sheet
 
 
+def draw_animation(runs: Mapping[str, Run], shot: Shot) -> list[np.ndarray]:
+    """Frames alone, in windows, and the source side by side, [H W 3] in [0, 1] a frame."""
+    view = _close_view(runs["windows"].outcomes[-1], shot)
+    font, shown = ImageFont.load_default(13), []
+    for number, frame in enumerate(shot.frames):
+        sheet = Image.new("RGB", (3 * SIDE + 4 * GAP, SIDE + 2 * GAP + 22), PAPER)
+        pen = ImageDraw.Draw(sheet)
+        panels = {NAMES[name]: _picture(runs[name].outcomes[number], shot, view) for name in NAMES}
+        panels["source"] = _drawn(frame, frame.density, None, shot, view)
+        for column, (name, pixels) in enumerate(panels.items()):
+            left = GAP + column * (SIDE + GAP)
+            sheet.paste(pixels, (left, GAP))
+            pen.text((left + SIDE / 2, SIDE + 2 * GAP), name, INK, font, anchor="ma")
+        shown.append(np.asarray(sheet, np.float32) / 255)
+    return shown
+
+
 def _label(number: int, windows: Run) -> str:
     if number in windows.starts:
         return f"{number + 1}: window begins"
@@ -141,12 +159,16 @@ def _close_view(outcome: Outcome, shot: Shot) -> View:
 
 
 def _picture(outcome: Outcome, shot: Shot, view: View) -> Image.Image:
+    return _drawn(outcome.source, outcome.density, outcome.emission, shot, view)
+
+
+def _drawn(
+    frame: VolumeFrame, density: DenseField, emission: DenseField | None, shot: Shot, view: View
+) -> Image.Image:
     """Drawn at one pixel a voxel, or two, then enlarged: gaps show between coarser voxels."""
-    voxel = outcome.still.voxel_size / 2
+    voxel = float(density.index_to_world[0, 0]) / 2
     n = max(1, round(view.pixel_size * SIDE / voxel))
     near = replace(view, height=n, width=n, pixel_size=voxel)
-    drawn = render_fields(
-        outcome.density, outcome.emission, outcome.source.density_to_stage, shot.scene.gamma_w, near
-    )
+    drawn = render_fields(density, emission, frame.density_to_stage, shot.scene.gamma_w, near)
     pixels = np.rint(display_picture(drawn, 0.01) * 255).astype(np.uint8)
     return Image.fromarray(pixels).resize((SIDE, SIDE), Image.Resampling.BICUBIC)
