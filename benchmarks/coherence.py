@@ -35,7 +35,7 @@ from usdsmoke.pictures.webp import write_webp
 __all__ = ["Findings", "main", "measure", "render_report"]
 
 MARKS = {"share": 0.25, "border": 1.1, "style": 0.05}
-SHARES = (0.5, 0.25, 0.12, 0.06)  # of the iterations, for frames alone that stop early
+SHARES = (0.5, 0.25)  # of the iterations, for frames alone that stop early
 STYLE_OF = {"displacement": "grey", "colour": "colour"}  # pictures that show a kind's style
 QUICK = ["windows.size=3", "windows.overlap=1", "optimize.iterations=6", "views.pool=2"]
 MILLISECONDS = 125  # a frame of the animation: three times slower than the shot

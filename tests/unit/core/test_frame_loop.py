@@ -10,6 +10,8 @@ import torch
 from tests.smoke_fixtures import frame_of, puff, random_style
 from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coarse import (
     coarse_frames,
     coarsen_field,
@@ -20,6 +22,7 @@ from usdsmoke.core.sequence.coarse import (
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
+from usdsmoke.core.sequence.start import start_displacement
 from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.sequence.transit import Transit
@@ -60,6 +63,28 @@ def test_smoke_that_only_drifts_has_no_temporal_error_when_nothing_is_optimised_
     """By whole voxels a frame, so that nothing is interpolated."""
     for errors in errors_of(FRAMES, **STILL):
         assert errors["colour"] < 1e-4 and errors["displacement"] < 1e-3
+
+
+def test_a_higher_steadiness_keeps_displacements_nearer_to_the_frame_before():
+    shape = {"iterations": [4, 12], "warm_rate": 1.0, "smoothing": 0.0}
+    optimize = {"steps": ["shape"], "threads": 1, "tolerance": 0.0}
+
+    def mean_error(steadiness: float) -> float:
+        found = errors_of(
+            FRAMES, shape=shape, optimize=optimize, windows={"steadiness": steadiness}
+        )
+        return float(np.mean([error["displacement"] for error in found]))
+
+    assert mean_error(1e4) < 0.5 * mean_error(0.0)
+
+
+def test_a_carried_velocity_is_no_longer_than_it_counts():
+    lattice = Lattice(np.zeros(3), (6, 6, 6), np.eye(4))
+    lengths = torch.linspace(0, 5, 216).view(6, 6, 6, 1)
+    before = Displacement(lengths * torch.tensor([0.6, 0.0, 0.8]), lattice)
+    still = Transit(frame_of(puff(6)), 1.0)
+    started = start_displacement(before, None, still, 2.0, lattice).norm(dim=-1)
+    assert torch.allclose(started, lengths[..., 0].clamp(max=2.0), atol=1e-5)
 
 
 def riding(number: int) -> VolumeFrame:
