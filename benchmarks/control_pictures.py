@@ -42,6 +42,7 @@ SMALL_STEPS = (
     "colour.learning_rate=0.004",
     "optimize.tolerance=0",
 )
+FEW = ("shape.iterations=[20,20,10]", "colour.iterations=[60,60,40]")  # enough for a control
 # The few settings that shape a picture, their defaults first
 WORDS = {
     "style.size": ("1", "0.5", "2"),
@@ -150,8 +151,9 @@ def show_words(studio: Studio) -> Grid:
     """The few settings that shape a picture, at three values each."""
     rows = []
     for name, (default, *others) in WORDS.items():
-        looks = {default: studio.look("3-D", "strokes")}
-        looks |= {value: studio.look("3-D", "strokes", f"{name}={value}") for value in others}
+        looks = {default: studio.look("3-D", "strokes", *FEW)}
+        for value in others:
+            looks[value] = studio.look("3-D", "strokes", *FEW, f"{name}={value}")
         ordered = sorted(looks, key=float)
         rows.append(
             [Panel(looks[value].colour(background=BEHIND), f"{name} {value}") for value in ordered]

@@ -143,7 +143,7 @@ def test_values_beyond_the_range_are_clamped_with_a_warning(plain):
     result = run_core([masked(values, FRAME)], SMOOTH)[0]
     (warning,) = result.report.warnings
     assert warning.startswith('3 values of the mask "fade" at timeCode 1 are not between 0 and 1')
-    assert_close(result.emission, plain.emission, 1e-4)
+    assert_close(result.emission, plain.emission, 5e-4)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -171,7 +171,10 @@ def test_masked_smoke_still_hides_what_is_behind_it(monkeypatch):
         return views
 
     monkeypatch.setattr(colour, "prepare_views", noted)
-    config = quick_config(colour={"iterations": [1]}, optics={"depth": 20.0}, **COLOUR)
+    config = quick_config(
+        colour={"iterations": [1]}, optics={"depth": 20.0},
+        views={"pool": 2, "image_size": 16, "azimuth": 12, "elevation": 6}, **COLOUR,
+    )  # fmt: skip
     back = half_mask().T[..., ::-1]  # seen along -Z
     run_core([masked(back)], config)
     ((smoke, views, gamma_w, exposure, shown), (view, *_)) = made[0]

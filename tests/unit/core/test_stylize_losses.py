@@ -75,6 +75,6 @@ def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma):
     assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=0.01)
     assert found.report.colour.loss == pytest.approx(limit.report.colour.loss, rel=0.01)
     one, other = by_voxel(limit.density), by_voxel(found.density)
-    assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.01
+    assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.02
     light = found.emission.values / np.float32(gamma)
     assert np.isfinite(light).all() and 0 < light.max() <= 1.01 * found.density.values.max()
