@@ -15,6 +15,7 @@ from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
+    pixel_filter_error,
     quadrature_error,
     resolution_error,
 )
@@ -113,6 +114,22 @@ def test_resolution_is_not_underestimated_where_voxels_fall_on_pixels() -> None:
     painted, view = blob(32, 10.0, 0.0, 0.0)
     found, exact = painted.picture(view, 10.0).double().numpy(), exact_picture(view, 10.0)
     assert resolution_error(painted, view, 10.0).value > np.abs(found - exact).sum() / exact.sum()
+
+
+@pytest.mark.parametrize(("width", "wanted"), [(1, 0.3), (4, 0.075)])
+def test_the_pixel_filter_blurs_stripes_of_a_pixel(width: int, wanted: float) -> None:
+    """Black and white stripes, linear between voxels."""
+    n = 48
+    smoke = smoke_of(np.ones((n, n, 4)))
+    stripes = (smoke.ijk[:, :1] // width % 2).float().expand(-1, 3)
+    view = view_of(smoke, 0.0, 0.0, smoke.voxel_size)
+    found = pixel_filter_error(Painted(smoke, stripes.contiguous()), view, 1e3)
+    assert found == pytest.approx(wanted, rel=0.25)
+
+
+def test_smooth_smoke_has_hardly_any_error_of_the_pixel_filter() -> None:
+    painted, view = blob(48, 1.0, 0.0, 0.0)
+    assert pixel_filter_error(painted, view, 1.0) < 0.01
 
 
 def moved_blob(width: float, turned: bool) -> tuple[Tensor, Tensor, Tensor]:

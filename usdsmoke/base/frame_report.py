@@ -79,6 +79,7 @@ class FrameErrors:
 
     quadrature: Estimate | None = None  # of the sums along the rays, relative to the picture
     resolution: Estimate | None = None  # of voxels and pixels, relative to the picture
+    pixel_filter: Estimate | None = None  # of points for pixels, relative to the picture
     unseen_views: Estimate | None = None  # style loss of other views, relative to that of the pool
     storage_density: Estimate | None = None  # lost by pruning and 16-bit floats
     storage_emission: Estimate | None = None

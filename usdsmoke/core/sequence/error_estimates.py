@@ -18,6 +18,7 @@ from usdsmoke.core.sequence.frame_state import PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
+    pixel_filter_error,
     quadrature_error,
     resolution_error,
 )
@@ -34,7 +35,7 @@ OTHER_SEED = 0x0DD5EED  # of their angles
 
 
 def frame_errors(frame: PaintedFrame) -> FrameErrors:
-    """Errors of a finished frame: quadrature, resolution, unseen views.
+    """Errors of a finished frame: quadrature, resolution, pixel filter, unseen views.
 
     Without colours there is no quadrature error: opacity is exact. A slab has only one view. There
     is no error at all for a frame that is left out, and without ``optimize.error_budget``.
@@ -55,9 +56,10 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
         if frame.paint is not None:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
+        filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w))
         if frame.smoke.thin_axis is None and frame.config.losses.style > 0:
             unseen = _timed(lambda: _unseen_views(frame))
-    return FrameErrors(quadrature, resolution, unseen)
+    return FrameErrors(quadrature, resolution, filtered, unseen)
 
 
 def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """The error budget and the time of a run, from the reports of its frames.
 
-``rows`` declares every error once, ``error_budget`` puts figures together, and ``findings``
-says what deserves a look. ``clock`` measures the parts of a run.
+``rows`` declares every error once, ``planned`` says why one is absent, ``error_budget`` puts
+figures together, and ``findings`` says what deserves a look. ``clock`` measures the parts of a run.
 """
 
 from usdsmoke.runs.budget.clock import (

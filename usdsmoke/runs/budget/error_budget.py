@@ -11,7 +11,8 @@ from usdsmoke.base.record_format import Figure
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.clock import step_seconds
 from usdsmoke.runs.budget.findings import Finding, find_volume, finding_texts
-from usdsmoke.runs.budget.rows import ROWS, ErrorRow, PlannedVolume, temporal_note
+from usdsmoke.runs.budget.planned import PlannedVolume, temporal_note
+from usdsmoke.runs.budget.rows import ROWS, ErrorRow
 
 
 def figures_of(report: FrameReport) -> dict[str, float]:

@@ -11,15 +11,8 @@ from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.planning.plan import FramePlan
-from usdsmoke.runs.budget.rows import (
-    COLOUR_OPTIMISER,
-    MASS,
-    MOTIONLESS,
-    ROWS,
-    SHAPE_OPTIMISER,
-    PlannedVolume,
-    neighbours,
-)
+from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
+from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER, MASS, MOTIONLESS, ROWS, SHAPE_OPTIMISER
 
 UNMOVED = 1e-3  # of the largest allowed displacement: less is not seen
 VANISHED = 0.01  # of the voxels

@@ -1,0 +1,294 @@
+"""The rows of the error budget against the errors themselves, on six scenes.
+
+    python -m benchmarks.told_true [--data FOLDER] [--report FILE] [--scenes NAME ...]
+
+One frame of each scene is stylized with the defaults. Each row of its error budget is compared with
+the true error: pictures by a ray marcher that shares no code with the optimiser's projection,
+density at exact or finer departure points, gradients of the displacement by NumPy, losses over 48
+views that nobody optimised, and runs four times as long. About ten CPU minutes.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import ndimage
+
+from benchmarks.circumstances import circumstances
+from benchmarks.control_scenes import paint_styles
+from benchmarks.optimiser_error import measure_step
+from benchmarks.raymarch import march_rays
+from benchmarks.told_true_scenes import Scene, make_scenes
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import DenseField
+from usdsmoke.core.sequence.error_estimates import painted_frame
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
+from usdsmoke.core.sequence.picture_errors import fit_blocks, quadrature_error, resolution_error
+from usdsmoke.core.sequence.stylize import stylized_frame
+from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.steps.pictures import prepare_views
+from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.scene import fit_view, frame_views, measure_scene
+from usdsmoke.runs.budget import ROWS
+
+__all__ = ["Row", "main", "measure_scene_rows"]
+
+STYLE = "strokes"
+FRESH = 48  # views
+STEPS = 6.0  # segments a voxel, of the ray marcher
+FINE = 4  # samples across a pixel
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of one scene; relative errors. NaN: not known, for the reason."""
+
+    scene: str
+    row: str
+    told: float
+    true: float
+    remark: str = ""
+
+    @property
+    def within(self) -> bool:
+        """Whether told is within a factor of 2, or both are below a thousandth."""
+        if max(self.told, self.true) < 1e-3:
+            return True
+        return self.true > 0 and 0.5 <= self.told / self.true <= 2
+
+
+def measure_scene_rows(name: str, scene: Scene, style: np.ndarray) -> Iterator[Row]:
+    """All rows of a scene."""
+    config = Config()
+    config = config.replace(optimize=config.optimize.replace(threads=1))
+    measured = measure_scene([scene.frame], config.views, config.optics, "Y", 1)
+    context = make_context([style], measured, config, None, 24.0, None, 1)
+    (frame,) = run_frames([scene.frame], context)
+    done = stylized_frame(frame, context)
+    told = {row.name: row.of_frame(done.report) for row in ROWS}
+    known = {row: figure.value for row, figure in told.items() if figure is not None}
+    assert done.emission is not None
+    yield from _pictures(name, frame, done.density, done.emission, known)
+    yield _transport(name, scene, frame, done.density, known["transport"])
+    yield from _unevenness(name, frame, known)
+    yield from _views(name, frame, known)
+    for step in ("shape", "colour"):
+        row = f"optimiser, {step}"
+        if not scene.optimiser:
+            yield Row(name, row, known[row], np.nan, "a run four times as long is too slow")
+            continue
+        longer = measure_step(scene.frame, style, config, step, "default")
+        yield Row(name, row, longer.told, longer.true)
+
+
+def _pictures(
+    name: str,
+    frame: PaintedFrame,
+    density: DenseField,
+    emission: DenseField,
+    told: dict[str, float],
+) -> Iterator[Row]:
+    painted, gamma_w = painted_frame(frame), frame.scene.gamma_w
+    view = fit_blocks(frame_views(frame.smoke, frame.config.views, frame.scene, 0)[0])
+    size = frame.scene.pixel_size
+    turned = fit_blocks(fit_view(orbit_view(45, 10, "Y", np.zeros(3), 1, 1, size), frame.smoke))
+    for where, seen in (("", view), (", at 45 degrees", turned)):
+        found = painted.picture(seen, gamma_w).numpy()
+        exact = _marched(density, emission, gamma_w, seen)
+        error = quadrature_error(painted, seen, gamma_w, frame.smoke.voxel_size).value
+        remark = "true: with the splat instead of trilinear interpolation" if where else ""
+        yield Row(name, f"quadrature{where}", error, _difference(found, exact), remark)
+    centre = _marched(density, emission, gamma_w, view)
+    offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
+    moved = [_moved(view, x, y) for x in offsets for y in offsets]
+    mean = np.mean([_marched(density, emission, gamma_w, other) for other in moved], axis=0)
+    yield Row(name, "pixel filter", told["pixel filter"], _difference(centre, mean))
+    half = painted.halved()
+    coarse = fit_blocks(
+        replace(view, pixel_size=2 * size, height=view.height // 2, width=view.width // 2)
+    )
+    finer = replace(coarse, pixel_size=size, height=2 * coarse.height, width=2 * coarse.width)
+    rough = half.picture(coarse, gamma_w).numpy()
+    exact = painted.picture(finer, gamma_w).numpy()
+    smooth = np.stack(
+        [ndimage.zoom(rough[..., c], 2, order=3, grid_mode=True, mode="nearest") for c in range(4)],
+        -1,
+    )
+    yield Row(
+        name,
+        "resolution",
+        resolution_error(half, coarse, gamma_w).value,
+        _difference(smooth, exact),
+        "at half the resolution; true: against the frame, told: against any finer one",
+    )
+
+
+def _moved(view: View, x: float, y: float) -> View:
+    """The view whose pixels' centres lie x, y pixels from its own."""
+    offset = view.pixel_size * (x * view.right + y * view.up)
+    return replace(view, centre=view.centre + offset)
+
+
+def _marched(density: DenseField, emission: DenseField, gamma_w: float, view: View) -> np.ndarray:
+    """Premultiplied colour and alpha, [H W 4]; a voxel of nothing around the box."""
+    to_stage = density.index_to_world.copy()
+    first = np.array([*(np.asarray(density.ijk_min) - 1.0), 1.0])
+    to_stage[3] = first @ density.index_to_world
+    values = np.pad(np.maximum(density.values, 0), 1)
+    light = np.pad(emission.values, [(1, 1)] * 3 + [(0, 0)])
+    picture, alpha = march_rays(values, light, to_stage, gamma_w, view, STEPS)
+    return np.concatenate([picture, alpha[..., None]], axis=-1)
+
+
+def _difference(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.abs(found - exact).sum() / np.abs(exact).sum())
+
+
+def _transport(
+    name: str, scene: Scene, frame: PaintedFrame, density: DenseField, told: float
+) -> Row:
+    """One cubic warp against the smoke itself at the places that it comes from."""
+    assert frame.displacement is not None
+    lattice = frame.displacement.lattice
+    u = lattice.from_stage(frame.displacement.values).numpy() / np.asarray(lattice.spacing)
+    low = np.asarray(lattice.low)
+    places = np.stack(np.meshgrid(*map(np.arange, u.shape[:3]), indexing="ij"), -1) + low
+    if scene.truth is not None:
+        exact, remark = scene.truth(places - u), "analytic"
+    elif scene.fine is not None:
+        exact, remark = _fine_values(scene, u, low), "finer voxels"
+    else:
+        return Row(name, "transport", told, np.nan, "no finer smoke is known")
+    exact = exact * (np.abs(exact) > 0)
+    found = np.zeros(u.shape[:3])
+    offset = low - np.asarray(density.ijk_min)
+    begin, end = np.maximum(offset, 0), np.minimum(offset + found.shape, density.values.shape)
+    inner = tuple(slice(a - o, b - o) for a, b, o in zip(begin, end, offset, strict=True))
+    found[inner] = density.values[tuple(map(slice, begin, end))]
+    exact = exact * (found.sum() / exact.sum())  # the mass is corrected in the result
+    return Row(name, "transport", told, _difference(found, exact), remark)
+
+
+def _fine_values(scene: Scene, u: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Block means of the finer smoke at the departure points of the finer voxels."""
+    assert scene.fine is not None
+    n = scene.factor
+    within = (np.arange(n) + 0.5) / n - 0.5
+    shape, summed = u.shape[:3], np.zeros(u.shape[:3])
+    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 0).astype(float)
+    for offset in np.ndindex(n, n, n):
+        shift = within[list(offset)][:, None, None, None]
+        moved = [
+            ndimage.map_coordinates(u[..., axis], grid + shift, order=1, mode="nearest")
+            for axis in range(3)
+        ]
+        place = grid + shift - np.stack(moved) + low[:, None, None, None]
+        fine = (place + 0.5) * n - 0.5
+        summed += ndimage.map_coordinates(scene.fine, fine, order=1, mode="constant")
+    return summed / n**3
+
+
+def _unevenness(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[Row]:
+    """Where space folds, and what is read how often, by NumPy."""
+    assert frame.displacement is not None
+    lattice = frame.displacement.lattice
+    u = lattice.from_stage(frame.displacement.values).numpy() / np.asarray(lattice.spacing)
+    box = lattice.fill(frame.source).numpy().astype(float)
+    slopes = np.stack([np.stack(np.gradient(u[..., a]), -1) for a in range(3)], -2)
+    folded = (np.linalg.det(np.eye(3) - slopes) <= 0) & (box > 0)
+    yield Row(name, "folded smoke", told["folded smoke"], folded.sum() / (box > 0).sum())
+    weight = np.zeros(np.array(box.shape) + 2)
+    place = np.stack(np.meshgrid(*map(np.arange, box.shape), indexing="ij"), -1) - u + 1
+    place = place.reshape(-1, 3)
+    base = np.floor(place).astype(int)
+    part = place - base
+    for corner in np.ndindex(2, 2, 2):
+        index = np.clip(base + corner, 0, np.array(weight.shape) - 1)
+        share = np.prod(np.where(np.array(corner) > 0, part, 1 - part), axis=1)
+        np.add.at(weight, tuple(index.T), share)
+    read = weight[1:-1, 1:-1, 1:-1]
+    yield Row(name, "mass, unread", told["mass, unread"], box[read < 0.05].sum() / box.sum())
+    yield Row(name, "mass, read twice", told["mass, read twice"], box[read > 2].sum() / box.sum())
+
+
+def _views(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[Row]:
+    """Losses of fresh views against those of the pool."""
+    config = frame.config
+    octaves = len(config.colour.iterations)
+    pool = frame_views(frame.smoke, config.views, frame.scene, config.optimize.seed + octaves - 1)
+    fresh = config.views.replace(pool=FRESH)
+    ours = _losses(frame, pool)
+    theirs = _losses(frame, frame_views(frame.smoke, fresh, frame.scene, 98765))
+    sampling = theirs.std(ddof=1) / np.sqrt(len(ours)) / theirs.mean()
+    yield Row(name, "view sampling", told["view sampling"], float(sampling))
+    unseen = abs(theirs.mean() - ours.mean()) / ours.mean()
+    yield Row(name, "unseen views", told["unseen views"], float(unseen), "told: 2 views against 2")
+
+
+def _losses(frame: PaintedFrame, views: Sequence[View]) -> np.ndarray:
+    assert frame.paint is not None
+    loss, linear = frame.targets.at(1), decode_srgb(frame.paint[1])
+    scene, behind = frame.scene, frame.targets.background
+    with torch.no_grad():
+        seen = prepare_views(frame.smoke, views, scene.gamma_w, scene.exposure)
+        return np.array([float(loss(v.unpremultiplied(linear, behind), v.guide)) for v in seen])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
+    parser.add_argument("--report", type=Path, help="Markdown file for the table")
+    parser.add_argument("--scenes", nargs="*", help="some of the scenes")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    style, rows = paint_styles([STYLE], 256)[STYLE], []
+    for name, scene in make_scenes(options.data).items():
+        if options.scenes and name not in options.scenes:
+            continue
+        for row in measure_scene_rows(name, scene, style):
+            rows.append(row)
+            print(_line(row), file=sys.stderr, flush=True)
+    text = _report(rows, arguments if arguments is not None else sys.argv[1:])
+    if options.report:
+        options.report.write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+def _line(row: Row) -> str:
+    if not np.isfinite(row.true):
+        cells = [row.scene, row.row, f"{row.told:.2%}", "", "", row.remark]
+    else:
+        ratio = row.told / row.true if row.true > 0 else np.inf
+        shown = "" if max(row.told, row.true) < 1e-3 else f"{ratio:.2f}"
+        remark = row.remark if row.within else f"{row.remark}; OUTSIDE".lstrip("; ")
+        cells = [row.scene, row.row, f"{row.told:.2%}", f"{row.true:.2%}", shown, remark]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
+    known = [row for row in rows if np.isfinite(row.true)]
+    lines = [
+        "# The error budget, told and true",
+        "",
+        "*Told* is the row of the run's error budget, *true* the error itself. Both are relative.",
+        "Below 0.1 % no ratio is given.",
+        f"Within a factor of 2: {sum(row.within for row in known)} of {len(known)}.",
+        "",
+        "| scene | row | told | true | told / true | remark |",
+        "|---|---|---|---|---|---|",
+        *map(_line, rows),
+        "",
+        *circumstances(["python -m benchmarks.told_true", *arguments]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
