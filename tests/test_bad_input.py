@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from tests.grids_fixtures import raw_grid, write_raw
-from tests.pipeline_fixtures import FakeCore, Shot, run, values_of, write_nan
+from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run, values_of, write_nan
 from tests.usd_fixtures import (
     density_prim,
     file_hashes,
@@ -19,8 +19,8 @@ from tests.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.audit import provenance
-from usdsmoke.base.errors import LayerError
-from usdsmoke.pipeline import assemble
+from usdsmoke.base.errors import ConfigError, LayerError
+from usdsmoke.pipeline import assemble, stylize
 from usdsmoke.ui.cli.main import main
 
 Spoil = Callable[[Shot], list[str]]  # makes a shot bad; further arguments of the command
@@ -275,3 +275,25 @@ def test_two_styles_of_one_name_are_both_on_record(shot: Shot, tmp_path: Path) -
     (found,) = provenance(shot.output / "look.usda")
     assert len(set(found.record.styles)) == 2
     assert {style.name for style in found.record.styles} == {"style.png"}
+
+
+@pytest.mark.usefixtures("core")
+def test_sixteen_bits_that_overflow_in_the_last_frame_are_refused_before_the_first(
+    tmp_path: Path, core: FakeCore
+) -> None:
+    shot = make_shot(tmp_path)
+    write_vdb(tmp_path / "in/cache/smoke.0003.vdb", ("density",), value=70000.0)
+    with pytest.raises(ConfigError, match="timeCode 3"):
+        stylize(shot.stage, shot.style, shot.output, settings=["grids.half=true"])
+    assert core.stylized == [] and core.coarse == []
+    stylize(shot.stage, shot.style, shot.output)
+
+
+@pytest.mark.usefixtures("core")
+def test_sixteen_bits_are_checked_with_the_measured_extinction(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path)
+    write_vdb(tmp_path / "in/cache/smoke.0003.vdb", ("density",), value=40000.0)
+    with pytest.raises(ConfigError, match="emission at timeCode 3"):
+        stylize(shot.stage, shot.style, shot.output, settings=["grids.half=true"])
+    only = ["grids.half=true", "optimize.steps=[shape]"]
+    stylize(shot.stage, shot.style, shot.folder / "shape", settings=only)

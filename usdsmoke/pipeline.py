@@ -17,7 +17,7 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import find_growth, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run_machine import machine_of, processor_note
-from usdsmoke.runs.window import hash_frames, stylize_windows
+from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
 
 __all__ = [
@@ -121,6 +121,7 @@ def stylize(
         opened.begin()
         # What all windows share, then the windows; these keep their own time.
         record_scenes(opened)
+        check_storage(opened, to_do)
         with clock.part(ELSEWHERE):
             run_coarse_step(opened, tell)
             stylize_windows(opened, to_do, hashes, tell, redo=True)
@@ -192,6 +193,7 @@ def run_window(
             opened.check_disk([task])
             hashes = hash_frames(opened, [task], tell)
             record_scenes(opened)
+            check_storage(opened, [task])
             run_coarse_step(opened, tell, task.frames)
             stylize_windows(opened, [task], hashes, tell, redo)
     return _task_result(opened, window, was_done)

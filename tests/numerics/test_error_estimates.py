@@ -119,8 +119,8 @@ def test_resolution_is_not_underestimated_where_voxels_fall_on_pixels() -> None:
 @pytest.mark.parametrize(("width", "wanted"), [(1, 0.3), (4, 0.075)])
 def test_the_pixel_filter_blurs_stripes_of_a_pixel(width: int, wanted: float) -> None:
     """Black and white stripes, linear between voxels."""
-    n = 48
-    smoke = smoke_of(np.ones((n, n, 4)))
+    n = 96
+    smoke = smoke_of(np.ones((n, n, 2)))
     stripes = (smoke.ijk[:, :1] // width % 2).float().expand(-1, 3)
     view = view_of(smoke, 0.0, 0.0, smoke.voxel_size)
     found = pixel_filter_error(Painted(smoke, stripes.contiguous()), view, 1e3)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.storage import check_half
+from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.planning.frame_reader import hash_sources
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import PartClock, timed_items
@@ -40,6 +42,27 @@ def hash_frames(
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
         hashes[name] = hash_sources(opened.reader.read(volume, frame))
     return hashes
+
+
+def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
+    """Refuse 16-bit floats that cannot hold what a frame will have, before the first iteration.
+
+    The frames are in the store already. Their scenes must be measured.
+
+    Raises:
+        ConfigError: with the frame, the largest number and the one that can be held.
+    """
+    for task in tasks:
+        if not task.volume.config.grids.half:
+            continue
+        scene = opened.run.scenes[task.volume_number]
+        for frame in task.frames:
+            read = opened.reader.read(task.volume, frame)
+            config = frame_config(task.volume.config, read.controls, read.time_code)
+            gamma_w = scene["gamma_w"]
+            if config is not task.volume.config and config.optics.gamma is not None:
+                gamma_w = config.optics.gamma / scene["reference_voxel_size"]
+            check_half(read.density, read.time_code, gamma_w, config)
 
 
 def stylize_windows(
