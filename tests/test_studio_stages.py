@@ -1,5 +1,6 @@
 """What a studio's stages do besides holding smoke (td.md A and B, D4, D13)."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from pxr import Usd
 from tests.pipeline_fixtures import Shot, make_shot, make_style, run
 from tests.usd_fixtures import (
     density_prim,
+    sampled,
     sequence,
     volume_prim,
     world,
@@ -18,6 +20,7 @@ from tests.usd_fixtures import (
 from usdsmoke import inspect
 from usdsmoke.base.errors import GridError, StageError, VolumeNotFound
 from usdsmoke.pipeline import plan as make_plan
+from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.rules import validate
 
 MOVED = (
@@ -124,3 +127,14 @@ def test_points_or_vectors_as_density_are_an_error_of_validate(tmp_path: Path) -
     write_text(shot.stage, text)
     found = [finding for finding in validate(Usd.Stage.Open(str(shot.stage)))]
     assert "GridUnsupported" in {finding.rule for finding in found}
+
+
+def test_b_a_range_that_starts_below_0_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    codes = (-2, -1, 0, 1)
+    files = {code: "@./cache/smoke.0001.vdb@" for code in codes}
+    shot = shot_of(tmp_path, volume_prim(density_prim(sampled("asset filePath", files))))
+    assert main(["inspect", str(shot.stage), "--frames", "-2-0", "--json"]) == 0
+    (volume,) = json.loads(capsys.readouterr().out)["volumes"]
+    assert volume["time_codes"] == [-2, -1, 0]

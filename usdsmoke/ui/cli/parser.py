@@ -3,6 +3,7 @@
 import argparse
 import difflib
 import re
+import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -12,7 +13,8 @@ class SuggestingParser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As of ``argparse``; the command's own parser reports options that it does not have."""
-        arguments, unknown = self.parse_known_args(args, namespace)
+        words = sys.argv[1:] if args is None else list(args)
+        arguments, unknown = self.parse_known_args(_joined(words), namespace)
         if unknown:
             own: argparse.ArgumentParser = arguments.parser
             options = re.findall(r"--[\w-]+", own.format_usage())
@@ -25,6 +27,21 @@ class SuggestingParser(argparse.ArgumentParser):
         found = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         hint = _closest(found[1], re.findall(r"[\w-]+", found[2])) if found else ""
         super().error(f"{message}.{hint}" if hint else message)
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """The arguments with ``--frames -2-0`` as ``--frames=-2-0``: else -2-0 looks like an option.
+
+    >>> _joined(["inspect", "a.usda", "--frames", "-2-0", "--json"])
+    ['inspect', 'a.usda', '--frames=-2-0', '--json']
+    """
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] == "--frames" and re.match(r"-\d", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _closest(word: str, known: Sequence[str]) -> str:
