@@ -74,6 +74,10 @@ def author_in_centimetres(stage_file: Path, out_file: Path) -> Path:
                 *UsdGeom.Xformable(root).GetOrderedXformOps(),
             ]
         )
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Camera):  # Blender does not scale the clipping range with the camera
+            near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get(Usd.TimeCode.EarliestTime())
+            UsdGeom.Camera(prim).GetClippingRangeAttr().Set(Gf.Vec2f(near, 100 * far))
     stage.SetDefaultPrim(stage.GetPrimAtPath(source.GetDefaultPrim().GetPath()))
     stage.GetRootLayer().Save()
     return out_file
