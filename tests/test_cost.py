@@ -16,7 +16,7 @@ from tests.pipeline_fixtures import FakeCore, Shot, make_shot, make_style, run
 from tests.smoke_fixtures import frame_of, puff
 from tests.stylize_fixtures import quick_config, run_core, scene_of
 from tests.usd_fixtures import density_prim, sequence, volume_prim, world, write_text
-from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.base.volume import CameraSource, LightSource, VolumeFrame
 from usdsmoke.runs.progress import RunProgress
 from usdsmoke.vdb.binding import find_binding
 
@@ -108,6 +108,17 @@ def test_one_view_is_projected_once_and_a_view_that_is_not_drawn_never() -> None
 
     assert views(3, 3, **ONE_VIEW) == views(1, 1, **ONE_VIEW) < 0.87 * views(3, 3)
     assert views(64, 1) == pytest.approx(views(8, 1), rel=0.05)
+
+
+def test_lights_cost_nothing_where_smoke_scatters_none_and_little_where_it_does() -> None:
+    sun = LightSource("/sun", (1.0, 0.9, 0.8), (0.6, 0.0, 0.8))
+    dark = frame_of(puff(12))
+    lit = replace(dark, lights=(sun,))
+    plain = work([dark]).made
+    assert plain == work([lit]).made == work([dark], optics={"albedo": 0.9}).made
+    assert plain < work([lit], optics={"albedo": 0.9}).made < 1.1 * plain
+    dome = replace(dark, lights=(LightSource("/sky", (1.0, 1.0, 1.0)),))
+    assert work([lit], optics={"albedo": 0.9}).made < work([dome], optics={"albedo": 0.9}).made
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -23,6 +23,7 @@ from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.usd.rules.staleness import switched_files, switched_variants, written_at
 from usdsmoke.usd.stage import find_volumes, open_source, seen_through
+from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.volume_settings import resolve_volumes
 
 _SHOWN = 12  # digits of a hash that people compare
@@ -154,7 +155,8 @@ def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:
     found = find_volumes(opened, config.stage, with_styles=False, copied=copied)
     resolved = resolve_volumes(found, config, bare=True)
     cameras = [own.config.views.camera for own in resolved.volumes]
-    return seen_through(opened, resolved.source, cameras)
+    source = seen_through(opened, resolved.source, cameras)
+    return lit_by(opened, source, [own.config.scatters for own in resolved.volumes])
 
 
 def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change]:

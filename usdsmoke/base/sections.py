@@ -137,6 +137,12 @@ class OpticsConfig(Section):
         "of those that are stylized, and for a look that grows its own")
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
+    albedo: float = setting(
+        0.0, "share of the light it takes away that smoke scatters; above 0 the stage's distant "
+        "lights and domes light it, and the look's material scatters as much", ge=0, le=1)
+    anisotropy: float = setting(
+        0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
+        gt=-1, lt=1)
 
 
 class StyleConfig(Section):

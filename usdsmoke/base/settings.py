@@ -77,6 +77,11 @@ class Config(BaseModel):
             f"{name}.{key}" for name in SECTIONS for key in getattr(self, name).model_fields_set
         )
 
+    @property
+    def scatters(self) -> bool:
+        """Whether lights have any effect: smoke without colours of ours is not drawn lit."""
+        return self.optics.albedo > 0 and "colour" in self.optimize.steps
+
     def explicit_values(self) -> dict[str, dict[str, Any]]:
         """The explicit settings, by section and key."""
         dumped = {name: getattr(self, name).model_dump(exclude_unset=True) for name in SECTIONS}

@@ -56,6 +56,31 @@ class CameraSource:
 
 
 @dataclass(frozen=True)
+class LightSource:
+    """A light of the stage at one timeCode, far away or all around."""
+
+    prim_path: str
+    # Scene-linear Rec.709. Of a distant light the irradiance of a surface that faces it, of a dome
+    # its radiance.
+    colour: tuple[float, float, float]
+    towards: tuple[float, float, float] | None = None  # unit vector to it, stage; None: a dome
+
+
+@dataclass(frozen=True)
+class Scattering:
+    """What smoke scatters, and how."""
+
+    lights: tuple[LightSource, ...]
+    albedo: float  # share of the light that it takes away and scatters, in [0, 1]
+    anisotropy: float = 0.0  # mean cosine of the angle, in (-1, 1); 0: to all sides
+
+    @property
+    def is_uneven(self) -> bool:
+        """Whether it looks brighter from some sides."""
+        return bool(self.lights) and self.albedo > 0 and self.anisotropy != 0
+
+
+@dataclass(frozen=True)
 class FrameControls:
     """Settings that have a value of their own at one timeCode; None leaves the run's."""
 
@@ -95,6 +120,7 @@ class FrameSource:
     fields: Mapping[str, FieldSource]
     controls: FrameControls = FrameControls()
     camera: CameraSource | None = None  # None: no shot camera is configured
+    lights: tuple[LightSource, ...] = ()  # that light the smoke; none where it scatters none
 
 
 @dataclass(frozen=True)
@@ -131,6 +157,8 @@ class StageSource:
     volumes: tuple[VolumeSource, ...] = ()
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
     missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
+    lights: tuple[str, ...] = ()  # prim paths, used or not
+    unused_lights: tuple[str, ...] = ()  # that would light smoke, but cannot: a sentence each
 
     @property
     def grid_files(self) -> list[str]:
@@ -212,6 +240,7 @@ class VolumeFrame:
     mask_to_stage: np.ndarray | None = None  # [4 4] mask's grid world to stage space
     controls: FrameControls = FrameControls()
     camera: CameraSource | None = None
+    lights: tuple[LightSource, ...] = ()
 
 
 @dataclass(frozen=True)

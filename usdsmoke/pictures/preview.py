@@ -32,7 +32,7 @@ from usdsmoke.pictures.preview_request import (
     PreviewRequest,
     check_pixels,
 )
-from usdsmoke.pictures.preview_smoke import Smoke, find_smoke
+from usdsmoke.pictures.preview_smoke import Smoke, find_smoke, is_uneven
 from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
@@ -207,8 +207,10 @@ def _draw(
     done, total = 0, len(smokes) * len(shots)
     for label, smoke in smokes.items():
         for code, of_frame in groupby(shots, key=attrgetter("time_code")):
-            media = smoke.media(smoke.shown(code))
+            shown, media = smoke.shown(code), None
             for shot in of_frame:
+                if media is None or is_uneven(shown):
+                    media = smoke.media(shown, shot.view)
                 picture = march(media, shot.view, shot.clip)
                 done += 1
                 if progress is not None:

@@ -34,6 +34,7 @@ from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
 
 if TYPE_CHECKING:
+    from usdsmoke.core.views.cameras import View
     from usdsmoke.core.views.media import Medium
     from usdsmoke.core.views.scene import Scene
 
@@ -105,8 +106,12 @@ class Smoke:
                     raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
-    def media(self, shown: Iterable[ComposedVolume]) -> list["Medium"]:
+    def media(self, shown: Iterable[ComposedVolume], view: "View") -> list["Medium"]:
         """The smoke of some Volumes as media for ray marching.
+
+        Args:
+            shown: from ``shown``.
+            view: matters where smoke scatters light unevenly (``is_uneven``).
 
         Raises:
             GridError, NonFiniteError: a grid cannot be used.
@@ -124,6 +129,9 @@ class Smoke:
                 light = replace(light, values=light.values * np.float32(volume.rescale))
             lit = light is not None and bool(light.values.any())
             gamma_w = self._extinction(volume, lit)
+            if light is not None and volume.scattering is not None:
+                light = self._with_scattered(volume, density, light, gamma_w, view)
+                lit = True
             place = None if volume.emission is None else volume.emission.field_to_stage
             media += make_media(
                 density,
@@ -168,17 +176,35 @@ class Smoke:
         """Absolute emission; the file may store it divided by the density."""
         if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
             return light
-        places = [
-            field.index_to_world @ source.field_to_stage
-            for field, source in ((density, volume.density), (light, volume.emission))
-        ]
-        if np.allclose(places[0], places[1], rtol=1e-9, atol=0):
+        if _share_lattice(volume, density, light):
             return absolute_emission(density, light, volume.emission_mode)
         self.notes[
             f"the emission of <{volume.prim_path}> is stored per density and has other voxels than "
             "the density. It is left out."
         ] = None
         return None
+
+    def _with_scattered(
+        self,
+        volume: ComposedVolume,
+        density: DenseField,
+        light: DenseField,
+        gamma_w: float,
+        view: "View",
+    ) -> DenseField:
+        """The emission and the stage's light that a look's smoke scatters."""
+        from usdsmoke.core.views.lighting import lit_emission
+
+        if volume.scattering is None:
+            return light
+        if not _share_lattice(volume, density, light):
+            self.notes[
+                f"the emission of <{volume.prim_path}> has other voxels than the density. Light "
+                "that the smoke scatters is left out."
+            ] = None
+            return light
+        place = volume.density.field_to_stage
+        return lit_emission(density, light, place, gamma_w, volume.scattering, view)
 
     def _extinction(self, volume: ComposedVolume, lit: bool) -> float:
         """From the look, or else as a run would choose it for the shot."""
@@ -230,6 +256,19 @@ class Smoke:
             return None
         low = np.array(density.ijk_min)
         return low, low + np.array(density.values.shape) - 1, matrix
+
+
+def is_uneven(shown: Iterable[ComposedVolume]) -> bool:
+    """Whether some smoke looks different from another side, apart from what hides what."""
+    return any(volume.scattering is not None and volume.scattering.is_uneven for volume in shown)
+
+
+def _share_lattice(volume: ComposedVolume, density: DenseField, light: DenseField) -> bool:
+    if volume.emission is None:
+        return False
+    pairs = ((density, volume.density), (light, volume.emission))
+    places = [field.index_to_world @ source.field_to_stage for field, source in pairs]
+    return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
 
 
 def find_smoke(

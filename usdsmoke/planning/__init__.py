@@ -4,7 +4,7 @@
 - ``make_plan``, ``plan``: making the plan, and its records
 - ``needs``: what a run needs and leaves out, in sentences
 - ``remarks``: what may surprise at the end of a run, in sentences
-- ``materials``: the look's material, and materials that hide the look, in sentences
+- ``materials``: the look's material, materials that hide the look, and lights, in sentences
 - ``estimate``: memory, time and disk
 - ``windows``: the frames of each window
 - ``frames``: the grids of a frame, found by header

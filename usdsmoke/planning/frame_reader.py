@@ -115,6 +115,7 @@ def read_frame(
         mask_to_stage=None if mask is None else mask.field.field_to_stage,
         controls=frame.controls,
         camera=frame.camera,
+        lights=frame.lights,
     )
 
 

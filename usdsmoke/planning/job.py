@@ -42,6 +42,7 @@ from usdsmoke.usd.stage import (
     seen_through,
     stage_file,
 )
+from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
 from usdsmoke.vdb.binding import binding_name
 
@@ -143,7 +144,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     style_files = tuple(Path(image) for image in style_paths(request.style))
     if style_files:  # they replace the Volumes' own images and weights
         style_shares(config.style, len(style_files))
-    # The stage: Volumes, their own settings, cameras.
+    # The stage: Volumes, their own settings, cameras, lights.
     stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
     found = find_volumes(
         stage, config.stage, with_styles=not style_files, copied=config.layer.copy_fields
@@ -153,6 +154,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     resolved = resolve_volumes(found, config, style_files)
     cameras = [own.config.views.camera for own in resolved.volumes]
     source = seen_through(stage, resolved.source, cameras)
+    source = lit_by(stage, source, [own.config.scatters for own in resolved.volumes])
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
         check_features(own.config.features, fits)

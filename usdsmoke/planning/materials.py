@@ -1,9 +1,11 @@
-"""What a look's material does, and which bound materials hide the look, in sentences."""
+"""A look's material, what hides the look, and the lights that its smoke scatters, in sentences."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.naming import colour_names
-from usdsmoke.planning.plan import Omission, VolumePlan
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import StageSource
+from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.usd.materials import binds_material
 
 
@@ -49,3 +51,29 @@ def _binds(volume: VolumePlan) -> bool:
 
 def _has_colour(volume: VolumePlan) -> bool:
     return "colour" in volume.config.optimize.steps
+
+
+def lights_needed(config: Config, frames: Sequence[FramePlan]) -> list[str]:
+    """The lights that light the smoke of frames with the same settings, as a sentence."""
+    lights = dict.fromkeys(light.prim_path for frame in frames for light in frame.source.lights)
+    if not lights:
+        return []
+    names = ", ".join(f"<{path}>" for path in lights)
+    return [
+        f"light of {names}, of which the smoke scatters {config.optics.albedo:.0%} (optics.albedo)"
+    ]
+
+
+def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
+    """Lights of the stage that light no smoke, and scattering without a light."""
+    frames = [frame for volume in volumes for frame in volume.frames]
+    used = any(frame.source.lights for frame in frames)
+    if not any(volume.config.scatters for volume in volumes):
+        names = ", ".join(f"<{path}>" for path in source.lights)
+        reason = "optics.albedo is 0, so the smoke scatters no light"
+        return [Omission(f"lights {names}", reason)] if names else []
+    omitted = [Omission("a light", sentence) for sentence in source.unused_lights]
+    if not used:
+        reason = "the stage has no DistantLight or DomeLight that lights the smoke"
+        omitted.append(Omission("scattering (optics.albedo)", reason))
+    return omitted

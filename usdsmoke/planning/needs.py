@@ -12,7 +12,12 @@ from usdsmoke.core.sequence.controls import SETTINGS, in_effect
 from usdsmoke.core.smoke.schedule import has_one_view, octave_iterations, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
-from usdsmoke.planning.materials import hidden_look, materials_needed
+from usdsmoke.planning.materials import (
+    hidden_look,
+    lights_needed,
+    lights_omitted,
+    materials_needed,
+)
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
 
@@ -67,6 +72,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
     omitted += [Omission("requested frames", sentence) for sentence in source.missing]
     if config.layer.contact_sheet == 0:
         omitted.append(Omission("contact sheet", "layer.contact_sheet is 0"))
+    omitted += lights_omitted(source, volumes)
     groups = _by_config(volumes) or [(config, [])]
     for own, members in groups:
         where = _where(members, " of ") if len(groups) > 1 else ""
@@ -156,6 +162,7 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         if config.views.camera:
             count = count_text(len(frames), "timeCode")
             needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
+        needed += lights_needed(config, frames)
         needed += [_step_text(step, config) for step in config.optimize.steps]
     has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
     for step, is_set in (

@@ -23,9 +23,9 @@ _METADATA = (
 def stage_values(source: StageSource) -> dict[str, str]:
     """Stage metadata as texts by name, and by ``<prim path>`` a digest of each Volume's values.
 
-    A Volume's values are its timeCodes, fields, grids, transforms, cameras and controls; the paths
-    of its files on the disk are not part of them. The settings that its prim requests have the name
-    ``<prim path> request``, if there are any.
+    A Volume's values are its timeCodes, fields, grids, transforms, cameras, lights and controls;
+    the paths of its files on the disk are not part of them. The settings that its prim requests
+    have the name ``<prim path> request``, if there are any.
     """
     values = {
         _camel(name): "none" if (value := getattr(source, name)) is None else str(value)
@@ -43,7 +43,8 @@ def stage_pieces(source: StageSource) -> dict[str, Any]:
     """The same as JSON values in smaller parts, without the prims' requests.
 
     Of a Volume: its density's, velocity's and mask's name, and digests of ``timeCodes``, ``fields``
-    (prims, grids, types), ``places`` (transforms), ``cameras``, ``controls`` and ``otherFields``.
+    (prims, grids, types), ``places`` (transforms), ``cameras``, ``controls`` and ``otherFields``;
+    ``lights`` where it has any.
     """
     pieces: dict[str, Any] = {_camel(name): getattr(source, name) for name in _METADATA}
     pieces["leftOut"] = dict(source.omitted)
@@ -57,7 +58,9 @@ def _volume_pieces(values: dict[str, Any]) -> dict[str, Any]:
     fields = [list(frame["fields"].items()) for frame in frames]
     places = [[field.pop("field_to_stage") for _, field in named] for named in fields]
     times = [[frame["time_code"] for frame in frames], values["time_codes"], values["animated"]]
+    lights = [frame.get("lights", ()) for frame in frames]
     return {
+        **({"lights": _digest(lights)} if any(lights) else {}),
         "density": values["density"],
         "velocity": list(values["velocity"]),
         "mask": values["mask"],
@@ -79,6 +82,8 @@ def _plain_volume(volume: VolumeSource) -> dict[str, Any]:
     if not values["copied"]:
         del values["copied"]
     for frame in values["frames"]:
+        if not frame["lights"]:
+            del frame["lights"]  # values of stages without any stay what they were
         for field in frame["fields"].values():
             del field["file_path"]
             if field["code_stretch"] == field["time_stretch"] == 1:

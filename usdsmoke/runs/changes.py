@@ -18,12 +18,13 @@ _PIECES = {
     "timeCodes": "the timeCodes of {} differ",
     "fields": "the fields of {} differ (field prims, grids or types)",
     "places": "the place of {} differs (a transform)",
+    "lights": "the light on {} differs",
     "cameras": "the camera through which {} is seen differs",
     "controls": "animated settings of {} differ",
     "otherFields": "other fields of {} differ",
 }
 _FRAMES = "settings.stage.frames"
-FOLLOW_FRAMES = tuple(_PIECES)[:5]  # digests over the selected frames
+FOLLOW_FRAMES = tuple(_PIECES)[:6]  # digests over the selected frames
 
 
 @dataclass(frozen=True)

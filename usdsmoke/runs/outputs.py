@@ -162,6 +162,7 @@ def collect_volume(
     empty_file, empty_hash = ("", "")
     if EMISSION in grids:
         empty_file, empty_hash = _write_empty(run, volume, config)
+    is_lit = any(frame.source.lights for frame in volume.frames)
     return StylizedVolume(
         source=volume.source,
         frames=written,
@@ -171,6 +172,8 @@ def collect_volume(
         empty_file=empty_file,
         empty_hash=empty_hash,
         emission_mode=config.layer.emission_mode,
+        albedo=config.optics.albedo if is_lit else 0.0,
+        anisotropy=config.optics.anisotropy if is_lit else 0.0,
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
         seed=config.optimize.seed,
     )

@@ -13,7 +13,7 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
-from usdsmoke.base.volume import DenseField, FrameSource
+from usdsmoke.base.volume import DenseField, FrameSource, Scattering
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.pictures import compose_sheet, write_png
 from usdsmoke.pictures.drawing import (
@@ -106,26 +106,47 @@ class _Shown:
     frame: FramePlan
     extinctions: tuple[float, float]  # of grey and of coloured smoke, per density, 1/stage unit
 
+    @property
+    def scattering(self) -> Scattering:
+        """Without lights where the stage has none."""
+        optics = self.volume.config.optics
+        return Scattering(self.frame.source.lights, optics.albedo, optics.anisotropy)
+
     def source(self, reader: FrameReader, view: "View") -> np.ndarray:
         density = reader.read(self.volume, self.frame).density
-        return _draw(self._media(density, None), view)
+        return _draw(self._media(density, None, view), view)
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
         """By name of the view."""
         from usdsmoke.core.smoke.tasks import run_tasks
 
         fields = _read_result(self.volume, folder / self.frame.file_name)
-        media = self._media(fields[0], fields[1] if len(fields) > 1 else None)
-        del fields
-        pictures = run_tasks([partial(_draw, media, view) for view in views.values()])
-        return dict(zip(views, pictures, strict=True))
+        emission = fields[1] if len(fields) > 1 else None
+        sides = list(views.values())
+        lit_from = sides if self.scattering.is_uneven else sides[:1]
+        media = [self._media(fields[0], emission, view) for view in lit_from]
+        del fields, emission
+        pairs = zip(media * (len(sides) // len(media)), sides, strict=True)
+        return dict(zip(views, run_tasks([partial(_draw, *pair) for pair in pairs]), strict=True))
 
-    def _media(self, density: DenseField, emission: DenseField | None) -> list["Medium"]:
+    def _media(
+        self, density: DenseField, emission: DenseField | None, view: "View"
+    ) -> list["Medium"]:
         from usdsmoke.core.views.media import make_media
 
         to_stage, is_lit = _to_stage(self.volume, self.frame), emission is not None
         place = to_stage if is_lit else None
+        if emission is not None and self.scattering.lights:
+            emission = self._with_scattered(density, emission, view)
         return make_media(density, emission, to_stage, place, self.extinctions[is_lit], GREY)
+
+    def _with_scattered(
+        self, density: DenseField, emission: DenseField, view: "View"
+    ) -> DenseField:
+        from usdsmoke.core.views.lighting import lit_emission
+
+        place, gamma_w = _to_stage(self.volume, self.frame), self.extinctions[1]
+        return lit_emission(density, emission, place, gamma_w, self.scattering, view)
 
 
 def _draw(media: Sequence["Medium"], view: "View") -> np.ndarray:

@@ -16,6 +16,7 @@ from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
 from usdsmoke.usd.stage.choice import hidden_volumes
+from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.volume_settings import RunArguments, describe_requests
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -54,13 +55,14 @@ def inspect(
     source = _find(stage, own, not given.styles, problems)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
+    lit = lit_by(stage, source, [True] * len(source.volumes))
     return {
         "stage": _describe_stage(source),
         "volumes": [
             _describe_volume(volume, headers) | {"request": request}
-            for volume, request in zip(source.volumes, requests, strict=True)
+            for volume, request in zip(lit.volumes, requests, strict=True)
         ],
-        "notes": _notes(source),
+        "notes": _notes(lit),
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": [
             *problems,
@@ -96,7 +98,8 @@ def _notes(source: StageSource) -> list[str]:
     ]
     missing = [f"left out: {sentence}." for sentence in source.missing]
     places = [f"{note}." for volume in source.volumes for note in volume.notes]
-    return [*filter(None, [late_note()]), *missing, *ignored, *places]
+    lights = [f"a light is left out: {sentence}." for sentence in source.unused_lights]
+    return [*filter(None, [late_note()]), *missing, *ignored, *places, *lights]
 
 
 def _describe_stage(source: StageSource) -> dict[str, Any]:
@@ -120,8 +123,22 @@ def _describe_volume(volume: VolumeSource, headers: dict[str, FileHeader | str])
         "density": volume.density,
         "velocity": list(volume.velocity),
         "other_fields": list(volume.other_fields),
+        "lights": _describe_lights(volume),
         "frames": [_describe_frame(frame, headers) for frame in volume.frames],
     }
+
+
+def _describe_lights(volume: VolumeSource) -> list[dict[str, Any]]:
+    """The lights that light the first frame; smoke scatters them where optics.albedo is set."""
+    return [
+        {
+            "prim_path": light.prim_path,
+            "type": "dome" if light.towards is None else "distant",
+            "colour": list(light.colour),
+            "towards": None if light.towards is None else list(light.towards),
+        }
+        for light in volume.frames[0].lights
+    ]
 
 
 def _describe_frame(frame: FrameSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:

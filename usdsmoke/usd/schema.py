@@ -15,6 +15,8 @@ STYLE_API = "UsdSmokeStyleAPI"
 
 EXTINCTION_PER_DENSITY = "usdSmoke:extinctionPerDensity"  # float, 1/(stage unit) per density
 STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"  # float, of that stage in one unit of the Volume's space
+ALBEDO = "usdSmoke:albedo"  # float, of a look that lights of the stage light
+ANISOTROPY = "usdSmoke:anisotropy"  # float, likewise
 EMISSION_MODE = "usdSmoke:emissionMode"  # token
 COLOR_SPACE = "usdSmoke:colorSpace"  # token
 RUN = "usdSmoke:run"  # string

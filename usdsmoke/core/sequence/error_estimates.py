@@ -132,10 +132,10 @@ def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:
             found.append(float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide)))
         return found
     loss, linear = frame.targets.at(1), decode_srgb(frame.paint[1])
-    behind = frame.targets.background
+    behind, lighting = frame.targets.background, frame.lighting()
     return [
         float(loss(view.unpremultiplied(linear, behind), view.guide))
-        for view in prepare_views(smoke, views, scene.gamma_w, scene.exposure, share)
+        for view in prepare_views(smoke, views, scene.gamma_w, scene.exposure, share, lighting)
     ]
 
 

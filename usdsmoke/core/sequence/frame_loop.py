@@ -209,6 +209,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         iterations = _iterations(config.colour.iterations, frame, paint is not None)
         watch = context.watch(frame.time_code)("colour", iterations)
         problem, is_warm = frame.problem(frame.smoke), paint is not None
+        problem = replace(problem, lighting=frame.lighting())
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, colour=_step_report(ends, frame, started))
     kept = frame.carried

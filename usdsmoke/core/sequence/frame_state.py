@@ -16,7 +16,7 @@ from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.storage import check_half
-from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.sequence.controls import frame_config
@@ -27,6 +27,7 @@ from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import max_displacement
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
+from usdsmoke.core.views.lighting import Lighting, light_smoke
 from usdsmoke.core.views.scene import Scene, frame_scene
 from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, frame_visibility
 
@@ -107,6 +108,17 @@ class OpenedFrame:
     def has_coarse_displacement(self) -> bool:
         """Whether the shared coarse step has moved the frame."""
         return self.coarse is not None and self.coarse.displacement is not None
+
+    def lighting(self) -> Lighting | None:
+        """Light in the smoke, all of it: what the camera does not see casts shadows too."""
+        lights, optics = self.frame.lights, self.config.optics
+        if not lights or optics.albedo == 0:
+            return None
+        smoke = self.smoke
+        if self.visibility is not None:
+            smoke = activate(self.density, self.frame.density_to_stage, smoke.ijk.device)
+        scattering = Scattering(lights, optics.albedo, optics.anisotropy)
+        return light_smoke(smoke, self.scene.gamma_w, scattering)
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""

@@ -162,7 +162,8 @@ def _octave_views(
     """The pool of views of one octave, with their content pictures if a loss uses them."""
     octave, scene, targets = problem.smoke, problem.scene, problem.targets
     views = frame_views(octave, problem.config.views, scene, seed, factor)
-    plain = prepare_views(octave, views, scene.gamma_w, scene.exposure, share)
+    lighting = problem.lighting
+    plain = prepare_views(octave, views, scene.gamma_w, scene.exposure, share, lighting)
     loss = targets.at(factor)
     if not loss.uses_content:
         return plain

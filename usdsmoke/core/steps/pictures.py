@@ -17,6 +17,7 @@ from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.style.losses import Content
 from usdsmoke.core.views.cameras import View, draw_views
+from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import SparseImage, colour_map
 
@@ -120,6 +121,7 @@ class ColourView:
     alpha: Tensor  # [H W], opacity of the painted smoke in this view
     thin: float = THIN  # opacity at which the guidance mask is one half
     content: Content | None = None
+    scattered: Tensor | None = None  # [H W 3], light of the stage in the picture; None: none
 
     @property
     def guide(self) -> Tensor:
@@ -137,6 +139,8 @@ class ColourView:
         alpha = self.alpha[..., None]
         behind = BACKDROP * self.thin
         light = self.image.apply(colours) + behind * background
+        if self.scattered is not None:
+            light = light + self.scattered
         return encode_srgb(light / (alpha + behind))
 
 
@@ -146,6 +150,7 @@ def prepare_views(
     gamma_w: float,
     exposure: float = 1.0,
     share: Tensor | None = None,
+    lighting: Lighting | None = None,
 ) -> Sequence[ColourView]:
     """The linear maps of all views of one octave, each made when it is first used.
 
@@ -154,13 +159,19 @@ def prepare_views(
         gamma_w: extinction per density, 1/stage unit.
         exposure: see ``Scene``.
         share: of the effect mask, see ``project.colour_map``.
+        lighting: light that the smoke scatters; it is fixed, and is projected once for each view.
     """
     positions, step = smoke.positions, smoke.voxel_size
+    painted = positions if share is None else positions[share > 0]
+    lit = None if lighting is None else lighting.on(painted)
 
     def make(number: int) -> ColourView:
         image, alpha = colour_map(
             positions, smoke.density, smoke.edges, gamma_w, views[number], step, share
         )
-        return ColourView(image, alpha, THIN / exposure)
+        if lit is None:
+            return ColourView(image, alpha, THIN / exposure)
+        light = lit.scattered(views[number].forward)
+        return ColourView(image, alpha, THIN / exposure, scattered=image.apply(light))
 
     return LazyList(len(views), make)

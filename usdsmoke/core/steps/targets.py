@@ -16,6 +16,7 @@ from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import content_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
+from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
@@ -100,6 +101,7 @@ class StepProblem:
     scene: Scene
     config: Config
     mask: EffectMask | None = None  # share of the effect; None: 1 everywhere
+    lighting: Lighting | None = None  # of the colour step's smoke; None: it scatters no light
 
 
 def make_targets(

@@ -53,6 +53,9 @@ def author_attributes(
         schema.STYLE: (_TYPES.StringArray, Vt.StringArray(styles)),
         schema.SEED: (_TYPES.Int64, record.seed if volume.seed is None else volume.seed),
     }
+    if volume.albedo:
+        look[schema.ALBEDO] = (_TYPES.Float, volume.albedo)
+        look[schema.ANISOTROPY] = (_TYPES.Float, volume.anisotropy)
     for name, (type_name, value) in look.items():
         Sdf.AttributeSpec(volume_spec, name, type_name).default = value
     for name, samples in (

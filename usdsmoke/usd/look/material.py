@@ -77,12 +77,13 @@ def _smoke(prim: Usd.Prim, volume: StylizedVolume) -> Smoke:
         else _FALLBACK_EXTINCTION
         for code in codes
     }
-    albedos = {code: 0.0 if ours[code] else _FALLBACK_ALBEDO for code in codes}
+    albedos = {code: volume.albedo if ours[code] else _FALLBACK_ALBEDO for code in codes}
     first = volume.first_frame.time_code
     return Smoke(
         density=volume.source.density,
         extinction=_varying(volume.extinction_per_density, extinctions),
-        albedo=_varying(0.0, albedos),
+        albedo=_varying(volume.albedo, albedos),
+        anisotropy=volume.anisotropy,
         stage_units=Varying(*stage_units_over_time(prim, first, codes)),
         meters_per_unit=UsdGeom.GetStageMetersPerUnit(prim.GetStage()),
         is_per_density=volume.emission_mode == "perDensity",

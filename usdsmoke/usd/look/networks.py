@@ -1,7 +1,7 @@
 """The shaders of a look's material for each renderer, as plain data.
 
 All of them extinguish gamma_w * density, add ``emission`` as it is, and scatter ``albedo`` of the
-light that they take away: none in a look's own frames.
+light that they take away: in a look's own frames none, unless it is made for the stage's lights.
 
 Sources: OpenUSD's tests of Storm's volumes; MaterialX 1.39 ``stdlib_defs`` and ``pbrlib_defs``;
 Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``; Pixar's of ``PxrVolume``,
@@ -61,6 +61,7 @@ class Smoke:
     density: str  # name of the relationship and of the grid
     extinction: Varying  # per unit of density, 1/(stage unit)
     albedo: Varying
+    anisotropy: float  # mean cosine of scattering; Storm's own lights have no use for it
     stage_units: Varying  # in one unit of the Volume's own space
     meters_per_unit: float
     is_per_density: bool  # the emission is divided by density
@@ -99,6 +100,7 @@ def _materialx(smoke: Smoke) -> tuple[Node, ...]:
     rates, ends = _materialx_rates(smoke)
     edf = {"color": Input(_TYPES.Color3f, source=ends.pop("emission"))}
     vdf = {name: Input(_TYPES.Float3, source=end) for name, end in ends.items()}
+    vdf |= _uneven(smoke, "anisotropy")
     kind = "ND_anisotropic_vdf" if "scattering" in vdf else "ND_absorption_vdf"
     parts = {name: Input(_TYPES.Token, source=f"{name}.out") for name in ("vdf", "edf")}
     return (
@@ -113,6 +115,7 @@ def _karma(smoke: Smoke) -> tuple[Node, ...]:
     rates, ends = _materialx_rates(smoke)
     inputs = {"emission": Input(_TYPES.Color3f, source=ends.pop("emission"))}
     inputs |= {name: Input(_TYPES.Float3, source=end) for name, end in ends.items()}
+    inputs |= _uneven(smoke, "anisotropy")
     return (*rates, Node("volume", "kma_volume", inputs, ("out", _TYPES.Token)))
 
 
@@ -124,7 +127,7 @@ def _arnold(smoke: Smoke) -> tuple[Node, ...]:
         "emission_mode": Input(_TYPES.String, "density" if smoke.is_per_density else "channel"),
         "emission": Input(_TYPES.Float, 1.0),
         "emission_channel": Input(_TYPES.String, EMISSION),
-    }
+    } | _uneven(smoke, "scatter_anisotropy")
     return (Node("volume", "arnold:standard_volume", inputs, ("out", _TYPES.Token)),)
 
 
@@ -161,6 +164,11 @@ def _primvar(name: str, field_name: str, kind: str, output: tuple[str, Sdf.Value
     """RenderMan's reader of a grid."""
     inputs = {"varname": Input(_TYPES.String, field_name), "type": Input(_TYPES.String, kind)}
     return Node(name, "PxrPrimvar", inputs, output)
+
+
+def _uneven(smoke: Smoke, name: str) -> dict[str, Input]:
+    """The input for the anisotropy; none where light is scattered to all sides, their default."""
+    return {name: Input(_TYPES.Float, smoke.anisotropy)} if smoke.anisotropy else {}
 
 
 def _materialx_rates(smoke: Smoke) -> tuple[list[Node], dict[str, str]]:

@@ -33,6 +33,8 @@ class StylizedVolume:
     emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
     styles: tuple[str, ...] | None = None  # "name sha256" of each image; None: those of the run
     seed: int | None = None  # None: the run's
+    albedo: float = 0.0  # share of the light that is scattered; 0: no light of the stage
+    anisotropy: float = 0.0
     # By timeCode, where the extinction changes in time; empty where it does not.
     extinction_samples: Mapping[float, float] = field(default_factory=dict)
 

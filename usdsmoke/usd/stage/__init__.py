@@ -7,6 +7,7 @@
 - `places`: what programs disagree on about a Volume's place
 - `fields`: a Volume's field prims, and the file and grid of each at a timeCode
 - `cameras`: the cameras of a shot
+- `lights`: the lights that light a Volume
 - `composed`: what is visible at any timeCode
 """
 

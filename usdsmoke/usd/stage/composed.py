@@ -8,10 +8,17 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import FieldSource, StageSource
+from usdsmoke.base.volume import FieldSource, Scattering, StageSource
 from usdsmoke.usd.field_samples import field_targets
-from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY, STAGE_UNITS
+from usdsmoke.usd.schema import (
+    ALBEDO,
+    ANISOTROPY,
+    EMISSION_MODE,
+    EXTINCTION_PER_DENSITY,
+    STAGE_UNITS,
+)
 from usdsmoke.usd.stage.fields import check_assets, field_source
+from usdsmoke.usd.stage.lights import read_lights
 from usdsmoke.usd.units import stage_units
 from usdsmoke.usd.values import value_at
 
@@ -30,6 +37,7 @@ class ComposedVolume:
     # Of the stage that the look was made for: its units in one stage unit. The emission is per unit
     # of that stage.
     rescale: float = 1.0
+    scattering: Scattering | None = None  # where its look was made for the stage's lights
 
 
 def composed_volumes(
@@ -67,6 +75,7 @@ def composed_volumes(
                 None if extinction is None else extinction * rescale,
                 str(_authored(prim, EMISSION_MODE, time_code) or ""),
                 rescale,
+                _scattering(prim, time_code),
             )
         )
     return composed
@@ -98,6 +107,17 @@ def _rescale(prim: Usd.Prim, time_code: float) -> float:
         return 1.0
     ratio = float(made_for) / stage_units(prim, time_code)
     return 1.0 if abs(ratio - 1) < _SAME_SCALE else ratio
+
+
+def _scattering(prim: Usd.Prim, time_code: float) -> Scattering | None:
+    albedo, anisotropy = (float(_authored(prim, n, time_code) or 0) for n in (ALBEDO, ANISOTROPY))
+    if not (0 <= albedo <= 1 and -1 < anisotropy < 1):
+        raise StageError(
+            f"<{prim.GetPath()}> has {ALBEDO} {albedo:g} and {ANISOTROPY} {anisotropy:g}. Set an "
+            "albedo from 0 to 1 and an anisotropy between -1 and 1."
+        )
+    lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code) if albedo else ()
+    return Scattering(lights, albedo, anisotropy) if lights else None
 
 
 def _extinction(prim: Usd.Prim, time_code: float) -> float | None:

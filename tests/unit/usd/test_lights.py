@@ -1,0 +1,172 @@
+"""The stage's lights: what is read, what is left out by name, and what a look says of them."""
+
+import math
+
+import numpy as np
+import pytest
+from pxr import UsdGeom, UsdLux
+
+from tests.usd_fixtures import (
+    density_prim,
+    finish_frame,
+    needs_usd,
+    sequence,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+)
+from usdsmoke.base.errors import StageError
+from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
+from usdsmoke.base.sections import LayerConfig, StageConfig
+from usdsmoke.usd.inspect import inspect
+from usdsmoke.usd.look import StylizedVolume, author_look
+from usdsmoke.usd.stage import composed_volumes, find_volumes, open_stage
+from usdsmoke.usd.stage.lights import lit_by
+
+SUN = 'def DistantLight "sun" {\n%s\n}'
+RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")
+
+
+def shot(tmp_path, *lights):
+    write_sequence(tmp_path, (1, 2, 3))
+    body = volume_prim(density_prim(sequence((1, 2, 3)))) + "\n".join(lights)
+    return write_text(tmp_path / "shot.usda", world(body))
+
+
+def lit(tmp_path, *lights, scatters=True):
+    stage = open_stage(shot(tmp_path, *lights))
+    return lit_by(stage, find_volumes(stage, StageConfig()), [scatters])
+
+
+def only_light(tmp_path, *lights):
+    (light,) = lit(tmp_path, *lights).volumes[0].frames[0].lights
+    return light
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ("", 50000 * math.pi * math.sin(math.radians(0.53 / 2)) ** 2),
+        ("float inputs:intensity = 3\nbool inputs:normalize = 1", 3),
+        ("float inputs:intensity = 3\nfloat inputs:angle = 0\nfloat inputs:exposure = -1", 1.5),
+        ("float inputs:intensity = 2\nfloat inputs:angle = 180", 2 * math.pi),
+    ],
+)
+def test_the_irradiance_of_a_distant_light_follows_usdlux(tmp_path, values, expected):
+    light = only_light(tmp_path, SUN % values)
+    assert light.colour == pytest.approx((expected,) * 3, rel=1e-5)
+    assert light.towards == (0.0, 0.0, 1.0)  # it shines along its -Z
+
+
+def test_colour_temperature_and_direction_come_from_the_composed_stage(tmp_path):
+    warm = """color3f inputs:color = (1, 0.5, 0.25)
+        bool inputs:normalize = 1
+        float inputs:intensity = 2
+        bool inputs:enableColorTemperature = 1
+        float inputs:colorTemperature = 3000"""
+    turned = f"""def Xform "rig"
+    {{
+        float3 xformOp:scale = (1, 1, 9)
+        float xformOp:rotateX = -90
+        uniform token[] xformOpOrder = ["xformOp:rotateX", "xformOp:scale"]
+        {SUN % warm}
+    }}"""
+    light = only_light(tmp_path, turned)
+    temperature = np.array(UsdLux.BlackbodyTemperatureAsRgb(3000))
+    assert light.colour == pytest.approx(tuple(2 * temperature * [1, 0.5, 0.25]))
+    assert light.towards == pytest.approx((0, 1, 0), abs=1e-6)
+    assert light.prim_path == "/World/rig/sun"
+
+
+def test_a_light_may_be_animated_and_go_out(tmp_path):
+    values = """float inputs:intensity.timeSamples = { 1: 1, 3: 5 }
+        bool inputs:normalize = 1
+        token visibility.timeSamples = { 1: "inherited", 3: "invisible" }"""
+    frames = lit(tmp_path, SUN % values).volumes[0].frames
+    found = [[light.colour[0] for light in frame.lights] for frame in frames]
+    assert found == [[1.0], [3.0], []]
+
+
+def test_a_dome_gives_its_radiance_and_what_cannot_be_used_is_named(tmp_path):
+    source = lit(
+        tmp_path,
+        'def DomeLight "sky" {\ncolor3f inputs:color = (0.1, 0.2, 0.4)\n'
+        "float inputs:exposure = 1\n}",
+        'def DomeLight "hdr" {\nasset inputs:texture:file = @sky.exr@\n}',
+        'def SphereLight "lamp" { }',
+        'def DistantLight "off" {\nfloat inputs:intensity = 0\n}',
+    )
+    (light,) = source.volumes[0].frames[0].lights
+    assert light.colour == pytest.approx((0.2, 0.4, 0.8)) and light.towards is None
+    said = " ".join(source.unused_lights)
+    assert len(source.unused_lights) == 2
+    assert "</World/hdr>" in said and "texture" in said
+    assert "</World/lamp>" in said and "SphereLight" in said
+    assert len(source.lights) == 4
+
+
+def test_light_linking_decides_which_volume_is_lit(tmp_path):
+    elsewhere = """rel collection:lightLink:includes = </World/other>
+        uniform bool collection:lightLink:includeRoot = 0"""
+    assert lit(tmp_path, SUN % elsewhere).volumes[0].frames[0].lights == ()
+
+
+def test_smoke_that_scatters_nothing_has_no_lights(tmp_path):
+    source = lit(tmp_path, SUN % "", 'def SphereLight "lamp" { }', scatters=False)
+    assert not any(frame.lights for frame in source.volumes[0].frames)
+    assert source.lights == ("/World/sun", "/World/lamp") and source.unused_lights == ()
+
+
+@pytest.mark.parametrize(
+    "values",
+    ["float inputs:intensity = -1", "float inputs:intensity = inf", "float inputs:exposure = 3000"],
+)
+def test_light_that_is_no_light_is_refused_by_its_path(tmp_path, values):
+    with pytest.raises(StageError, match="/World/sun"):
+        lit(tmp_path, SUN % values)
+
+
+def test_inspect_lists_the_lights_of_a_volume(tmp_path):
+    found = inspect(shot(tmp_path, SUN % "", 'def RectLight "panel" { }'))
+    (light,) = found["volumes"][0]["lights"]
+    assert light["prim_path"] == "/World/sun" and light["type"] == "distant"
+    assert any("</World/panel>" in note for note in found["notes"])
+
+
+@needs_usd(26, 3)
+@pytest.mark.parametrize("albedo", [0.0, 0.75])
+def test_a_lit_look_says_so_and_its_material_scatters_as_much(tmp_path, albedo):
+    path = shot(tmp_path, SUN % "bool inputs:normalize = 1\nfloat inputs:intensity = 2")
+    stage = open_stage(path)
+    source = find_volumes(stage, StageConfig())
+    frame = finish_frame(tmp_path / "out/vdb/smoke.0002.vdb", 2.0, False, ("density", "emission"))
+    result = StylizedVolume(
+        source.volumes[0], [frame], 0.5, albedo=albedo, anisotropy=0.3 if albedo else 0.0
+    )
+    config = LayerConfig(material_targets=["glslfx", "mtlx", "arnold", "karma"])
+    files = author_look(stage, source, [result], tmp_path / "out", config, RECORD)
+    root = open_stage(files.root_stage)
+    prim = root.GetPrimAtPath("/World/smoke")
+    said = prim.GetAttribute("usdSmoke:albedo")
+    assert bool(said and said.HasAuthoredValue()) is (albedo > 0)
+    material = root.GetPrimAtPath("/World/smoke/look_material")
+    found = {child.GetName(): child for child in material.GetChildren()}
+    assert found["glslfx_volume"].GetAttribute("inputs:albedo").Get(2) == albedo
+    assert found["arnold_volume"].GetAttribute("inputs:scatter").Get(2) == albedo
+    for name, attribute in (
+        ("mtlx_vdf", "anisotropy"),
+        ("kma_volume", "anisotropy"),
+        ("arnold_volume", "scatter_anisotropy"),
+    ):
+        uneven = found[name].GetAttribute(f"inputs:{attribute}")
+        assert bool(uneven) is (albedo > 0)
+        assert not uneven or uneven.Get() == pytest.approx(0.3)
+    absorbed = found["mtlx_absorption_rate"].GetAttribute("inputs:in2").Get(2)
+    assert absorbed == pytest.approx(0.5 * (1 - albedo) / UsdGeom.GetStageMetersPerUnit(stage))
+    (shown,) = composed_volumes(root, source, 2)
+    if albedo:
+        assert (shown.scattering.albedo, shown.scattering.lights[0].colour[0]) == (0.75, 2.0)
+        assert shown.scattering.is_uneven
+    else:
+        assert shown.scattering is None

@@ -1,0 +1,177 @@
+"""Light of the stage that smoke scatters once.
+
+Where density is fixed, so is the light in the smoke. A voxel scatters albedo * sigma * L, with
+
+    L = sum over lights of E p(theta) exp(-tau)
+
+where E is the irradiance of the light, p Henyey and Greenstein's phase function [Henyey1941], and
+tau the optical depth towards the light. A dome is uniform: every phase function scatters its light
+alike, and what hides it is looked up in a few directions, at half the smoke's resolution. Light
+that is scattered more than once is not in the model, as in renderers without volume bounces.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.base.volume import DenseField, Scattering
+from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.project import transmittances
+from usdsmoke.core.views.scene import fit_view
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The lights of a frame, and the smoke that stands in their way."""
+
+    smoke: ActiveSmoke  # all of it
+    gamma_w: float  # extinction per density, 1/stage unit
+    scattering: Scattering
+
+    def on(self, positions: Tensor) -> "LitPoints":
+        """The light at points.
+
+        Args:
+            positions: [P 3] float64, stage space, in the smoke or beside it.
+        """
+        even = self.smoke.density.new_zeros(len(positions), 3)
+        beams = []
+        for light in self.scattering.lights:
+            colour = even.new_tensor(light.colour)
+            if light.towards is None:
+                even += self._sky(positions)[:, None] * colour
+                continue
+            towards = np.asarray(light.towards, float)
+            arriving = _arriving(self.smoke, self.gamma_w, towards, positions)[:, None] * colour
+            if self.scattering.anisotropy:
+                beams.append((towards, arriving))
+            else:
+                even += arriving / (4 * math.pi)
+        return LitPoints(self.scattering, even, tuple(beams))
+
+    def _sky(self, positions: Tensor) -> Tensor:
+        """The share of a dome that is seen through the smoke, [P]."""
+        coarse, directions = coarsen(self.smoke), sky_directions()
+        total = coarse.density.new_zeros(len(positions))
+        for towards in directions:
+            total += _arriving(coarse, self.gamma_w, towards, positions)
+        return total / len(directions)
+
+
+@dataclass(frozen=True)
+class LitPoints:
+    """The light at points in smoke."""
+
+    scattering: Scattering
+    even: Tensor  # [P 3] radiance that is scattered alike to all sides
+    beams: tuple[tuple[np.ndarray, Tensor], ...]  # unit vector to the light [3]; irradiance [P 3]
+
+    def scattered(self, forward: np.ndarray) -> Tensor:
+        """albedo * L, what the points add to the colour of the smoke, [P 3]; scene-linear, >= 0.
+
+        Args:
+            forward: unit vector from the eye, [3], or one for each point, [P 3].
+        """
+        total = self.even
+        for towards, arriving in self.beams:
+            cosine = torch.as_tensor(forward @ towards, dtype=total.dtype, device=total.device)
+            total = total + arriving * phase(self.scattering.anisotropy, cosine)[..., None]
+        return self.scattering.albedo * total
+
+
+def phase(anisotropy: float, cosine: Tensor) -> Tensor:
+    """Henyey and Greenstein's phase function, 1/steradian; over all directions it adds up to 1.
+
+    Args:
+        anisotropy: in (-1, 1), the mean cosine; 0 scatters to all sides, above 0 forward.
+        cosine: of the angle between the ways of the light before and after.
+    """
+    g = anisotropy
+    return (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+
+
+def light_smoke(smoke: ActiveSmoke, gamma_w: float, scattering: Scattering) -> Lighting | None:
+    """The light in a frame's smoke; None where there is none.
+
+    Args:
+        smoke: all that casts shadows, at full resolution.
+        gamma_w: extinction per density, 1/stage unit.
+        scattering: its distant lights are parallel, and its domes uniform.
+    """
+    if not scattering.lights or scattering.albedo == 0 or len(smoke.ijk) == 0:
+        return None
+    return Lighting(smoke, gamma_w, scattering)
+
+
+def _arriving(smoke: ActiveSmoke, gamma_w: float, towards: np.ndarray, positions: Tensor) -> Tensor:
+    """Transmittance from points to a light, [P]."""
+    view = fit_view(light_view(towards, smoke.voxel_size), smoke)
+    return transmittances(smoke, gamma_w, view, positions)
+
+
+def light_view(towards: np.ndarray, pixel_size: float) -> View:
+    """A view along the light's way, one pixel large.
+
+    Args:
+        towards: unit vector to the light, [3].
+        pixel_size: stage units.
+    """
+    forward = -towards
+    side = np.eye(3)[int(np.argmin(np.abs(forward)))]
+    right = np.cross(forward, side)
+    right = right / np.linalg.norm(right)
+    return View(right, np.cross(right, forward), forward, np.zeros(3), 1, 1, pixel_size)
+
+
+def sky_directions() -> np.ndarray:
+    """Unit vectors to a dome, [12 3]: the corners of an icosahedron, of equal weight."""
+    golden = (1 + 5**0.5) / 2
+    corners = [
+        np.roll([0.0, one, other * golden], shift)
+        for shift in range(3)
+        for one in (-1, 1)
+        for other in (-1, 1)
+    ]
+    found: np.ndarray = np.array(corners) / np.hypot(1, golden)
+    return found
+
+
+def lit_emission(
+    density: DenseField,
+    emission: DenseField,
+    to_stage: np.ndarray,
+    gamma_w: float,
+    scattering: Scattering,
+    view: View,
+) -> DenseField:
+    """Emission and scattered light together, radiance per stage unit, as they go to the eye.
+
+    Args:
+        density: [i j k].
+        emission: [i j k 3] on the density's lattice; its box may differ.
+        to_stage: [4 4], the density's grid world to stage space.
+        gamma_w: extinction per density, 1/stage unit.
+        scattering: see ``light_smoke``.
+        view: orthographic or perspective.
+    """
+    smoke = activate(density, to_stage, torch.device("cpu"))
+    lighting = light_smoke(smoke, gamma_w, scattering)
+    if lighting is None:
+        return emission
+    positions, forward = smoke.positions, view.forward
+    if view.focal is not None:
+        forward = positions.numpy() - view.centre
+        forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
+    light = lighting.on(positions).scattered(forward) * (gamma_w * smoke.density)[:, None]
+    low = np.minimum(density.ijk_min, emission.ijk_min)
+    high = np.maximum(*(np.add(f.ijk_min, f.values.shape[:3]) for f in (density, emission)))
+    values = np.zeros((*(high - low), 3), np.float32)
+    first = np.subtract(emission.ijk_min, low)
+    there = tuple(slice(a, a + n) for a, n in zip(first, emission.values.shape[:3], strict=True))
+    values[there] = emission.values
+    values[tuple((smoke.ijk.numpy() - low).T)] += light.numpy()
+    return replace(emission, values=values, ijk_min=tuple(low.tolist()))
