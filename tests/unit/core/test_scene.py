@@ -11,7 +11,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views
+from usdsmoke.core.views.scene import Scene, face_view, fit_view, frame_views, measure_scene
 
 DENSITY = puff(12)
 
@@ -197,3 +197,15 @@ def test_a_slab_s_extinction_counts_its_thickness():
     ]
     assert scenes[0].pixel_size == scenes[1].pixel_size == pytest.approx(1.0)
     assert scenes[0].gamma_w == pytest.approx(scenes[1].gamma_w)
+
+
+def test_the_share_of_columns_that_gamma_rests_on_tells_a_core_from_its_wisps() -> None:
+    even = puff(16)
+    core = np.full((40, 4, 40), 1e-5, np.float32)
+    core[14:26, :, 14:26] = np.random.default_rng(0).uniform(0.5, 1.0, (12, 4, 12))
+    seen = Config().views.replace(elevation=0, azimuth=0, centre_elevation=90)
+    shares = [
+        measure_scene([frame_of(density)], seen, Config().optics, "Y").thick_share
+        for density in (even, core)
+    ]
+    assert shares[0] > 0.05 and shares[1] < 0.02
