@@ -158,7 +158,8 @@ class StageSource:
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
     missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
     lights: tuple[str, ...] = ()  # prim paths, used or not
-    unused_lights: tuple[str, ...] = ()  # that would light smoke, but cannot: a sentence each
+    # Lights that would light smoke and cannot be used: why, by path.
+    unused_lights: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def grid_files(self) -> list[str]:

@@ -72,7 +72,7 @@ def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[O
         names = ", ".join(f"<{path}>" for path in source.lights)
         reason = "optics.albedo is 0, so the smoke scatters no light"
         return [Omission(f"lights {names}", reason)] if names else []
-    omitted = [Omission("a light", sentence) for sentence in source.unused_lights]
+    omitted = [Omission(f"light <{path}>", why) for path, why in source.unused_lights.items()]
     if not used:
         reason = "the stage has no DistantLight or DomeLight that lights the smoke"
         omitted.append(Omission("scattering (optics.albedo)", reason))

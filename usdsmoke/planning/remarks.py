@@ -13,7 +13,9 @@ EXTREME_RATE = 10.0
 
 def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     """Sentences about all Volumes, each once."""
-    found = [text for volume in volumes for text in (*_part(volume), *_rate(volume))]
+    found: list[str] = []
+    for volume in volumes:
+        found += [*_part(volume), *_rate(volume), *_light(volume)]
     return tuple(dict.fromkeys(found))
 
 
@@ -45,4 +47,17 @@ def _rate(volume: VolumePlan) -> list[str]:
     return [
         f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: a step goes from "
         f"one end of the range to the other. Set {usual:g}, or look closely at the result"
+    ]
+
+
+def _light(volume: VolumePlan) -> list[str]:
+    lights = dict.fromkeys(
+        light.prim_path for frame in volume.frames for light in frame.source.lights
+    )
+    if not lights:
+        return []
+    names = ", ".join(f"<{path}>" for path in lights)
+    return [
+        f"the look of <{volume.source.prim_path}> is made for the light of {names} "
+        f"(optics.albedo={volume.config.optics.albedo:g}). Stylize again when it changes"
     ]

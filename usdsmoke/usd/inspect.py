@@ -98,7 +98,9 @@ def _notes(source: StageSource) -> list[str]:
     ]
     missing = [f"left out: {sentence}." for sentence in source.missing]
     places = [f"{note}." for volume in source.volumes for note in volume.notes]
-    lights = [f"a light is left out: {sentence}." for sentence in source.unused_lights]
+    lights = [
+        f"the light <{path}> is left out: {why}." for path, why in source.unused_lights.items()
+    ]
     return [*filter(None, [late_note()]), *missing, *ignored, *places, *lights]
 
 

@@ -99,10 +99,9 @@ def test_a_dome_gives_its_radiance_and_what_cannot_be_used_is_named(tmp_path):
     )
     (light,) = source.volumes[0].frames[0].lights
     assert light.colour == pytest.approx((0.2, 0.4, 0.8)) and light.towards is None
-    said = " ".join(source.unused_lights)
-    assert len(source.unused_lights) == 2
-    assert "</World/hdr>" in said and "texture" in said
-    assert "</World/lamp>" in said and "SphereLight" in said
+    assert source.unused_lights.keys() == {"/World/hdr", "/World/lamp"}
+    assert "texture" in source.unused_lights["/World/hdr"]
+    assert "SphereLight" in source.unused_lights["/World/lamp"]
     assert len(source.lights) == 4
 
 
@@ -115,7 +114,7 @@ def test_light_linking_decides_which_volume_is_lit(tmp_path):
 def test_smoke_that_scatters_nothing_has_no_lights(tmp_path):
     source = lit(tmp_path, SUN % "", 'def SphereLight "lamp" { }', scatters=False)
     assert not any(frame.lights for frame in source.volumes[0].frames)
-    assert source.lights == ("/World/sun", "/World/lamp") and source.unused_lights == ()
+    assert source.lights == ("/World/sun", "/World/lamp") and source.unused_lights == {}
 
 
 @pytest.mark.parametrize(

@@ -233,6 +233,8 @@ def _inspected_volume(volume: Mapping[str, Any]) -> str:
     others = (
         f"; other fields: {', '.join(volume['other_fields'])}" if volume["other_fields"] else ""
     )
+    lights = ", ".join(f"<{light['prim_path']}> ({light['type']})" for light in volume["lights"])
+    others += f"; lights: {lights}" if lights else ""
     span = f"{codes[0]:g} to {codes[-1]:g}" if volume["animated"] else "not animated"
     return f"Volume <{volume['prim_path']}>: {count_text(len(codes), 'frame')}, {span}{others}"
 

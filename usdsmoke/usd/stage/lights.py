@@ -34,7 +34,7 @@ def lit_by(stage: Usd.Stage, source: StageSource, scatters: Sequence[bool]) -> S
     """
     prims = _light_prims(stage) if any(scatters) else []
     known: dict[tuple[str, float], LightSource | str | None] = {}
-    left_out: dict[str, None] = {}
+    left_out: dict[str, str] = {}
 
     def lights(volume: VolumeSource, frame: FrameSource) -> tuple[LightSource, ...]:
         found = []
@@ -44,7 +44,7 @@ def lit_by(stage: Usd.Stage, source: StageSource, scatters: Sequence[bool]) -> S
                 known[key] = _read_light(prim, frame.time_code)
             light = known[key]
             if isinstance(light, str):
-                left_out[light] = None
+                left_out[key[0]] = light
             elif light is not None and _links(prim, volume.prim_path):
                 found.append(light)
         return tuple(found)
@@ -55,9 +55,7 @@ def lit_by(stage: Usd.Stage, source: StageSource, scatters: Sequence[bool]) -> S
         else volume
         for volume, does in zip(source.volumes, scatters, strict=True)
     )
-    return replace(
-        source, volumes=volumes, lights=list_lights(stage), unused_lights=tuple(left_out)
-    )
+    return replace(source, volumes=volumes, lights=list_lights(stage), unused_lights=left_out)
 
 
 def read_lights(stage: Usd.Stage, prim_path: str, time_code: float) -> tuple[LightSource, ...]:
@@ -87,10 +85,10 @@ def _read_light(prim: Usd.Prim, time_code: float) -> LightSource | str | None:
     if UsdGeom.Imageable(prim).ComputeVisibility(time_code) == UsdGeom.Tokens.invisible:
         return None
     if kind != _DISTANT and kind not in _DOMES:
-        return f"<{path}> is of type {kind or 'none'}; DistantLight and DomeLight are used"
+        return f"it is of type {kind or 'none'}; DistantLight and DomeLight are used"
     texture = UsdLux.DomeLight(prim).GetTextureFileAttr().Get(time_code) if kind in _DOMES else None
     if texture and authored_path(texture):
-        return f"<{path}> has a texture (inputs:texture:file); domes of one colour are used"
+        return "it has a texture (inputs:texture:file); domes of one colour are used"
     colour = _emission(prim, time_code)
     if not max(colour) > 0:
         return None

@@ -1,0 +1,61 @@
+"""The colour step under light: what it paints, what hides the light, and what stays as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.smoke_fixtures import frame_of, puff
+from tests.stylize_fixtures import quick_config, run_core, scene_of
+from usdsmoke.base.volume import CameraSource, LightSource, VolumeFrame
+from usdsmoke.core.sequence.frame_state import make_context, open_frame
+
+SUN = LightSource("/sun", (9.0, 9.0, 9.0), (0.0, 0.6, 0.8))
+STYLE = np.full((24, 24, 3), 0.5, np.float32)
+COLOUR = {
+    "optimize": {"steps": ["colour"]},
+    "colour": {"iterations": [30], "learning_rate": 0.1},
+    "features": {"layers": ["learned0"]},
+}
+
+
+def painted(frame: VolumeFrame, albedo: float) -> np.ndarray:
+    (result,) = run_core([frame], quick_config(**COLOUR, optics={"albedo": albedo}), styles=[STYLE])
+    return result.emission.values
+
+
+def test_smoke_in_light_glows_less_where_the_light_comes_from() -> None:
+    frame = frame_of(puff(14))
+    dark, lit = painted(frame, 0.9), painted(replace(frame, lights=(SUN,)), 0.9)
+    assert 0 < lit.sum() < 0.9 * dark.sum()
+    sides = (slice(7, 14), slice(7))
+    near, far = (lit[:, :, side].sum() / dark[:, :, side].sum() for side in sides)
+    assert near < far  # the sun is at +k
+
+
+def test_light_on_smoke_that_scatters_none_changes_no_bit() -> None:
+    frame = frame_of(puff(10))
+    lit = replace(frame, lights=(SUN,))
+    assert (painted(frame, 0.0) == painted(lit, 0.0)).all()
+    assert (painted(frame, 0.9) == painted(frame, 0.0)).all()
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_smoke_that_the_camera_does_not_see_casts_its_shadow(hidden: bool) -> None:
+    density = np.zeros((12, 12, 60), np.float32)
+    density[:, :, :12] = puff(12)
+    if hidden:
+        density[:, :, 48:] = 5 * puff(12)
+    place = np.eye(4)
+    place[:3, :3] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]  # looks along -i, from +i
+    place[3, :3] = [100.0, 5.5, 5.5]
+    camera = CameraSource("/cam", place, 100.0, 20.0, 20.0, 0.0, 0.0, (0.1, 1e4), False)
+    sun = replace(SUN, towards=(0.0, 0.0, 1.0))
+    frame = replace(frame_of(density), camera=camera, lights=(sun,))
+    config = quick_config(**COLOUR, optics={"albedo": 0.9, "gamma": 0.4}, views={"camera": "/cam"})
+    context = make_context([STYLE], scene_of([frame], config), config, None, 24.0, None, 1)
+    opened = open_frame(frame, context)
+    assert int(opened.smoke.ijk[:, 2].max()) < 20  # the camera sees the near puff alone
+    light = opened.lighting().on(opened.smoke.positions).scattered(np.array([-1.0, 0.0, 0.0]))
+    middle = float(light[((opened.smoke.ijk - 5).abs() <= 1).all(1)].mean())
+    assert (middle < 0.02) is hidden
