@@ -18,9 +18,9 @@ step, if there is one, costs the work of the octaves up to its share of the reso
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
 on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
 is that of the largest at work; what the other two hold, their fields and results, is part of
-BOX_BYTES_WARM. The constants of time are fitted to two threads of a server's processor, for plumes
-of 75 thousand and a million voxels: errors of a factor of two are normal. The memory is an upper
-bound.
+BOX_BYTES_WARM. The constants of time are fitted to a server's processor, for plumes of 7 thousand
+to a million voxels, and a sequence: CPU seconds of one thread were met within a factor of 1.2.
+Other processors and busy machines differ more. The memory is an upper bound.
 """
 
 import math
@@ -54,7 +54,7 @@ PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 START = 3.0  # loading torch, learning the filters
 FRAME = 0.15  # reading, writing and re-opening the files, however small
 FILE_TIME = 2.0e-6
-ITERATION = 0.006
+ITERATION = 0.03
 PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
 BOX_TIME = 1.0e-7
