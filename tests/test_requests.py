@@ -181,7 +181,7 @@ def test_a_changed_request_is_another_run_and_a_moved_shot_is_not(
     assert run_window(Request(moved / "shot.usda", None, moved / "out"), 0).was_done
     two.write_text(two.read_text().replace("request:seed = 4", "request:seed = 5"))
     with pytest.raises(
-        OutputExists, match=r"requests\./World/wild\.settings\.optimize\.seed was 4, now 5"
+        OutputExists, match=r"request of </World/wild> for optimize\.seed was 4, now 5"
     ):
         run_window(Request(two, None, tmp_path / "out"), 1)
 
@@ -190,7 +190,7 @@ def test_a_changed_request_is_another_run_and_a_moved_shot_is_not(
 def test_another_image_under_the_same_name_is_another_run(two: Path, tmp_path: Path) -> None:
     run_window(Request(two, None, tmp_path / "out"), 0)
     flat_style(tmp_path / "sub/blue.png", (0, 255, 0))
-    with pytest.raises(OutputExists, match=r"requests\./World/wild.styles\[0\] was"):
+    with pytest.raises(OutputExists, match=r"style image blue\.png has other content"):
         run_window(Request(two, None, tmp_path / "out"), 1)
 
 

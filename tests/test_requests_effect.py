@@ -121,6 +121,6 @@ def test_another_sample_is_another_run_and_named_by_its_timecode(tmp_path: Path)
     write_text(stage, stage.read_text().replace("0.75", "0.875"))
     with pytest.raises(
         OutputExists,
-        match=r"requests\./World/smoke\.samples\.optics\.gamma\.2 was 0\.75, now 0\.875",
+        match=r"request of </World/smoke> for samples\.optics\.gamma\.2 was 0\.75, now 0\.875",
     ):
         run_window(Request(stage, style, tmp_path / "out"), 0)

@@ -12,6 +12,7 @@ _MOST_CHANGES = 6  # that a message names
 _LONGEST = 60  # letters of a value
 _DIGEST = re.compile(r"\b([0-9a-f]{12})[0-9a-f]{52}\b")
 _VOLUME = re.compile(r"stage\.(<[^>]*>)\.(\w+)")
+_REQUEST = re.compile(r"requests\.(/[^.]*)\.(?:settings\.)?(.*)")
 
 # What a digest of a Volume's values stands for; see ``planning.stage_values.stage_pieces``.
 _PIECES = {
@@ -36,7 +37,7 @@ class Changes:
     frames: bool = False  # whether the selected frames differ
 
     def __bool__(self) -> bool:
-        return bool(self.words)
+        return bool(self.details)
 
     def __str__(self) -> str:
         more = len(self.words) - _MOST_CHANGES
@@ -76,6 +77,8 @@ def find_changes(
             continue  # a consequence
         if name == _FRAMES or name.startswith("styles["):
             continue  # said already
+        if ".styles[" in name and earlier.get("styles") != later.get("styles"):
+            continue  # the run's images are those of all requests too
         words.append(_in_words(name, before, after, folder))
     details = "\n".join(
         f"{name}: was {_shown(before, name)}, now {_shown(after, name)}" for name in names
@@ -121,6 +124,8 @@ def _in_words(
     if name == "features_hash":
         return "the feature network's parameters differ"
     text = f"was {_shown(before, name)}, now {_shown(after, name)}"
+    if request := _REQUEST.fullmatch(name):
+        return f"the request of <{request[1]}> for {request[2]} {text}"
     names = {"settings": "the setting", "stage": "the stage's", "version": "usdsmoke's version"}
     return f"{names.get(kind, kind)} {rest} {text}" if rest else f"{names.get(kind, kind)} {text}"
 
