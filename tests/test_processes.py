@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -103,3 +105,30 @@ def test_side_by_side_gives_the_bits_of_one_after_the_other(tmp_path) -> None:
     one, other = (contents(item.output / "shot_look.usda") for item in (shot, beside))
     assert one == other
     assert len(one) == 3
+
+
+@pytest.mark.parametrize(
+    ("windows", "seconds", "gib", "cpus", "jobs"),
+    [
+        (5, 600.0, 1.0, 4, 4),  # as many as processors
+        (3, 600.0, 1.0, 8, 3),  # as windows
+        (5, 600.0, 3.0, 8, 2),  # as memory allows
+        (5, 600.0, 30.0, 8, 1),
+        (5, 20.0, 1.0, 8, 1),  # a short run
+    ],
+)
+def test_a_long_run_takes_as_many_processes_as_pay(
+    monkeypatch, windows: int, seconds: float, gib: float, cpus: int, jobs: int
+) -> None:
+    monkeypatch.setattr(processes, "available_memory_gib", lambda: 8.0)
+    monkeypatch.setattr(processes, "usable_cpus", lambda: cpus)
+    estimate = SimpleNamespace(seconds=seconds, memory_gib=gib)
+    plan = SimpleNamespace(tasks=[None] * windows, estimate=estimate)
+    assert processes.choose_jobs(plan) == jobs
+
+
+def test_a_process_uses_no_more_processors_than_its_share() -> None:
+    code = "from usdsmoke.base.machine import limit_cpus, usable_cpus; limit_cpus(1); "
+    command = [sys.executable, "-c", code + "print(usable_cpus())"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    assert done.stdout.strip() == b"1"
