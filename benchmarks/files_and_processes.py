@@ -41,7 +41,7 @@ def tell():  # after everything that usdsmoke does at its end
 subprocess.Popen.__init__ = counted
 atexit.register(tell)
 if fake:
-    from tests.pipeline_fixtures import FakeCore
+    from tests.fixtures.pipeline_fixtures import FakeCore
     sys.modules.update(FakeCore().modules())
 import usdsmoke
 figures["seconds"] = dict(

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.warm_processes import call_apart
-from tests.farm_fixtures import Outcome, outcome
-from tests.grids_fixtures import check_content, raw_grid, write_raw
-from tests.pipeline_fixtures import Shot, make_shot
-from tests.test_end_to_end import ball
+from tests.fixtures.farm_fixtures import Outcome, outcome
+from tests.fixtures.grids_fixtures import check_content, raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from tests.runs.test_end_to_end import ball
 
 __all__ = [
     "OTHER_SEED",

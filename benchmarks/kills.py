@@ -44,8 +44,8 @@ from benchmarks.warm_processes import (
     usdsmoke_apart,
     warm_up,
 )
-from tests.farm_fixtures import Outcome, outcome
-from tests.pipeline_fixtures import Shot
+from tests.fixtures.farm_fixtures import Outcome, outcome
+from tests.fixtures.pipeline_fixtures import Shot
 
 __all__ = ["Bench", "all_kills", "main"]
 

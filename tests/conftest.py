@@ -13,9 +13,9 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads crawl on shared machines
 
-from tests.client_fixtures import plume
-from tests.farm_fixtures import farm, farm_source, whole
-from tests.pipeline_fixtures import FakeCore, Shot, make_shot, run_here, stand_in
+from tests.fixtures.client_fixtures import plume
+from tests.fixtures.farm_fixtures import farm, farm_source, whole
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run_here, stand_in
 
 __all__ = ["core", "farm", "farm_source", "plume", "quick_grids", "shot", "whole"]
 

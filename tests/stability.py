@@ -1,7 +1,7 @@
 """What happens with extreme input, and the tests that check it.
 
 ``python -m tests.stability`` writes docs/stability.md from this list;
-``tests/test_stability_table.py`` holds the two together.
+``tests/repository/test_stability_table.py`` holds the two together.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,10 @@ FEATURES = "tests/unit/core/test_features.py::"
 IMAGES = "tests/unit/pictures/test_png.py::"
 READ = "tests/unit/vdb/test_read.py::"
 VELOCITY = "tests/unit/vdb/test_velocity.py::"
-REFUSED = "tests/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
-STAGES = "tests/test_extreme_stages.py::"
+REFUSED = (
+    "tests/command/test_bad_input.py::test_bad_input_is_refused_by_name_and_leaves_nothing_behind"
+)
+STAGES = "tests/runs/test_extreme_stages.py::"
 MASK = "tests/unit/planning/test_mask.py::"
 WARM = "tests/unit/core/test_departures.py::"
 WINDOWS = "tests/unit/planning/test_windows.py::"
@@ -54,7 +56,7 @@ def _group(name: str, *rows: tuple[str, str, tuple[str, ...]]) -> tuple[Entry, .
 VOLUME = _group(
     "Volume",
     ("empty frame", "finite: an empty frame is written; renderer and network are not called",
-     ("tests/test_bad_input.py::test_an_empty_frame_becomes_an_empty_frame",
+     ("tests/command/test_bad_input.py::test_an_empty_frame_becomes_an_empty_frame",
       STYLIZE + "test_an_empty_frame_is_passed_through_without_renderer_or_network")),
     ("empty frame in the middle of a shot", "finite: the frames around it still follow each other",
      ("tests/unit/core/test_stylize_window.py::"
@@ -76,7 +78,7 @@ VOLUME = _group(
      "timeCode; with `--repair nan=...` finite: replaced by that number",
      (READ + "test_nan_and_infinite_voxels_are_counted_and_placed", REFUSED + "[NaN]",
       STYLIZE + "test_density_that_is_not_finite_is_refused_by_time_code_and_name",
-      "tests/test_bad_input.py::test_repair_accepts_nan_and_puts_the_number_there")),
+      "tests/command/test_bad_input.py::test_repair_accepts_nan_and_puts_the_number_there")),
     ("denormal density", "finite: treated as 0",
      (EXTREMES + "test_denormal_density_counts_as_none",)),
     ("density of 1e-30 and 1e30", "finite: looks and is moved like ordinary smoke",
@@ -268,8 +270,8 @@ NOT_YET_CHECKED: tuple[str, ...] = ()
 INTRODUCTION = """# Extreme input
 
 Each case ends in a finite, sensible result or in a named error. This file is written by
-`python -m tests.stability` from the list of tests, and `tests/test_stability_table.py` compares
-the two.
+`python -m tests.stability` from the list of tests, and
+`tests/repository/test_stability_table.py` compares the two.
 """
 
 FAULTS_FOUND = """W1 to W22 were found in the public code of [Kim2019] and [Kim2020]

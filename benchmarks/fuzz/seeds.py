@@ -9,8 +9,15 @@ import numpy as np
 
 from benchmarks.fuzz.mutate import damage_bytes, damage_json, damage_text
 from benchmarks.shape_cost import write_vgg19
-from tests.pipeline_fixtures import make_style
-from tests.usd_fixtures import density_prim, sampled, sequence, volume_prim, world, write_text
+from tests.fixtures.pipeline_fixtures import make_style
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    sampled,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+)
 
 __all__ = ["KINDS", "Kind", "make_seeds"]
 
@@ -92,7 +99,7 @@ def make_seeds(folder: Path) -> None:
     import OpenEXR
     from pxr import Sdf
 
-    from tests.usd_fixtures import write_vdb
+    from tests.fixtures.usd_fixtures import write_vdb
     from usdsmoke.ui.cli.main import main
 
     shot = folder / "shot"

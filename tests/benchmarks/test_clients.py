@@ -12,8 +12,8 @@ from benchmarks.client_stages import author_dark_stage, author_in_centimetres, a
 from benchmarks.display import encode_display
 from benchmarks.usd_picture_stages import Case, author_stage_without_looks, author_still_stage
 from benchmarks.usd_pictures import find_difference
-from tests.grids_fixtures import openvdb
-from tests.usd_fixtures import make_look, plume_stage
+from tests.fixtures.grids_fixtures import openvdb
+from tests.fixtures.usd_fixtures import make_look, plume_stage
 
 CAMERA = "/rig/camera"
 VOLUME = "/World/smoke"

@@ -10,7 +10,7 @@ from benchmarks import control_pictures, control_studio
 from benchmarks.control_pictures import GRIDS, KINDS
 from benchmarks.control_scenes import fading_mask, frame_of
 from benchmarks.control_studio import Studio, draw_grid, save_grid
-from tests.smoke_fixtures import puff, random_style
+from tests.fixtures.smoke_fixtures import puff, random_style
 from usdsmoke.core.style.losses import StyleTarget
 
 QUICK = [

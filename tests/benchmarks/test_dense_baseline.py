@@ -13,8 +13,8 @@ from benchmarks.baselines import (
     inclusive_weights,
     rotate_box,
 )
-from tests.smoke_fixtures import puff, random_style
-from tests.stylize_fixtures import quick_config
+from tests.fixtures.smoke_fixtures import puff, random_style
+from tests.fixtures.stylize_fixtures import quick_config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.steps.targets import make_targets

@@ -7,7 +7,7 @@ import torch
 
 from benchmarks.discretisation.__main__ import SWEEPS
 from benchmarks.discretisation.quadrature_rules import integrate
-from tests.report_fixtures import case_of, make_scene
+from tests.fixtures.report_fixtures import case_of, make_scene
 
 
 @pytest.mark.usefixtures("quick_grids")

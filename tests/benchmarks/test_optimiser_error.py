@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.optimiser_error import measure_step
-from tests.smoke_fixtures import frame_of, puff, random_style
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from usdsmoke.base.resolve import resolve_config
 
 SETTINGS = {

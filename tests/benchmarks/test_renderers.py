@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.raymarch import march_rays
 from benchmarks.splats import render_fields
-from tests.smoke_fixtures import affine, puff
+from tests.fixtures.smoke_fixtures import affine, puff
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.views.cameras import View, orbit_view
 

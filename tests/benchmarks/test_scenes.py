@@ -11,7 +11,7 @@ from benchmarks.camera_cost import half_out, near_eye
 from benchmarks.coherence_runs import make_shot
 from benchmarks.warm_starts import Row, cheapest_equal, measure_step
 from benchmarks.window_cost import Cost, render_report, repeat_frames
-from tests.smoke_fixtures import frame_of, puff, random_style
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 
 PLAIN = ["features.layers=[oriented1]", "optimize.error_budget=false"]
 QUICK = [

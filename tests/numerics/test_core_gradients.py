@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
+from tests.fixtures.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import border_mask

@@ -9,7 +9,7 @@ import torch
 from scipy.special import erf
 from torch import Tensor
 
-from tests.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
+from tests.fixtures.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
 from usdsmoke.core.fields.richardson import step_error, warp_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.sequence.picture_errors import (

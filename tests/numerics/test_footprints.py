@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import ndimage
 
-from tests.smoke_fixtures import frame_of
+from tests.fixtures.smoke_fixtures import frame_of
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke

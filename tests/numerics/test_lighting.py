@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.base.volume import LightSource, Scattering
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.raymarch import march_rays
-from tests.camera_fixtures import camera_picture
-from tests.smoke_fixtures import affine, gaussian_column, gaussian_smoke, puff, smoke_of
+from tests.fixtures.camera_fixtures import camera_picture
+from tests.fixtures.smoke_fixtures import affine, gaussian_column, gaussian_smoke, puff, smoke_of
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import colour_map, column_map

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.pipeline_fixtures import Shot, run
-from tests.smoke_fixtures import frame_of, puff, smoke_of
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.pipeline_fixtures import Shot, run
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import resolve_config

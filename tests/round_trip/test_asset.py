@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from pxr import Sdf, Usd
 
-from tests.shot_fixtures import FOG, PLUME, BigShot, make_big_shot
-from tests.stage_reader import read_stage
-from tests.usd_fixtures import (
+from tests.fixtures.shot_fixtures import FOG, PLUME, BigShot, make_big_shot
+from tests.fixtures.stage_reader import read_stage
+from tests.fixtures.usd_fixtures import (
     HEADER,
     density_prim,
     file_hashes,

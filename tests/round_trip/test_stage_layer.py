@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd, UsdUtils
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     HEADER,
     density_prim,
     file_hashes,

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tests.grids_fixtures import (
+from tests.fixtures.grids_fixtures import (
     TIGHT,
     make_field,
     make_vectors,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.import_graph import PROJECT
-from tests.pipeline_fixtures import Shot, make_shot
+from tests.fixtures.import_graph import PROJECT
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
 from usdsmoke.base.errors import MissingPackage
 from usdsmoke.base.machine import check_packages
 

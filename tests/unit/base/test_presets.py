@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.pipeline_fixtures import FakeCore, Shot
-from tests.usd_fixtures import write_text
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot
+from tests.fixtures.usd_fixtures import write_text
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.presets import PRESETS, preset_file

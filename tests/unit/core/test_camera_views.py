@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
-from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
-from tests.stylize_fixtures import quick_config, scene_of
+from tests.fixtures.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
+from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import orbit_view
 from usdsmoke.core.views.scene import crop_view, frame_views

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from tests.smoke_fixtures import frame_of, puff, smoke_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields import lattice as lattice_module
 from usdsmoke.core.fields.lattice import surround

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.stylize_fixtures import scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import torch
 
-from tests.smoke_fixtures import puff, random_style, smoke_of
+from tests.fixtures.smoke_fixtures import puff, random_style, smoke_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.stylize_fixtures import quick_config
+from tests.fixtures.stylize_fixtures import quick_config
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, FrameSource, VolumeSource
 from usdsmoke.core.sequence.controls import check_controls, frame_config, in_effect, is_computed

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.coherence import carry_colours

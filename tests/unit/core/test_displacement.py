@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from tests.smoke_fixtures import divergence
+from tests.fixtures.smoke_fixtures import divergence
 from usdsmoke.base.errors import NonFiniteError, ShapeError
 from usdsmoke.core.fields.displacement import (
     clamp_displacement,

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import frame_of, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import DenseField, VolumeFrame
 
 CONFIG = quick_config(shape={"iterations": [2, 3]}, colour={"iterations": [2, 3]})

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.sections import FeaturesConfig, LossesConfig, StyleConfig
 from usdsmoke.core.style.definition import default_layers

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import puff
+from tests.fixtures.smoke_fixtures import puff
 from usdsmoke.core.fields.displacement import from_stream
 from usdsmoke.core.fields.flow import flow, flow_at
 from usdsmoke.core.fields.folding import FoldingPenalty, measure_evenness

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.volume import FrameControls, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.stylize_fixtures import scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.steps.colour import run_colour_step

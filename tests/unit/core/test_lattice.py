@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields import lattice as lattice_module

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import frame_of, puff
-from tests.stylize_fixtures import quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, LightSource, VolumeFrame
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import EmbeddedFeatures

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, masked, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, masked, puff
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.stylize import StylizedFrame

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, frame_of, masked, puff
+from tests.fixtures.smoke_fixtures import affine, frame_of, masked, puff
 from usdsmoke.core.views.visibility import EffectMask, effect_mask
 
 

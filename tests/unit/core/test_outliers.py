@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, puff, smoke_of
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.core.fields.displacement import smooth_mask
 from usdsmoke.core.sequence.stylize import StylizedFrame

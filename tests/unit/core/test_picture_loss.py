@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.base.settings import Config

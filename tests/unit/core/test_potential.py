@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, divergence, held_in_voxels, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, divergence, held_in_voxels, puff, smoke_of
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import (
     Displacement,

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.camera_fixtures import camera_picture
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.fixtures.camera_fixtures import camera_picture
+from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views import project
 from usdsmoke.core.views.cameras import View, orbit_view

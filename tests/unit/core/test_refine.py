@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import affine, puff
+from tests.fixtures.smoke_fixtures import affine, puff
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.resample import refine_field
 

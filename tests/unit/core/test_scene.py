@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import affine, frame_of, puff, smoke_of
-from tests.stylize_fixtures import scene_of
+from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
+from tests.fixtures.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.settings import Config

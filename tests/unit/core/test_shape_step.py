@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from tests.smoke_fixtures import frame_of, masked, puff, random_style, smoke_of
-from tests.stylize_fixtures import quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, masked, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.pyramid import SparsePyramid
 from usdsmoke.core.fields.transport import warp

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
-from tests.counters import Elements
-from tests.smoke_fixtures import frame_of, masked, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
+from tests.fixtures.counters import Elements
+from tests.fixtures.smoke_fixtures import frame_of, masked, puff
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
 from usdsmoke.core.sequence.stylize import StylizedFrame

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.core.steps.optimize import Descent, minimize
 from usdsmoke.core.style.features import EmbeddedFeatures

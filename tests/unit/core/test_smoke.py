@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.active import (
     LEAST_DENSITY,

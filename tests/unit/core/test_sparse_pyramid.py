@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import affine, puff, smoke_of
+from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core.fields.displacement import SparseDisplacement, slope_matrix
 from usdsmoke.core.fields.lattice import Lattice, grow, surround
 from usdsmoke.core.fields.potential import border_mask, unclamped_displacement

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.stylize_fixtures import quick_config, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import spread_colours

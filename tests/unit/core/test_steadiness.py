@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.smoke_fixtures import frame_of
+from tests.fixtures.smoke_fixtures import frame_of
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.steadiness import LAGS, Steadiness
 from usdsmoke.core.sequence.transit import Transit

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
 from usdsmoke.core.style.style_image import SMALLEST, adjust_tones, match_grey, scale_style

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.counters import Elements
-from tests.smoke_fixtures import affine, frame_of, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.counters import Elements
+from tests.fixtures.smoke_fixtures import affine, frame_of, puff
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress
 from usdsmoke.base.resolve import resolve_config

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import affine, frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import affine, frame_of, puff, random_style
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import NonFiniteError, PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame

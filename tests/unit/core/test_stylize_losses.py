@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import frame_of, puff
-from tests.stylize_fixtures import by_voxel, quick_config, run_core
+from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.style import losses
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.smoke_fixtures import frame_of, puff, random_style
-from tests.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import stylize_window

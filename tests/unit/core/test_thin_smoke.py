@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.smoke_fixtures import frame_of, smoke_of
-from tests.stylize_fixtures import quick_config, run_core
+from tests.fixtures.smoke_fixtures import frame_of, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, run_core
 from usdsmoke.core.steps.move import effect_on, fade_of, smoke_box
 
 SIDE = 40

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from tests.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.base.sections import FeaturesConfig
 from usdsmoke.core.style.features import build_network

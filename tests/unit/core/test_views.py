@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.camera_fixtures import camera_picture
+from tests.fixtures.camera_fixtures import camera_picture
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import (

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.pipeline_fixtures import Shot
+from tests.fixtures.pipeline_fixtures import Shot
 from usdsmoke import __version__
 from usdsmoke.base.errors import ClusterError
 from usdsmoke.farm import dask

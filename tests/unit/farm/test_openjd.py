@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.pipeline_fixtures import Shot
-from tests.usd_fixtures import file_hashes
+from tests.fixtures.pipeline_fixtures import Shot
+from tests.fixtures.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.base.resolve import read_settings, resolve_config
 from usdsmoke.farm.openjd import JobBundle, bundle_text, job_parameters, job_template, submit

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdVol
 
-from tests.preview_fixtures import add_camera, look_of_four_frames, parts, pixels
-from tests.usd_fixtures import (
+from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames, parts, pixels
+from tests.fixtures.usd_fixtures import (
     density_prim,
     file_hashes,
     plume_stage,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.preview_fixtures import look_of_four_frames, parts
-from tests.usd_fixtures import write_text
+from tests.fixtures.preview_fixtures import look_of_four_frames, parts
+from tests.fixtures.usd_fixtures import write_text
 from usdsmoke.pictures.preview import preview
 
 # behind the eye of a front view

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.preview_fixtures import add_camera, look_of_four_frames
-from tests.usd_fixtures import file_hashes, plume_stage, world, write_text, write_vdb
+from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames
+from tests.fixtures.usd_fixtures import file_hashes, plume_stage, world, write_text, write_vdb
 from usdsmoke.base.errors import (
     ConfigError,
     GridError,

@@ -8,8 +8,8 @@ import torch
 from PIL import Image
 from pxr import Usd
 
-from tests.preview_fixtures import add_camera, look_of_four_frames, pixels
-from tests.usd_fixtures import file_hashes
+from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames, pixels
+from tests.fixtures.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.pictures.preview import preview
 

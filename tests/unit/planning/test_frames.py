@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import make_field, raw_grid, uniform, write_raw
-from tests.usd_fixtures import (
+from tests.fixtures.grids_fixtures import make_field, raw_grid, uniform, write_raw
+from tests.fixtures.usd_fixtures import (
     density_prim,
     sampled,
     volume_prim,

@@ -5,9 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import openvdb, raw_grid, uniform, write_raw
-from tests.mask_fixtures import PLACED, frames_of, make_stage, plan_of, write_mask
-from tests.usd_fixtures import density_prim, sampled, volume_prim, world, write_text, write_vdb
+from tests.fixtures.grids_fixtures import openvdb, raw_grid, uniform, write_raw
+from tests.fixtures.mask_fixtures import PLACED, frames_of, make_stage, plan_of, write_mask
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    sampled,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
 from usdsmoke.base.errors import (
     AssetNotResolved,
     FieldNotFound,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf
 
-from tests.pipeline_fixtures import FakeCore, Shot, run
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.planning.make_plan import make_plan
 from usdsmoke.planning.plan import Plan

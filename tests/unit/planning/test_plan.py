@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import Shot, make_shot
-from tests.usd_fixtures import (
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from tests.fixtures.usd_fixtures import (
     density_prim,
     plume_stage,
     volume_prim,

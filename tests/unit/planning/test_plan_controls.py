@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from pxr import Sdf
 
-from tests.mask_fixtures import make_stage, write_mask
-from tests.pipeline_fixtures import Shot, run, values_of
+from tests.fixtures.mask_fixtures import make_stage, write_mask
+from tests.fixtures.pipeline_fixtures import Shot, run, values_of
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls

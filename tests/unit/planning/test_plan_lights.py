@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import Shot, make_shot
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
 from usdsmoke.pipeline import plan
 from usdsmoke.planning.plan import Plan
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import FakeCore, Shot, make_shot
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
 

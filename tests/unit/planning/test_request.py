@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd
 
-from tests.usd_fixtures import plume_stage, write_text
+from tests.fixtures.usd_fixtures import plume_stage, write_text
 from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import Request

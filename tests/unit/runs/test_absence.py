@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline_fixtures import make_shot
+from tests.fixtures.pipeline_fixtures import make_shot
 from usdsmoke import pipeline
 from usdsmoke.base.frame_report import FrameReport, TemporalErrors
 from usdsmoke.pipeline import Request

@@ -5,10 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import raw_grid, uniform, write_raw
-from tests.pipeline_fixtures import Shot, make_style, run, shown_files
-from tests.smoke_fixtures import puff
-from tests.usd_fixtures import HEADER, density_prim, sequence, volume_prim, world, write_text
+from tests.fixtures.grids_fixtures import raw_grid, uniform, write_raw
+from tests.fixtures.pipeline_fixtures import Shot, make_style, run, shown_files
+from tests.fixtures.smoke_fixtures import puff
+from tests.fixtures.usd_fixtures import (
+    HEADER,
+    density_prim,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+)
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig

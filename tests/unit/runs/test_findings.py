@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.pipeline_fixtures import make_shot
+from tests.fixtures.pipeline_fixtures import make_shot
 from usdsmoke import pipeline
 from usdsmoke.base.frame_report import (
     Estimate,

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.grids_fixtures import openvdb, write_raw
-from tests.mask_fixtures import frames_of, make_stage, plan_of, write_mask
-from tests.pipeline_fixtures import FakeCore, Shot, make_style, run
+from tests.fixtures.grids_fixtures import openvdb, write_raw
+from tests.fixtures.mask_fixtures import frames_of, make_stage, plan_of, write_mask
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_style, run
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import Interrupted, OutputExists
 from usdsmoke.planning.estimate import MASK_BYTES

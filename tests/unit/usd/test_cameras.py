@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
-from tests.usd_fixtures import write_text
+from tests.fixtures.usd_fixtures import write_text
 from usdsmoke.base.errors import StageError
 from usdsmoke.core.views.cameras import view_of_camera
 from usdsmoke.usd.stage import open_stage, read_camera

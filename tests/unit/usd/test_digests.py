@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf
 
-from tests.usd_fixtures import make_look, plume_stage
+from tests.fixtures.usd_fixtures import make_look, plume_stage
 from usdsmoke.usd import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
 
 

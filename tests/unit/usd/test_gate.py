@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     make_look,
     needs_usd,

@@ -6,7 +6,7 @@ import os
 import pytest
 from pxr import Sdf, Usd, UsdMedia
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     HEADER,
     finish_frame,
     make_look,

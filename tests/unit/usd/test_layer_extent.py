@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     finish_frame,
     make_look,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     make_look,
     needs_usd,

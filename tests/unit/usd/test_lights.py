@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import UsdGeom, UsdLux
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     finish_frame,
     needs_usd,

@@ -3,7 +3,7 @@
 import pytest
 from pxr import Sdf, Usd, UsdShade
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     finish_frame,
     needs_usd,

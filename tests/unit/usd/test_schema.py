@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Tf
 
-from tests.usd_fixtures import needs_usd
+from tests.fixtures.usd_fixtures import needs_usd
 from usdsmoke.usd import schema
 from usdsmoke.usd.request_values import (
     CAMERA,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdVol
 
-from tests.usd_fixtures import needs_usd, write_vdb
+from tests.fixtures.usd_fixtures import needs_usd, write_vdb
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.ui.cli.main import main

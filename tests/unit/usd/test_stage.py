@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     HEADER,
     density_prim,
     file_hashes,

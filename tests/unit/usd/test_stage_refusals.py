@@ -6,7 +6,7 @@ import zipfile
 import pytest
 from pxr import Usd
 
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     HEADER,
     density_prim,
     needs_usd,

@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd
 
 import usdsmoke
-from tests.usd_fixtures import (
+from tests.fixtures.usd_fixtures import (
     density_prim,
     needs_usd,
     plume_stage,

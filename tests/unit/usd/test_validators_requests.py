@@ -4,7 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.usd_fixtures import density_prim, needs_usd, sequence, world, write_sequence, write_text
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    needs_usd,
+    sequence,
+    world,
+    write_sequence,
+    write_text,
+)
 from usdsmoke.usd.rules import Finding, Severity, validate
 
 pytestmark = needs_usd(26, 5)

@@ -2,7 +2,14 @@
 
 from pxr import Usd
 
-from tests.usd_fixtures import dense_field, make_look, needs_usd, plume_stage, write_text, write_vdb
+from tests.fixtures.usd_fixtures import (
+    dense_field,
+    make_look,
+    needs_usd,
+    plume_stage,
+    write_text,
+    write_vdb,
+)
 from usdsmoke.usd.rules import Severity, validate
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.write import write_frame

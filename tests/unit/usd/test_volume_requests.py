@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from pxr import Usd
 
-from tests.pipeline_fixtures import make_style
-from tests.usd_fixtures import HEADER, write_text
+from tests.fixtures.pipeline_fixtures import make_style
+from tests.fixtures.usd_fixtures import HEADER, write_text
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError
 from usdsmoke.base.volume import FrameControls, StyleRequest
 from usdsmoke.usd.schema import STYLE_API

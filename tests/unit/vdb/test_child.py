@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import TIGHT, make_field, uniform
+from tests.fixtures.grids_fixtures import TIGHT, make_field, uniform
 from usdsmoke.base.errors import (
     BindingMissing,
     DamagedFile,

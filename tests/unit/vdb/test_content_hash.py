@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.grids_fixtures import TIGHT, check_content, make_field, make_vectors, rotated
+from tests.fixtures.grids_fixtures import TIGHT, check_content, make_field, make_vectors, rotated
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.write import write_frame

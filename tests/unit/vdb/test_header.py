@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import (
+from tests.fixtures.grids_fixtures import (
     openvdb,
     raw_grid,
     rotated,
@@ -14,7 +14,7 @@ from tests.grids_fixtures import (
     uniform,
     write_raw,
 )
-from tests.vdb_bytes import SCALE, entry, metadata, vdb
+from tests.fixtures.vdb_bytes import SCALE, entry, metadata, vdb
 from usdsmoke.vdb.header import read_header
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.grids_fixtures import make_field, make_vectors, rotated
-from tests.vdb_bytes import SCALE, entry, metadata, text, vdb
+from tests.fixtures.grids_fixtures import make_field, make_vectors, rotated
+from tests.fixtures.vdb_bytes import SCALE, entry, metadata, text, vdb
 from usdsmoke.base.errors import AssetNotResolved, DamagedFile, GridError, UnsupportedGrid
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.write import write_frame

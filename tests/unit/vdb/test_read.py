@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import (
+from tests.fixtures.grids_fixtures import (
     TIGHT,
     make_field,
     openvdb,

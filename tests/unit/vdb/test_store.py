@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.counters import Reads, unnamed_files
-from tests.grids_fixtures import TIGHT, make_field, make_vectors, raw_grid, write_raw
+from tests.fixtures.counters import Reads, unnamed_files
+from tests.fixtures.grids_fixtures import TIGHT, make_field, make_vectors, raw_grid, write_raw
 from usdsmoke.base.errors import NonFiniteError, UnsupportedGrid
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids

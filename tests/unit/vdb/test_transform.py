@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import make_field, make_vectors, rotated, uniform
+from tests.fixtures.grids_fixtures import make_field, make_vectors, rotated, uniform
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.boxes import (
     active_box,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import TIGHT, make_field, make_vectors, uniform
+from tests.fixtures.grids_fixtures import TIGHT, make_field, make_vectors, uniform
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.header import FileHeader, GridHeader

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.grids_fixtures import TIGHT, make_field, make_vectors
+from tests.fixtures.grids_fixtures import TIGHT, make_field, make_vectors
 from usdsmoke.base.errors import NonFiniteError, WriteFailed
 from usdsmoke.vdb import child, write
 from usdsmoke.vdb.child import ChildFailure
@@ -94,7 +94,7 @@ def test_disk_that_fills_up_keeps_the_old_file(tmp_path: Path) -> None:
     code = (
         "import resource, sys\n"
         "import numpy as np\n"
-        "from tests.grids_fixtures import make_field\n"
+        "from tests.fixtures.grids_fixtures import make_field\n"
         "from usdsmoke.base.errors import WriteFailed\n"
         "from usdsmoke.vdb import child\n"
         "from usdsmoke.vdb.write import write_frame\n"
@@ -191,7 +191,7 @@ def test_kill_while_writing_leaves_the_old_file_and_the_next_run_finishes(tmp_pa
     before = target.read_bytes()
     code = (
         "import sys\n"
-        "from tests.grids_fixtures import make_field\n"
+        "from tests.fixtures.grids_fixtures import make_field\n"
         "from usdsmoke.vdb.write import write_frame\n"
         "print('started', flush=True)\n"
         "write_frame(sys.argv[1], [make_field(shape=(60, 60, 60))], {}, half=False)\n"

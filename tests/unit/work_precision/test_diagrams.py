@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from PIL import Image
 
-from tests.report_fixtures import point, result_of
+from tests.fixtures.report_fixtures import point, result_of
 from usdsmoke.work_precision.page import draw_sweep
 from usdsmoke.work_precision.records import Point, Spread
 

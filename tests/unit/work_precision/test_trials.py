@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.report_fixtures import case_of, make_scene
+from tests.fixtures.report_fixtures import case_of, make_scene
 from usdsmoke.work_precision import SWEEPS, Plan, Sweep
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.report_fixtures import point, result_of
+from tests.fixtures.report_fixtures import point, result_of
 from usdsmoke.work_precision.page import costs_more, verdict_on
 from usdsmoke.work_precision.records import Point, Spread
 

@@ -6,8 +6,15 @@ from pathlib import Path
 import pytest
 from pxr import Usd
 
-from tests.usd_fixtures import HEADER, file_hashes, make_look, needs_usd, plume_stage, write_text
-from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
+from tests.fixtures.usd_fixtures import (
+    HEADER,
+    file_hashes,
+    make_look,
+    needs_usd,
+    plume_stage,
+    write_text,
+)
+from tests.fixtures.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
 from usdsmoke.ui.usdview.volumes import selected_volumes
 
 

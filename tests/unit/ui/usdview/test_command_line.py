@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pxr import Sdf, Usd, UsdVol
 
-from tests.pipeline_fixtures import Shot, run
-from tests.usd_fixtures import (
+from tests.fixtures.pipeline_fixtures import Shot, run
+from tests.fixtures.usd_fixtures import (
     density_prim,
     make_look,
     plume_stage,
@@ -18,7 +18,7 @@ from tests.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from tests.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
+from tests.fixtures.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.ui.cli.arguments import build_parser
 from usdsmoke.ui.cli.options import given_settings

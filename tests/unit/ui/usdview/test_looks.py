@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from pxr import Sdf, Usd
 
-from tests.shot_fixtures import PLUME, make_big_shot
-from tests.usd_fixtures import (
+from tests.fixtures.shot_fixtures import PLUME, make_big_shot
+from tests.fixtures.usd_fixtures import (
     HEADER,
     density_prim,
     file_hashes,
@@ -15,7 +15,7 @@ from tests.usd_fixtures import (
     shown_file,
     write_text,
 )
-from tests.usdview_fixtures import FakeApi, FakeWindow, open_in_usdview
+from tests.fixtures.usdview_fixtures import FakeApi, FakeWindow, open_in_usdview
 from usdsmoke.ui.usdview.actions import run_action
 from usdsmoke.ui.usdview.looks import find_looks
 

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.usd_fixtures import make_look, needs_usd, plume_stage
-from tests.usdview_fixtures import STAND_IN
+from tests.fixtures.usd_fixtures import make_look, needs_usd, plume_stage
+from tests.fixtures.usdview_fixtures import STAND_IN
 from usdsmoke.ui.usdview import PLUGIN_FOLDER
 
 PROJECT = Path(__file__).resolve().parents[4]

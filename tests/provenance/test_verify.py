@@ -1,0 +1,274 @@
+"""What verify notices, each kind of change by its name; and its silence where there is none."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from pxr import Sdf
+
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
+from tests.fixtures.usd_fixtures import write_vdb
+from usdsmoke.audit import Change, verify
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.pipeline import StylizeResult
+from usdsmoke.ui.cli.main import main
+from usdsmoke.vdb.binding import find_binding
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
+
+Finished = tuple[Shot, StylizeResult]
+
+
+@pytest.fixture
+def finished(shot: Shot, core: FakeCore) -> Finished:
+    return shot, run(shot)
+
+
+def only(finished: Finished) -> Change:
+    """The one change there is, as every way to the record tells it."""
+    shot, result = finished
+    changes = verify(result.look_layer)
+    assert verify(shot.output) == verify(str(result.root_stage)) == changes
+    (change,) = changes
+    return change
+
+
+def test_an_untouched_result_is_as_recorded(
+    finished: Finished, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot, result = finished
+    assert verify(result.root_stage) == []
+    assert main(["verify", str(shot.output)]) == 0
+    assert capsys.readouterr().out == f"{shot.output}: as recorded\n"
+
+
+def test_an_untouched_result_in_a_moved_folder_is_as_recorded(finished: Finished) -> None:
+    shot, result = finished
+    moved = shot.folder.with_name(f"{shot.folder.name}_elsewhere")
+    shutil.move(shot.folder, moved)
+    assert verify(moved / "out") == []
+    assert verify(moved / "out" / result.frames[0].relative_to(shot.output)) == []
+
+
+def test_an_input_with_other_voxels_is_named(finished: Finished) -> None:
+    file = finished[0].stage.parent / "cache/smoke.0002.vdb"
+    write_vdb(file, value=0.125)
+    change = only(finished)
+    assert (change.kind, change.severity, change.file) == ("input-edited", "changed", str(file))
+    assert change.expected.startswith("density ") and change.expected != f"density {change.found}"
+
+
+def test_an_input_that_was_written_anew_with_the_same_grids_is_a_note(finished: Finished) -> None:
+    file = finished[0].stage.parent / "cache/smoke.0002.vdb"
+    before = file.read_bytes()
+    write_vdb(file, value=0.5 + 2 / 8)
+    assert file.read_bytes() != before
+    change = only(finished)
+    assert (change.kind, change.severity, change.file) == ("input-rewritten", "note", str(file))
+
+
+@pytest.mark.usefixtures("core")
+def test_another_velocity_in_a_file_of_the_same_density_is_an_edited_input(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    done = shot, run(shot)
+    file = shot.stage.parent / "cache/smoke.0001.vdb"
+    assert verify(done[1].look_layer) == []
+    config = GridsConfig()
+    density, velocity = read_grids(file, [GridRequest("density"), GridRequest("vel")], config)
+    velocity.values[0, 0, 0] += 1
+    write_frame(file, [density, velocity], {}, False, config)
+    change = only(done)
+    assert change.kind == "input-edited" and change.expected.startswith("vel ")
+
+
+def test_an_input_that_is_gone_is_named(finished: Finished) -> None:
+    file = finished[0].stage.parent / "cache/smoke.0003.vdb"
+    file.unlink()
+    changes = verify(finished[1].look_layer)
+    assert [(c.kind, c.file) for c in changes if c.severity == "changed"] == [
+        ("input-missing", str(file))
+    ]
+
+
+def test_a_changed_value_of_the_stage_is_named(finished: Finished) -> None:
+    stage = finished[0].stage
+    stage.write_text(stage.read_text().replace("metersPerUnit = 0.5", "metersPerUnit = 0.25"))
+    change = only(finished)
+    assert (change.kind, change.file) == ("stage-edited", str(stage))
+    assert (change.expected, change.found) == ("metersPerUnit 0.5", "metersPerUnit 0.25")
+
+
+def test_a_moved_volume_is_a_changed_stage(finished: Finished) -> None:
+    layer = Sdf.Layer.OpenAsAnonymous(str(finished[0].stage))
+    prim = layer.GetPrimAtPath("/World/smoke")
+    Sdf.AttributeSpec(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3).default = (1, 0, 0)
+    order = Sdf.AttributeSpec(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray)
+    order.default = ["xformOp:translate"]
+    layer.Export(str(finished[0].stage))
+    change = only(finished)
+    assert change.kind == "stage-edited" and change.expected.startswith("</World/smoke> ")
+
+
+def test_what_the_volume_has_nothing_to_do_with_may_change(finished: Finished) -> None:
+    stage = finished[0].stage
+    stage.write_text(stage.read_text() + '\ndef Sphere "other"\n{\n}\n')
+    assert verify(finished[1].look_layer) == []
+
+
+def test_a_stage_that_is_gone_is_named(finished: Finished) -> None:
+    finished[0].stage.unlink()
+    (change,) = verify(finished[1].look_layer)
+    assert (change.kind, change.file) == ("stage-missing", str(finished[0].stage))
+
+
+def test_another_style_image_under_the_same_name_is_named(finished: Finished) -> None:
+    Image.new("RGB", (24, 16), (9, 8, 7)).save(finished[0].style)
+    change = only(finished)
+    assert (change.kind, change.file) == ("style-edited", str(finished[0].style))
+
+
+def test_a_style_image_that_is_gone_is_named(finished: Finished) -> None:
+    finished[0].style.unlink()
+    change = only(finished)
+    assert (change.kind, change.file) == ("style-missing", str(finished[0].style))
+
+
+def test_a_changed_stage_is_named_though_the_style_image_is_gone(finished: Finished) -> None:
+    stage = finished[0].stage
+    finished[0].style.unlink()
+    stage.write_text(stage.read_text().replace("metersPerUnit = 0.5", "metersPerUnit = 0.25"))
+    kinds = [change.kind for change in verify(finished[1].look_layer)]
+    assert kinds == ["stage-edited", "style-missing"]
+
+
+def test_a_result_that_is_gone_is_named(finished: Finished) -> None:
+    finished[1].frames[1].unlink()
+    change = only(finished)
+    assert (change.kind, change.file) == ("result-missing", str(finished[1].frames[1]))
+
+
+def test_a_result_with_another_frame_in_its_place_is_named(finished: Finished) -> None:
+    first, second, _ = finished[1].frames
+    shutil.copyfile(first, second)
+    change = only(finished)
+    assert (change.kind, change.file) == ("result-replaced", str(second))
+
+
+def test_a_result_with_edited_voxels_and_its_old_metadata_is_named(finished: Finished) -> None:
+    openvdb, file = find_binding(), str(finished[1].frames[1])
+    grids, metadata = openvdb.readAll(file)
+    (density,) = [grid for grid in grids if grid.name == "density"]
+    density.fill((0, 0, 0), (0, 0, 0), 5.0)
+    openvdb.write(file, grids=grids, metadata=metadata)
+    change = only(finished)
+    assert (change.kind, change.file) == ("result-edited", file)
+
+
+def test_a_look_edited_by_hand_is_named(finished: Finished) -> None:
+    look = finished[1].look_layer
+    text = look.read_text()
+    edited = text.replace("usdSmoke:extinctionPerDensity = 2", "usdSmoke:extinctionPerDensity = 3")
+    assert edited != text
+    look.write_text(edited)
+    change = only(finished)
+    assert (change.kind, change.file) == ("layer-edited", str(look))
+
+
+def test_an_edited_record_is_named(finished: Finished) -> None:
+    look = finished[1].look_layer
+    text = look.read_text()
+    edited = re.sub(r'(seed.?": )0', r"\g<1>1", text, count=1)
+    assert edited != text
+    look.write_text(edited)
+    change = only(finished)
+    assert (change.kind, change.file) == ("record-edited", str(look))
+
+
+@pytest.mark.parametrize("key", ["tool", "version", "look", "stage"])
+def test_an_edited_plain_value_is_an_edited_record(finished: Finished, key: str) -> None:
+    look = finished[1].look_layer
+    edit_values(look, **{key: "other"})
+    assert [change.kind for change in verify(look)] == ["record-edited"]
+
+
+@pytest.mark.parametrize("key", ["settings", "frames", "source_files", "results", "packages"])
+@pytest.mark.parametrize("value", ["{", 7, None])
+def test_a_damaged_record_is_an_edited_record_and_stops_nothing(
+    finished: Finished, key: str, value: object
+) -> None:
+    look = finished[1].look_layer
+    values = Sdf.Layer.OpenAsAnonymous(str(look)).customLayerData["usdsmoke"]
+    record = {**json.loads(values["record"]), key: value}
+    edit_values(look, record=json.dumps(record))
+    assert [change.kind for change in verify(look)] == ["record-edited"]
+
+
+def edit_values(file: Path, **values: str) -> None:
+    """Put texts into the record of a look layer."""
+    layer = Sdf.Layer.OpenAsAnonymous(str(file))
+    data = dict(layer.customLayerData)
+    layer.customLayerData = {**data, "usdsmoke": {**data["usdsmoke"], **values}}
+    layer.Export(str(file))
+
+
+def test_an_edited_input_of_a_frame_that_the_stage_no_longer_has_is_named(
+    finished: Finished,
+) -> None:
+    stage = finished[0].stage
+    file = stage.parent / "cache/smoke.0002.vdb"
+    write_vdb(file, value=0.125)
+    stage.write_text(stage.read_text().replace(", 2: @./cache/smoke.0002.vdb@", ""))
+    found = {change.kind: change.file for change in verify(finished[1].look_layer)}
+    assert found == dict.fromkeys(("stage-edited", "stage-files"), str(stage)) | {
+        "input-edited": str(file)
+    }
+
+
+def test_other_versions_are_notes(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("usdsmoke.audit.verification.__version__", "9.9")
+    change = only(finished)
+    assert (change.kind, change.severity) == ("version", "note")
+    assert change.found == "usdsmoke 9.9"
+    assert main(["verify", str(finished[0].output)]) == 0
+
+
+@pytest.mark.usefixtures("core")
+def test_another_parameter_file_of_the_features_is_named(shot: Shot) -> None:
+    weights = shot.folder / "weights.pth"
+    weights.write_bytes(b"first")
+    result = run(shot, "features.network=vgg19", f"features.vgg19_file={weights}")
+    assert verify(result.look_layer) == []
+    weights.write_bytes(b"second")
+    (change,) = verify(result.look_layer)
+    assert (change.kind, change.file) == ("features-edited", str(weights))
+    weights.unlink()
+    (change,) = verify(result.look_layer)
+    assert change.kind == "features-missing"
+
+
+def test_json_and_exit_code_tell_changes(
+    finished: Finished, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished[1].frames[0].unlink()
+    assert main(["verify", str(finished[0].output), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["as_recorded"] is False
+    assert [change["kind"] for change in found["changes"]] == ["result-missing"]
+    assert main(["verify", str(finished[0].output)]) == 1
+    assert f"changed  result-missing  {finished[1].frames[0]}: exp" in capsys.readouterr().out
+
+
+def test_a_frame_without_its_look_is_compared_with_its_own_hash(
+    finished: Finished, tmp_path: Path
+) -> None:
+    alone = shutil.copyfile(finished[1].frames[0], tmp_path / "alone.vdb")
+    assert {change.severity for change in verify(alone)} == {"note"}
+
+
+def test_a_stage_without_a_look_is_refused(shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(shot.stage), "--json"]) == 1
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["type"] == "LayerError" and "no usdsmoke record" in error["message"]

@@ -1,0 +1,129 @@
+"""The contact sheets of a run: which pictures, of what size, drawn from what, and when none."""
+
+import sys
+import weakref
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
+from usdsmoke.base.errors import ImageError
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.vdb.read import read_grids
+
+
+class Drawn:
+    """Every view that is drawn, with the smoke in it, and which fields are held meanwhile."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.views: list[Any] = []
+        self.opacity: list[float] = []
+        self.held: list[tuple[str, ...]] = []
+        self._given: list[tuple[str, weakref.ref[Any]]] = []
+        monkeypatch.setattr(sys.modules["usdsmoke.core.views.march"], "march", self._march)
+        read = FrameReader.read
+
+        def read_source(reader: FrameReader, *arguments: Any) -> Any:
+            found = read(reader, *arguments)
+            self._given.append(("source", weakref.ref(found.density)))
+            return found
+
+        def read_result(*arguments: Any) -> Any:
+            found = read_grids(*arguments)
+            self._given += [("result", weakref.ref(field)) for field in found]
+            return found
+
+        monkeypatch.setattr(FrameReader, "read", read_source)
+        monkeypatch.setattr("usdsmoke.runs.sheet.read_grids", read_result)
+
+    def _march(self, media: Any, view: Any) -> Any:
+        self.views.append(view)
+        self.opacity.append(float(media[0].values[..., 0].max()))
+        self.held.append(tuple(name for name, item in self._given if item() is not None))
+        return SimpleNamespace(rgba=np.ones((view.height, view.width, 4), np.float32))
+
+    @property
+    def angles(self) -> list[float]:
+        return [view.azimuth for view in self.views]
+
+
+@pytest.fixture
+def drawn(core: FakeCore, monkeypatch: pytest.MonkeyPatch) -> Drawn:
+    return Drawn(monkeypatch)
+
+
+def test_three_frames_are_shown_from_the_front_and_the_middle_one_all_round(
+    tmp_path: Path, drawn: Drawn
+) -> None:
+    run(make_shot(tmp_path, n_frames=5))
+    assert drawn.angles == [0, 0, 0, 0, 30, 90, 180, 0, 0]  # source, result: first, middle, last
+    values = [0.5 + code / 8 for code in (1, 3, 5)]
+    assert drawn.opacity[0::2][:2] == pytest.approx(values[:2])  # the sources, in order
+    assert drawn.opacity[7] == pytest.approx(values[2])
+    assert len({(view.height, view.width, view.pixel_size) for view in drawn.views}) == 1
+
+
+def test_what_is_shown_was_written(shot: Shot, drawn: Drawn) -> None:
+    """The stand-in halves the density, and doubles its extinction where there is colour."""
+    (sheet,) = run(shot).contact_sheets
+    assert drawn.opacity[1] == pytest.approx(drawn.opacity[0], rel=0.1)
+    pixels = np.asarray(Image.open(sheet).convert("RGB"))
+    view = drawn.views[0]
+    assert pixels.shape[0] > 3 * view.height and pixels.shape[1] > 4 * view.width
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100  # the style's ramp is in it
+
+
+@pytest.mark.parametrize(("height", "expected"), [(512, None), (8, 8)])
+def test_pictures_have_the_height_that_is_set_and_at_most_four_pixels_a_voxel(
+    height: int, expected: int | None, shot: Shot, drawn: Drawn
+) -> None:
+    run(shot, f"layer.contact_sheet={height}")
+    view = drawn.views[0]
+    assert view.pixel_size >= 0.5 / 4 * 0.95  # a voxel is half a stage unit; whole pixels
+    if expected:
+        assert view.height == expected
+    else:
+        assert view.pixel_size <= 0.5 / 4 * 1.05
+
+
+def test_only_one_frames_fields_are_held_at_a_time(shot: Shot, drawn: Drawn) -> None:
+    run(shot)
+    assert len(drawn.held) == 9
+    assert all(held in (("source",), ("result", "result"), ()) for held in drawn.held)
+
+
+def test_smoke_without_a_third_dimension_has_no_turn(tmp_path: Path, drawn: Drawn) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    flat = raw_grid(np.ones((6, 5, 1)))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", flat)
+    run(shot)
+    assert drawn.angles == [0, 0]
+
+
+def test_no_sheet_is_drawn_where_its_height_is_0(shot: Shot, drawn: Drawn) -> None:
+    result = run(shot, "layer.contact_sheet=0")
+    assert result.contact_sheets == () and not list(shot.output.glob("*.png"))
+    assert drawn.views == []
+    assert any(
+        omission.what == "contact sheet" and not omission.expected
+        for omission in result.plan.omitted
+    )
+
+
+@pytest.mark.usefixtures("core")
+def test_a_contact_sheet_that_fails_is_a_warning(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise ImageError("the picture cannot be drawn")
+
+    monkeypatch.setattr("usdsmoke.runs.assemble.write_contact_sheet", fail)
+    result = run(shot)
+    assert result.contact_sheets == ()
+    assert any("the picture cannot be drawn" in warning for warning in result.warnings)
+    assert result.root_stage.is_file() and result.look_layer.is_file()

@@ -1,0 +1,88 @@
+"""The real command with nothing replaced: two small frames, a handful of iterations."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from tests.fixtures.usd_fixtures import file_hashes, needs_usd
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.volume import DenseField
+from usdsmoke.vdb.read import GridRequest, read_grids
+
+PROJECT = Path(__file__).resolve().parents[2]
+QUICK = ["optimize.iterations=6", "views.image_size=32", "views.pool=2", "optimize.threads=1"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, dict[str, object]]:
+    """A shot that was stylized, and what the command printed."""
+    shot = make_shot(tmp_path_factory.mktemp("shot"), n_frames=2)
+    for code in (1, 2):
+        write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(ball(0.1 * code)))
+    before = file_hashes(shot.stage.parent)
+    settings = [part for setting in QUICK for part in ("--set", setting)]
+    done = subprocess.run(
+        [sys.executable, "-m", "usdsmoke", *shot.arguments(*settings, "--json")],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert file_hashes(shot.stage.parent) == before
+    return shot, json.loads(done.stdout)
+
+
+def ball(shift: float) -> np.ndarray:
+    """Smoke that thins out towards its border, 12 x 10 x 14 voxels."""
+    axes = [np.linspace(-1, 1, n) for n in (12, 10, 14)]
+    place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) - [shift, 0, 0]
+    return np.clip(1 - (place**2).sum(-1), 0, 1)
+
+
+def grids_of(file_path: str) -> tuple[DenseField, DenseField]:
+    wanted = [GridRequest("density"), GridRequest("emission")]
+    density, emission = read_grids(file_path, wanted, GridsConfig())
+    return density, emission
+
+
+@pytest.mark.slow
+def test_the_files_hold_smoke_and_its_colours(finished: tuple[Shot, dict[str, object]]) -> None:
+    shot, result = finished
+    for number, file_path in enumerate(result["frames"], 1):  # type: ignore[arg-type, var-annotated]
+        density, emission = grids_of(file_path)
+        (source,) = read_grids(
+            shot.stage.parent / f"cache/smoke.{number:04d}.vdb",
+            [GridRequest("density")],
+            GridsConfig(),
+        )
+        np.testing.assert_array_equal(density.index_to_world, source.index_to_world)
+        np.testing.assert_array_equal(emission.index_to_world, source.index_to_world)
+        assert density.values.sum() == pytest.approx(source.values.sum(), rel=0.05)
+        assert emission.values.min() >= 0 and emission.values.max() > 0
+        assert np.ptp(emission.values, axis=-1).max() > 0  # colour, not grey
+        low, high = np.array(density.ijk_min), np.add(density.ijk_min, density.values.shape)
+        assert (np.array(emission.ijk_min) >= low).all()
+        assert (np.add(emission.ijk_min, emission.values.shape[:3]) <= high).all()
+
+
+@needs_usd(26, 5)
+@pytest.mark.slow
+def test_the_result_is_found_sound_by_every_validator(
+    finished: tuple[Shot, dict[str, object]],
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "usdsmoke", "validate", str(finished[1]["root_stage"]), "--json"],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+    assert json.loads(done.stdout)["errors"] == 0

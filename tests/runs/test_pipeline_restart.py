@@ -1,0 +1,266 @@
+"""Runs that are stopped, continued, refused, replaced: what stands in the folder afterwards."""
+
+import dataclasses
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.fixtures.grids_fixtures import check_content
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of, write_nan
+from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
+from usdsmoke.base import publish
+from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
+from usdsmoke.pipeline import stylize
+
+RESTYLIZE = ["stage.restylize=true"]
+
+
+def stop_at(core: FakeCore, time_code: float) -> None:
+    """Let Ctrl-C come just before a frame is stylized."""
+
+    def stop(now: float) -> None:
+        if now == time_code:
+            raise KeyboardInterrupt
+
+    core.before_frame = stop
+
+
+def stop_no_more(core: FakeCore) -> None:
+    core.before_frame = lambda time_code: None
+    core.stylized.clear()
+
+
+@pytest.mark.usefixtures("core")
+def test_a_result_is_not_overwritten_without_force(shot: Shot) -> None:
+    run(shot)
+    before = file_hashes(shot.output)
+    for settings, message in (
+        ((), r"out already holds .*--force"),
+        (
+            ("optimize.seed=1",),
+            r"different settings .*: the setting optimize\.seed was 0, now 1.*--force",
+        ),
+    ):
+        with pytest.raises(OutputExists, match=message):
+            run(shot, *settings)
+    assert file_hashes(shot.output) == before
+
+
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize("settings", [(), ("optimize.seed=1",)], ids=["same", "other"])
+def test_force_replaces_a_result_and_leaves_none_of_its_files(
+    shot: Shot, settings: tuple[str, ...]
+) -> None:
+    old = run(shot)
+    new = run(shot, *settings, force=True)
+    assert not any(file_path.exists() for file_path in old.frames)
+    assert list(shown_files(new.root_stage).values()) == [str(path) for path in new.frames]
+    assert len(list(shot.output.glob("vdb/*"))) == 1
+
+
+@pytest.mark.parametrize("time_code", [1.0, 3.0])
+def test_the_old_result_stays_whole_until_the_new_one_is_complete(
+    shot: Shot, core: FakeCore, time_code: float
+) -> None:
+    old = run(shot)
+    before = {path: path.read_bytes() for path in (*old.frames, old.look_layer, old.root_stage)}
+
+    stop_at(core, time_code)
+    with pytest.raises(Interrupted):
+        run(shot, "optimize.seed=1", force=True)
+    assert {path: path.read_bytes() for path in before} == before
+    assert list(shown_files(old.root_stage).values()) == [str(path) for path in old.frames]
+    stop_no_more(core)
+    new = run(shot, "optimize.seed=1", force=True)
+    assert values_of(new.frames[0], "emission")[0, 0, 0, 0] == pytest.approx(0.625 / 2 * 2)
+    assert not any(path.exists() for path in old.frames)
+
+
+def test_a_stopped_run_goes_on_with_its_first_unfinished_window(shot: Shot, core: FakeCore) -> None:
+    stop_at(core, 3.0)
+    windows = ("windows.size=2", "windows.overlap=0")
+    with pytest.raises(Interrupted, match=r"stopped with 2 of 3 frames finished.*same command"):
+        run(shot, *windows)
+    assert not list(shot.output.glob("*.usd*"))
+    stop_no_more(core)
+    result = run(shot, *windows)
+    assert core.stylized == [3.0]
+    assert len(shown_files(result.root_stage)) == 3
+
+
+def test_a_window_with_an_unfinished_frame_is_done_again_as_a_whole(
+    shot: Shot, core: FakeCore
+) -> None:
+    stop_at(core, 3.0)
+    with pytest.raises(Interrupted):
+        run(shot)
+    stop_no_more(core)
+    run(shot)
+    assert core.stylized == [1.0, 2.0, 3.0]
+
+
+def test_a_finished_frame_that_was_damaged_since_is_done_again(shot: Shot, core: FakeCore) -> None:
+    stop_at(core, 3.0)
+    with pytest.raises(Interrupted):
+        run(shot, "windows.size=1")
+    (first,) = shot.output.glob("vdb/*/smoke.0001.vdb")
+    first.write_bytes(first.read_bytes()[:-7])
+    stop_no_more(core)
+    result = run(shot, "windows.size=1")
+    assert core.stylized == [1.0, 3.0]
+    check_content(result.frames[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("setting", r"setting optimize\.seed was 0, now 5"),
+        ("input", r"file cache/smoke\.0002\.vdb has other content, written 20\d\d-"),
+        ("style", r"style image style\.png has other content"),
+    ],
+)
+def test_an_unfinished_run_of_other_settings_or_inputs_is_not_mixed_with_this_one(
+    shot: Shot, core: FakeCore, change: str, message: str
+) -> None:
+    stop_at(core, 2.0)
+    with pytest.raises(Interrupted):
+        run(shot, "windows.size=1")
+    stop_no_more(core)
+    settings = ("windows.size=1", *(["optimize.seed=5"] if change == "setting" else []))
+    if change == "input":
+        write_vdb(shot.stage.parent / "cache/smoke.0002.vdb", value=3.0)
+    if change == "style":
+        Image.new("RGB", (9, 9), "red").save(shot.style)
+    with pytest.raises(OutputExists, match=message):
+        run(shot, *settings)
+    result = run(shot, *settings, force=True)
+    assert len(list(shot.output.glob("vdb/*"))) == 1
+    assert len(result.frames) == 3
+
+
+def test_settings_that_do_not_change_the_result_do_not_hinder_going_on(
+    shot: Shot, core: FakeCore
+) -> None:
+    stop_at(core, 3.0)
+    with pytest.raises(Interrupted):
+        run(shot, "windows.size=1")
+    stop_no_more(core)
+    run(shot, "windows.size=1", "optimize.memory_limit_gib=77", "grids.time_limit_s=77")
+    assert core.stylized == [3.0]
+
+
+def test_a_refusal_in_the_last_frame_leaves_nothing_behind(shot: Shot, core: FakeCore) -> None:
+    write_nan(shot.stage.parent / "cache/smoke.0003.vdb")
+    with pytest.raises(NonFiniteError, match=r"timeCode 3\) has 2 NaN or infinite voxels"):
+        run(shot)
+    assert not shot.output.exists()
+    assert core.stylized == []
+
+
+def test_an_error_in_the_first_frame_leaves_no_folder(shot: Shot, core: FakeCore) -> None:
+    def fail(time_code: float) -> None:
+        raise NonFiniteError("the optimisation diverges")
+
+    core.before_frame = fail
+    with pytest.raises(NonFiniteError):
+        run(shot)
+    assert not shot.output.exists()
+
+
+@pytest.mark.usefixtures("core")
+def test_an_output_folder_that_was_there_stays_there(shot: Shot) -> None:
+    shot.output.mkdir()
+    write_text(shot.output / "notes.txt", "mine")
+    write_nan(shot.stage.parent / "cache/smoke.0003.vdb")
+    with pytest.raises(NonFiniteError):
+        run(shot)
+    assert [path.name for path in shot.output.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.usefixtures("core")
+def test_a_full_disk_at_any_moment_leaves_the_old_result_and_can_be_gone_on_from(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every renaming of a run fails once; each time the old result is what the stage shows."""
+    old = run(shot)
+    shown = shown_files(old.root_stage)
+    original, calls = publish._sync, [0]
+    for limit in random.Random(7).sample(range(1, 25), 5):
+        calls[0] = 0
+
+        def sync(file_path: Path, limit: int = limit) -> None:
+            calls[0] += 1
+            if calls[0] == limit:
+                raise OSError(28, "No space left on device")
+            original(file_path)
+
+        monkeypatch.setattr(publish, "_sync", sync)
+        try:
+            run(shot, "optimize.seed=1", force=True)
+        except WriteFailed as error:
+            assert "No space left on device" in str(error)
+        finally:
+            monkeypatch.setattr(publish, "_sync", original)
+        now = shown_files(old.root_stage)
+        if now == shown:
+            np.testing.assert_allclose(values_of(now[1.0], "emission")[..., 0], 0.3125)
+        for file_path in now.values():
+            check_content(file_path)
+        assert not [path for path in shot.output.rglob(".*") if path.is_file()]
+    new = run(shot, "optimize.seed=2", force=True)
+    assert {path.parent.name for path in new.frames} == {
+        path.name for path in shot.output.glob("vdb/*")
+    }
+
+
+def test_two_runs_do_not_write_to_one_folder(shot: Shot, core: FakeCore) -> None:
+    def intrude(time_code: float) -> None:
+        with pytest.raises(OutputExists, match="another usdsmoke is writing to"):
+            run(shot)
+
+    core.before_frame = intrude
+    run(shot)
+
+
+@pytest.mark.usefixtures("core")
+def test_a_result_cannot_be_written_over_its_own_source(shot: Shot) -> None:
+    result = run(shot)
+    with pytest.raises(LayerError, match="is an input of this run"):
+        stylize(result.root_stage, shot.style, shot.output, settings=RESTYLIZE, force=True)
+    again = stylize(result.root_stage, shot.style, shot.folder / "second", settings=RESTYLIZE)
+    np.testing.assert_allclose(values_of(again.frames[0]), 0.625 / 4)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_result_may_stand_beside_its_source(shot: Shot) -> None:
+    result = run(dataclasses.replace(shot, output=shot.stage.parent))
+    assert result.root_stage.parent == shot.stage.parent
+    assert len(shown_files(result.root_stage)) == 3
+
+
+@pytest.mark.usefixtures("core")
+def test_a_foreign_file_in_the_layers_place_counts_as_a_result(shot: Shot) -> None:
+    write_text(shot.output / "look.usda", "#usda 1.0\n")
+    with pytest.raises(OutputExists):
+        run(shot)
+    run(shot, force=True)
+
+
+@pytest.mark.usefixtures("core")
+def test_a_changed_layer_format_leaves_one_look(shot: Shot) -> None:
+    run(shot)
+    result = run(shot, "layer.format=usdc", force=True)
+    assert [path.name for path in sorted(shot.output.glob("look.usd*"))] == ["look.usdc"]
+    assert len(shown_files(result.root_stage)) == 3
+
+
+@pytest.mark.usefixtures("core")
+def test_a_moved_result_still_finds_its_files(shot: Shot) -> None:
+    result = run(shot)
+    moved = shot.folder.rename(shot.folder.with_name(f"{shot.folder.name}_elsewhere"))
+    files = shown_files(moved / result.root_stage.relative_to(shot.folder))
+    assert all(Path(file_path).is_file() for file_path in files.values())
+    assert all("elsewhere" in file_path for file_path in files.values())

@@ -1,0 +1,134 @@
+"""Other fields in the result's files, extents of other frames, and paths as authored (td.md D7, D8,
+D20, F)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdVol
+
+from tests.fixtures.grids_fixtures import openvdb
+from tests.fixtures.pipeline_fixtures import Shot, make_shot, run, values_of
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
+from usdsmoke.base.errors import ConfigError
+from usdsmoke.pipeline import plan as make_plan
+from usdsmoke.usd.rules import validate
+
+pytestmark = pytest.mark.usefixtures("core")
+
+
+def field_prim(name: str, files: str, grid: str, extra: str = "") -> str:
+    return density_prim(files, name, extra, f'token fieldName = "{grid}"')
+
+
+@pytest.fixture
+def fire(tmp_path: Path) -> Shot:
+    """Density and vel in one file, heat (grid temperature) in another; 4 frames."""
+    shot = make_shot(tmp_path / "shot", n_frames=4, names=("density", "vel", "fuel"))
+    for code in range(1, 5):
+        write_vdb(shot.stage.parent / f"cache/heat.{code:04d}.vdb", ("temperature",), value=code)
+    prims = density_prim(sequence(range(1, 5))) + field_prim(
+        "heat", sequence(range(1, 5)).replace("smoke.", "heat."), "temperature"
+    )
+    text = volume_prim(prims).replace(
+        "rel field:density", "rel field:heat = </World/smoke/heat>\n        rel field:density", 1
+    )
+    write_text(shot.stage, world(text))
+    return shot
+
+
+def grids_in(file_path: str | Path) -> set[str]:
+    return {grid.name for grid in openvdb().readAllGridMetadata(str(file_path))}
+
+
+def shown(stage: Usd.Stage, name: str, code: float) -> tuple[str, str]:
+    volume = UsdVol.Volume(stage.GetPrimAtPath("/World/smoke"))
+    prim = stage.GetPrimAtPath(volume.GetFieldPath(name))
+    path, grid = (prim.GetAttribute(item).Get(code) for item in ("filePath", "fieldName"))
+    return path.resolvedPath, grid
+
+
+def test_d8_every_field_and_grid_is_in_one_file_under_the_name_of_its_relationship(
+    fire: Shot,
+) -> None:
+    result = run(fire, "layer.copy_fields=[all]", "stage.frames=2-3")
+    assert grids_in(result.frames[0]) == {"density", "emission", "heat", "vel", "fuel"}
+    assert np.all(values_of(result.frames[1], "heat") == 3)
+    stage = Usd.Stage.Open(str(result.root_stage))
+    for code in (2.0, 3.0):
+        for name in ("density", "heat", "emission"):
+            assert shown(stage, name, code) == (str(result.frames[int(code) - 2]), name)
+    heat = fire.stage.parent / "cache/heat.0001.vdb"
+    assert shown(stage, "heat", 1.0) == (str(heat), "temperature")  # as in the source
+    rules = {finding.rule for finding in validate(Usd.Stage.Open(str(result.root_stage)))}
+    assert "GridMissing" not in rules
+
+
+def test_named_fields_alone_are_copied_and_also_where_windows_are_blended(fire: Shot) -> None:
+    windows = ("windows.size=2", "windows.overlap=1")
+    result = run(fire, "layer.copy_fields=[heat,fuel]", *windows)
+    for code, file_path in enumerate(result.frames, 1):
+        assert grids_in(file_path) == {"density", "emission", "heat", "fuel"}
+        assert np.all(values_of(file_path, "heat") == code)
+    rules = {finding.rule for finding in validate(Usd.Stage.Open(str(result.root_stage)))}
+    assert not {"MixedFilesPerVolume", "GridMissing", "FieldNameMismatch"} & rules
+
+
+def test_by_default_nothing_is_copied_and_the_plan_names_the_setting(fire: Shot) -> None:
+    (left,) = [
+        item for item in make_plan(fire.stage, fire.style, fire.output).omitted
+        if item.what == "field heat of </World/smoke>"
+    ]  # fmt: skip
+    assert "layer.copy_fields" in left.reason
+    assert grids_in(run(fire).frames[0]) == {"density", "emission"}
+
+
+def test_a_field_that_is_not_there_or_stands_elsewhere_is_refused_by_name(fire: Shot) -> None:
+    with pytest.raises(ConfigError, match=r'"heta" of </World/smoke>.*layer.copy_fields'):
+        run(fire, "layer.copy_fields=[heta]")
+    elsewhere = (
+        '"heat"\n        {\n double3 xformOp:translate = (9, 0, 0)\n'
+        'uniform token[] xformOpOrder = ["xformOp:translate"]\n'
+    )
+    text = fire.stage.read_text().replace('"heat"\n        {', elsewhere)
+    assert "9, 0, 0" in text
+    fire.stage.write_text(text)
+    with pytest.raises(ConfigError, match="another place"):
+        run(fire, "layer.copy_fields=[heat]")
+    result = run(fire, "layer.copy_fields=[all]")
+    assert "heat" not in grids_in(result.frames[0])
+    assert any("another place" in item.reason for item in result.plan.omitted)
+
+
+def test_d7_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=4)
+    for code in (3, 4):
+        name = shot.stage.parent / f"cache/smoke.{code:04d}.vdb"
+        write_vdb(name, ("density",), voxel_size=0.5 * code)
+    stage = Usd.Stage.Open(str(run(shot, "stage.frames=1-2").root_stage))
+    extent = stage.GetPrimAtPath("/World/smoke").GetAttribute("extent")
+    sides = [extent.Get(code)[1][0] for code in (1, 2, 3, 4)]
+    # 4 voxels from index 0, each half a voxel around its centre
+    assert sides == pytest.approx([1.75, 1.75, 3.5 * 1.5, 3.5 * 2])
+
+
+def test_d20_a_search_path_outside_the_range_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pxr import Ar
+
+    shot = make_shot(tmp_path / "shot", n_frames=3)
+    shot.stage.write_text(shot.stage.read_text().replace("@./cache/", "@cache/"))
+    assert "@cache/smoke.0003.vdb@" in shot.stage.read_text()
+    context = Ar.DefaultResolverContext([str(shot.stage.parent)])
+    with Ar.ResolverContextBinder(context):
+        result = run(shot, "stage.frames=1-2")
+    text = result.look_layer.read_text()
+    assert "@cache/smoke.0003.vdb@" in text and "@./vdb/" in text

@@ -1,0 +1,101 @@
+"""Mends, and USD's own validators over every kind of stage that is written (td.md D12)."""
+
+from pathlib import Path
+
+import pytest
+from pxr import Usd
+
+from tests.fixtures.pipeline_fixtures import Shot, make_shot, run
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    needs_usd,
+    sampled,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+)
+from usdsmoke.base.errors import OutputExists
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.gate import validate_look, write_mends
+from usdsmoke.usd.rules import Severity, validate
+
+KINDS = {
+    "sublayer": (),
+    "usdc": ("layer.format=usdc",),
+    "reference": ("layer.mode=reference",),
+    "part": ("stage.frames=1-2", "layer.scatter_colour=[Cd,color]", "layer.split_rgb=true"),
+    "all materials": (
+        "layer.material_targets=[glslfx,mtlx,arnold,karma,renderman]", "layer.material=replace",
+    ),
+    "copied": ("layer.copy_fields=[all]", "layer.emission_mode=perDensity"),
+}  # fmt: skip
+
+
+@needs_usd(26, 5)
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize("kind", KINDS)
+def test_d12_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) -> None:
+    shot = make_shot(tmp_path / "shot", names=("density", "vel", "heat"))
+    result = run(shot, *KINDS[kind])
+    assert result.root_stage is not None
+    of_source = {(item.rule, item.prim_path) for item in validate(shot.stage)}
+    for stage in (result.root_stage, result.look_layer):
+        found = [
+            item for item in validate(stage)
+            if item.severity == Severity.ERROR and (item.rule, item.prim_path) not in of_source
+        ]  # fmt: skip
+        # a look layer alone has no source below it, which USD's validators cannot know
+        alone = stage == result.look_layer
+        assert alone or found == []
+    if kind != "reference":
+        own, _ = validate_look(result.root_stage)
+        assert [item for item in own if item.severity == Severity.ERROR] == []
+
+
+@needs_usd(26, 5)
+def test_d12_no_validator_finds_an_error_in_a_stage_made_of_files(tmp_path: Path) -> None:
+    write_sequence(tmp_path, (1, 2, 3))
+    target = tmp_path / "made.usda"
+    files = str(tmp_path / "cache/smoke.####.vdb")
+    assert main(["stage", files, "-o", str(target), "--meters-per-unit", "1"]) == 0
+    assert [item for item in validate(target) if item.severity == Severity.ERROR] == []
+
+
+def faulty(folder: Path) -> Path:
+    write_sequence(folder, (1, 2))
+    paths = {code: f"@{folder}/cache/smoke.{code:04d}.vdb@" for code in (1, 2)}
+    field = density_prim(sampled("asset filePath", paths)).replace('"float"', '"float3"')
+    return write_text(folder / "shot.usda", world(volume_prim(field)))
+
+
+@needs_usd(26, 11)
+def test_mends_are_a_layer_above_the_stage(tmp_path: Path) -> None:
+    stage_file, target = faulty(tmp_path), tmp_path / "publish/mended.usda"
+    target.parent.mkdir()
+    before = stage_file.read_bytes()
+    rules = {"VolumeExtentMissing", "FieldTypeMismatch", "AbsolutePath"}
+    assert rules <= {item.rule for item in validate(stage_file)}
+    assert {item.rule for item in write_mends(stage_file, target)} == rules
+    assert stage_file.read_bytes() == before
+    assert not rules & {item.rule for item in validate(target)}
+    stage = Usd.Stage.Open(str(target))
+    volume, field = (stage.GetPrimAtPath(f"/World/{name}") for name in ("smoke", "smoke/density"))
+    assert [tuple(point) for point in volume.GetAttribute("extent").Get(2)] == [
+        (-0.25, -0.25, -0.25), (1.75, 1.25, 0.75),
+    ]  # fmt: skip
+    asset = field.GetAttribute("filePath").Get(2)
+    assert asset.path == "../cache/smoke.0002.vdb" and Path(asset.resolvedPath).is_file()
+    assert stage.GetTimeCodesPerSecond() == 25
+    with pytest.raises(OutputExists):
+        write_mends(stage_file, target)
+
+
+@needs_usd(26, 11)
+def test_where_nothing_can_be_mended_no_layer_is_written(shot: Shot, tmp_path: Path) -> None:
+    clean = faulty(tmp_path)
+    write_mends(clean, tmp_path / "first.usda")
+    assert (
+        main(["validate", str(tmp_path / "first.usda"), "--mend", str(tmp_path / "two.usda")]) == 0
+    )
+    assert not (tmp_path / "two.usda").exists()

@@ -1,0 +1,173 @@
+"""Looks that are older than their source, and flattened stages (td.md B, C, D11)."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import pytest
+from pxr import Usd, UsdUtils
+
+from tests.fixtures.pipeline_fixtures import Shot, contents, make_style, run
+from tests.fixtures.usd_fixtures import sequence, write_text, write_vdb
+from usdsmoke import provenance, verify
+from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.gate import validate_look
+from usdsmoke.usd.rules import validate
+
+pytestmark = pytest.mark.usefixtures("core")
+
+
+def takes(folder: Path, selected: str) -> Shot:
+    """A Volume below a prim whose variant set ``sim`` has take A and take B."""
+    variants = ""
+    for take, value in (("takeA", 0.5), ("takeB", 0.75)):
+        for code in (1, 2):
+            file_path = folder / f"in/{take}/smoke.{code:04d}.vdb"
+            if not file_path.exists():
+                write_vdb(file_path, value=value)
+        variants += f"""
+        "{take}" {{
+            over "smoke" {{
+                over "density" {{
+                    {sequence((1, 2)).replace("./cache", f"./{take}")}
+                }}
+            }}
+        }}"""
+    stage = write_text(
+        folder / "in/shot.usda",
+        f"""#usda 1.0
+        (defaultPrim = "World")
+        def Xform "World" (
+            prepend variantSets = "sim"
+            variants = {{ string sim = "{selected}" }}
+        )
+        {{
+            def Volume "smoke"
+            {{
+                rel field:density = </World/smoke/density>
+                def OpenVDBAsset "density"
+                {{
+                    token fieldName = "density"
+                }}
+            }}
+            variantSet "sim" = {{
+                {variants}
+            }}
+        }}""",
+    )
+    return Shot(folder, stage, make_style(folder / "in/style.png"), folder / "out")
+
+
+def stale(stage: Path) -> list[str]:
+    return [item.message for item in validate(stage) if item.rule == "LookStale"]
+
+
+def test_d11_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    assert stale(result.root_stage) == []
+    own, _ = validate_look(result.root_stage)
+    assert "LookStale" not in {finding.rule for finding in own}
+    takes(tmp_path, "takeA")
+    (message,) = stale(result.root_stage)
+    assert message.startswith("the variant </World>{sim} was takeB when the look was made, and is ")
+    own, _ = validate_look(result.root_stage)
+    words = [finding.message for finding in own if finding.rule == "LookStale"]
+    assert any("takeA/smoke.0001.vdb" in text and "takeB/smoke.0001.vdb" in text for text in words)
+    kinds = {change.kind: change for change in verify(result.look_layer)}
+    assert kinds["stage-variant"].expected == "the variant </World>{sim} takeB"
+    assert kinds["stage-variant"].found == "takeA"
+    assert "timeCodes 1,2" in kinds["stage-files"].found
+    assert main(["validate", "--look-only", str(result.root_stage)]) == 1
+
+
+def test_d11_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    cache = tmp_path / "in/takeB/smoke.0002.vdb"
+    later = 2_000_000_000
+    os.utime(cache, (later, later))
+    assert stale(result.root_stage) == []  # copied again, the same bytes
+    write_vdb(cache, value=0.25)
+    os.utime(cache, (later + 60, later + 60))
+    (message,) = stale(result.root_stage)
+    assert message.startswith("takeB/smoke.0002.vdb has other content, written 2033-05-1")
+    (change,) = [item for item in verify(result.look_layer) if item.kind == "input-edited"]
+    assert "written 2033-05-1" in change.found
+
+
+def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(
+    tmp_path: Path,
+) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    assert result.root_stage is not None
+    shot = write_text(
+        tmp_path / "seq/shot.usda",
+        """#usda 1.0
+        def "set"
+        {
+            def "fx" (
+                references = @../out/shot_look.usda@
+            ) {}
+        }""",
+    )
+    assert stale(shot) == []
+    variants = 'usda@\nvariants = { string sim = "takeA" }'
+    switched = shot.read_text().replace("usda@", variants)
+    (message,) = stale(write_text(tmp_path / "seq/other.usda", switched))
+    assert "{sim} was takeB" in message
+
+
+def test_c_a_flattened_stage_leads_to_the_record(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    flat = tmp_path / "out/flat.usda"
+    Usd.Stage.Open(str(result.root_stage)).Export(str(flat))
+    (found,) = provenance(flat)
+    (own,) = provenance(result.look_layer)
+    assert found.record == own.record
+
+
+def test_c_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Path) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    flat = tmp_path / "elsewhere/flat.usdc"
+    flat.parent.mkdir()
+    Usd.Stage.Open(str(result.root_stage)).Export(str(flat))
+    (own,) = provenance(result.look_layer)
+    for file_path in result.frames:
+        file_path.unlink()
+    (found,) = provenance(flat)
+    record = found.record
+    assert (record.run, record.version, record.created) == (
+        own.record.run, own.record.version, own.record.created,
+    )  # fmt: skip
+    assert [style.name for style in record.styles] == ["style.png"]
+
+
+def test_c_a_package_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run(takes(tmp_path, "takeB"))
+    package = tmp_path / "p.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(result.root_stage), str(package))
+    texts = {finding.rule: finding.message for finding in validate(package)}
+    assert "inside the package p.usdz" in texts["ResultChanged"]
+    assert "Unpack it" in texts["FieldFileMissing"]
+    assert main(["inspect", str(package)]) == 1
+    assert "inside the package" in capsys.readouterr().err
+    (found,) = provenance(package)
+    assert found.record.run == provenance(result.look_layer)[0].record.run
+
+
+def test_versions_of_a_look_stand_beside_one_another_by_folder_and_by_name(tmp_path: Path) -> None:
+    shot = takes(tmp_path, "takeB")
+    layers = []
+    for folder, look in (("look_v001", "v001"), ("look_v002", "v001"), ("look_v002", "v002")):
+        own = dataclasses.replace(shot, output=tmp_path / folder)
+        seed = f"optimize.seed={len(layers)}"
+        layers.append(run(own, f"layer.look={look}", seed).look_layer)
+    assert [path.relative_to(tmp_path).as_posix() for path in layers] == [
+        "look_v001/look_v001.usda", "look_v002/look_v001.usda", "look_v002/look_v002.usda",
+    ]  # fmt: skip
+    assert [verify(path) for path in layers] == [[], [], []]
+    # the next version starts from the source, whichever version the shot shows
+    shown = dataclasses.replace(
+        shot, stage=tmp_path / "look_v002/shot_look_v002.usda", output=tmp_path / "look_v003"
+    )
+    result = run(shown, "layer.look=v003", "optimize.seed=2")
+    assert contents(result.root_stage) == contents(tmp_path / "look_v002/shot_look_v002.usda")
