@@ -201,7 +201,7 @@ def _be_child(action: Callable[[], int], log: Path) -> None:
         os._exit(code)
 
 
-def _run_forked(folder: str, config: Any) -> None:
+def _run_forked(folder: str, config: Any, reader: str) -> None:
     """In the place of ``usdsmoke.vdb.child._run``: a fork a request, not a new interpreter."""
     from usdsmoke.vdb import worker
     from usdsmoke.vdb.child import ChildFailure

@@ -96,7 +96,7 @@ def test_a_difference_is_over_the_whole_picture() -> None:
 
 
 def look(folder: Path, mode: str) -> Path:
-    """The root stage of a look of the frames 2 and 3 of a shot of the frames 1 to 4."""
+    """The root layer of a look of the frames 2 and 3 of a shot of the frames 1 to 4."""
     stage_file = plume_stage(folder / "in", (1, 2, 3, 4))
     (folder / "out").mkdir()
     made = make_look(stage_file, folder / "out", frames="2-3", mode=mode, empty=True)

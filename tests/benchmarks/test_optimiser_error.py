@@ -7,7 +7,8 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from usdsmoke.base.resolve import resolve_config
 
 SETTINGS = {
-    "views": {"pool": 8, "image_size": 24},
+    # a narrow pool: with views all round so few iterations do not converge
+    "views": {"pool": 8, "image_size": 24, "azimuth": 12, "elevation": 6},
     "features": {"layers": ["oriented1", "oriented2", "learned1"]},
     "shape": {"iterations": [30, 32]},
     "colour": {"iterations": [30, 40]},

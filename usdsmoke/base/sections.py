@@ -142,7 +142,7 @@ class OpticsConfig(Section):
         "lights and domes light it, and the look's material scatters as much", ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
-        gt=-1, lt=1)
+        ge=-0.99, le=0.99)
 
 
 class StyleConfig(Section):

@@ -177,7 +177,7 @@ def test_masked_smoke_still_hides_what_is_behind_it(monkeypatch):
     )  # fmt: skip
     back = half_mask().T[..., ::-1]  # seen along -Z
     run_core([masked(back)], config)
-    ((smoke, views, gamma_w, exposure, shown), (view, *_)) = made[0]
+    ((smoke, views, gamma_w, exposure, shown, *_), (view, *_)) = made[0]
     assert len(smoke.ijk) == np.count_nonzero(DENSITY)
     whole = real(smoke, views, gamma_w, exposure)[0]
     assert torch.allclose(

@@ -32,7 +32,7 @@ LIGHT = 1.0 / 0.5 * ALPHA
 
 @pytest.fixture
 def look(tmp_path: Path) -> Path:
-    """The root stage of a look of four frames."""
+    """The root layer of a look of four frames."""
     return look_of_four_frames(tmp_path)
 
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("quick_grids")
 
 @pytest.fixture
 def look(tmp_path: Path) -> Path:
-    """The root stage of a look of four frames."""
+    """The root layer of a look of four frames."""
     return look_of_four_frames(tmp_path)
 
 
@@ -62,7 +62,7 @@ def test_what_is_not_on_the_stage_is_said_with_what_is(look: Path, tmp_path: Pat
         preview(write_text(tmp_path / "no.usda", world("")), target)
     with pytest.raises(StageError, match="made by usdsmoke"):
         preview(tmp_path / "in/shot.usda", target, compare=True)
-    with pytest.raises(VolumeNotFound, match="root stage"):
+    with pytest.raises(VolumeNotFound, match="root layer"):
         preview(look.with_name("look.usda"), target)
     with pytest.raises(StageError, match="no file"):
         preview(tmp_path / "none.usda", target)

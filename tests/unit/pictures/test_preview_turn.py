@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from pxr import Usd
 
 from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames, pixels
 from tests.fixtures.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.core.smoke.tasks import n_sharing
 from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("quick_grids")
 
 @pytest.fixture
 def look(tmp_path: Path) -> Path:
-    """The root stage of a look of four frames; its smoke is a box of 4 x 3 x 2 voxels."""
+    """The root layer of a look of four frames; its smoke is a box of 4 x 3 x 2 voxels."""
     return look_of_four_frames(tmp_path)
 
 
@@ -90,12 +90,12 @@ def test_threads_are_those_asked_for_and_afterwards_as_before(
     count: int, look: Path, tmp_path: Path
 ) -> None:
     seen: list[int] = []
-    before = torch.get_num_threads()
+    before = n_sharing()
     preview(
         look, tmp_path / f"{count}.png", frames="2", width=16, threads=count,
-        progress=lambda done, total: seen.append(torch.get_num_threads()),
+        progress=lambda done, total: seen.append(n_sharing()),
     )  # fmt: skip
-    assert set(seen) == {count} and torch.get_num_threads() == before
+    assert set(seen) == {count} and n_sharing() == before
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,8 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.RUN: ("string", ""),
     schema.STYLE: ("string[]", []),
     schema.SEED: ("int64", 0),
+    schema.ALBEDO: ("float", 0.0),
+    schema.ANISOTROPY: ("float", 0.0),
 }
 
 REQUESTED = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))

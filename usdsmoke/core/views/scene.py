@@ -15,13 +15,14 @@ from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.levels import bounded, ranked
-from usdsmoke.core.smoke.schedule import pool_size
+from usdsmoke.core.smoke.schedule import pool_size, view_ranges
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.visibility import nearest_footprint, visible_part
 
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
+_SIDEWAYS = 45.0  # half a range of azimuth, degrees, from which on smoke is seen from the side
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
@@ -290,5 +291,9 @@ def _pixel_size(
 def _longest_side(
     smoke: ActiveSmoke, views: ViewsConfig, up_axis: str, camera: CameraSource | None
 ) -> float:
-    view = _middle_view(smoke, views, up_axis, 1e-3 * smoke.voxel_size, camera)
-    return max(view.height, view.width) * view.pixel_size
+    """Of the pictures, stage units; views all round see smoke from the side as well."""
+    shown = [_middle_view(smoke, views, up_axis, 1e-3 * smoke.voxel_size, camera)]
+    if camera is None and smoke.thin_axis is None and view_ranges(views)[0] > _SIDEWAYS:
+        aside = views.replace(centre_azimuth=views.centre_azimuth + 90.0)
+        shown.append(_middle_view(smoke, aside, up_axis, 1e-3 * smoke.voxel_size))
+    return max(max(view.height, view.width) * view.pixel_size for view in shown)

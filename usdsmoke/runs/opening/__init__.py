@@ -9,7 +9,15 @@ from usdsmoke.runs.opening.choose import (
     join_run,
     open_run,
     open_run_to_assemble,
+    refuse_result,
 )
 from usdsmoke.runs.opening.growth import find_growth
 
-__all__ = ["find_growth", "frames_again", "join_run", "open_run", "open_run_to_assemble"]
+__all__ = [
+    "find_growth",
+    "frames_again",
+    "join_run",
+    "open_run",
+    "open_run_to_assemble",
+    "refuse_result",
+]

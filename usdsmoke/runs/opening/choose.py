@@ -1,6 +1,6 @@
 """Which run a call belongs to: begun, continued, joined, done again, made longer, or refused."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -276,16 +276,10 @@ def _choose_run(
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
     """
     output, force = job.output, job.request.force
-    published = published_runs(job.targets.look_layer)
-    runs = {run.run_id: run for run in find_runs(output) if run.look == job.config.layer.look}
-    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
+    published, runs, results = _results(job)
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if not identity.is_of(run)]
-    if growth is not None:
-        results -= {growth.earlier.run_id}
-    if results and not force:
-        known = [runs[run_id] for run_id in sorted(results) if run_id in runs]
-        raise _result_in_the_way(output, known, identity)
+    _refuse_result(job, identity, growth)
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
         changes = identity.changes(others[0])
@@ -304,6 +298,27 @@ def _choose_run(
     if growth is not None:  # the machine stays the same too
         return new_run(output, identity.beside(growth.earlier))
     return new_run(output, identity.alone())
+
+
+def refuse_result(job: Job) -> None:
+    """Raise OutputExists where a finished result is in the way of a job; nothing is written."""
+    _refuse_result(job, Identity(job), find_growth(job))
+
+
+def _refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
+    _, runs, results = _results(job)
+    in_the_way = results - ({growth.earlier.run_id} if growth else set())
+    if in_the_way and not job.request.force:
+        known = [runs[run_id] for run_id in sorted(in_the_way) if run_id in runs]
+        raise _result_in_the_way(job.output, known, identity)
+
+
+def _results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
+    """Ids of published runs, the runs of the job's look by id, and ids of finished results."""
+    published = published_runs(job.targets.look_layer)
+    runs = {run.run_id: run for run in find_runs(job.output) if run.look == job.config.layer.look}
+    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
+    return published, runs, results
 
 
 def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:
