@@ -129,6 +129,15 @@ def assert_holds(view: View, positions: np.ndarray, margin: float) -> None:
     assert x.min() < margin + 3 and y.min() < margin + 3  # and not much more room than that
 
 
+def test_smoke_that_is_long_in_depth_has_pictures_of_the_size_asked_for_from_the_side():
+    long = np.diag([1.0, 1.0, 1000.0, 1.0])
+    views = ViewsConfig(image_size=64, pool=8)
+    scene = measure_scene([frame_of(puff(8), index_to_world=long)], views, OpticsConfig(), "Y")
+    pool = frame_views(smoke_of(puff(8), long), views, scene, 0)
+    longest = max(max(view.height, view.width) for view in pool)
+    assert 32 < longest < 96
+
+
 @pytest.mark.parametrize("factor", [1, 2])
 @pytest.mark.parametrize("up_axis", ["Y", "Z"])
 def test_every_view_of_the_pool_just_holds_the_smoke(up_axis, factor):
