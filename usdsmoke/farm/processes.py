@@ -16,9 +16,7 @@ from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeE
 from usdsmoke.base.machine import available_memory_gib, limit_cpus, usable_cpus
 from usdsmoke.farm.tasks import Tasks, divide_run
 from usdsmoke.pipeline import Request, StylizeResult, assemble, stylize
-from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.opening import refuse_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
 SHORT_S = 40.0  # estimated time of a run that one process does
@@ -75,8 +73,6 @@ def stylize_in_processes(
             request.stage, request.style, request.output, request.settings,
             force=request.force, progress=progress, planned=planned,
         )  # fmt: skip
-    if not tasks.redo:
-        refuse_result(prepare_job(tasks.request.with_config(tasks.plan.config), fits=False))
     _check_memory(tasks.plan, n_processes)
     if planned is not None:
         planned(with_jobs(tasks.plan, n_processes))

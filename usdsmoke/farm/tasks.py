@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from usdsmoke.pipeline import Request, plan_request, run_coarse, run_window
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.opening import frames_again
+from usdsmoke.runs.opening import frames_again, refuse_result
 from usdsmoke.runs.progress import RunProgressCallback
 
 
@@ -50,14 +50,19 @@ def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) 
     Args:
         request: what is asked for.
         planned: called once with the plan.
+
+    Raises:
+        OutputExists: a finished result is in the way.
     """
     found = plan_request(request, fits=False)
     if planned is not None:
         planned(found)
     request = request.settled()
+    job = prepare_job(request.with_config(found.config), fits=False)
     if not request.force and found.config.stage.frames:
-        repeated = frames_again(prepare_job(request.with_config(found.config), fits=False))
+        repeated = frames_again(job)
         if repeated is not None:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
+    refuse_result(job)
     return Tasks(request, found)
