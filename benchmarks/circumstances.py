@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-__all__ = ["circumstances"]
+__all__ = ["circumstances", "publish", "table_page"]
 
 # Whose changes would make another table; results and docs would not.
 _CODE = ("usdsmoke", "benchmarks/*.py", "examples", "constraints.txt")
@@ -32,6 +32,28 @@ def circumstances(command: Sequence[str]) -> list[str]:
         f"{memory:.0f} GiB, Python {platform.python_version()}.",
         f"- `{' '.join(words)}`",
     ]
+
+
+def table_page(
+    intro: Sequence[str], columns: Sequence[str], rows: Sequence[str], command: Sequence[str]
+) -> str:
+    """A Markdown page: a title and sentences, a table, and how it was made.
+
+    Args:
+        intro: lines.
+        columns: their names.
+        rows: lines of the table.
+        command: see ``circumstances``.
+    """
+    head = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    return "\n".join([*intro, "", *head, *rows, "", *circumstances(command)]) + "\n"
+
+
+def publish(text: str, file_path: Path | None) -> None:
+    """Print a page, and write it to a file if one is named."""
+    if file_path:
+        file_path.write_text(text, encoding="utf-8")
+    print(text)
 
 
 def _git(*arguments: str) -> str:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.circumstances import circumstances
+from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.equal_judge import find_scenes
 from usdsmoke.base.settings import Config
@@ -145,9 +145,7 @@ def main(arguments: list[str] | None = None) -> int:
                     rows.append(measure_step(frame, style, Config(), step, limit, names))
                     print(_line(rows[-1]), file=sys.stderr, flush=True)
     text = _report(rows, arguments if arguments is not None else sys.argv[1:])
-    if options.report:
-        options.report.write_text(text, encoding="utf-8")
-    print(text)
+    publish(text, options.report)
     return 0
 
 
@@ -160,20 +158,28 @@ def _line(row: Row) -> str:
 
 def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
     within = sum(0.5 <= row.ratio <= 2 for row in rows)
-    lines = [
+    intro = [
         "# The optimiser's rows of the error budget",
         "",
         "*Told* is what the row says: by how much a run four times as long would end lower,",
         "relative to the final loss. *True* is that run, both ends judged over all views of the",
         f"pool. Within a factor of 2: {within} of {len(rows)}.",
-        "",
-        "| scene | style | step | iterations | done | ended | loss | told | true | told / true |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        *map(_line, rows),
-        "",
-        *circumstances(["python -m benchmarks.optimiser_error", *arguments]),
     ]
-    return "\n".join(lines) + "\n"
+    columns = [
+        "scene",
+        "style",
+        "step",
+        "iterations",
+        "done",
+        "ended",
+        "loss",
+        "told",
+        "true",
+        "told / true",
+    ]
+    return table_page(
+        intro, columns, [*map(_line, rows)], ["python -m benchmarks.optimiser_error", *arguments]
+    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.circumstances import circumstances
+from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.equal_judge import find_scenes
 from usdsmoke.base.settings import Config
@@ -132,9 +132,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows.append(measure(frame, style, Config(), way, scene))
             print(_line(rows[-1]), file=sys.stderr, flush=True)
     text = _report(rows, arguments if arguments is not None else sys.argv[1:])
-    if options.report:
-        options.report.write_text(text, encoding="utf-8")
-    print(text)
+    publish(text, options.report)
     return 0
 
 
@@ -143,19 +141,16 @@ def _line(row: Row) -> str:
 
 
 def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
-    lines = [
+    intro = [
         "# Distributions by counting against sorting",
         "",
         "The colour step with the default iterations; its end is judged by sorting along all",
         "directions.",
-        "",
-        "| scene | compared by | CPU s | loss |",
-        "|---|---|---|---|",
-        *map(_line, rows),
-        "",
-        *circumstances(["python -m benchmarks.sliced_ends", *arguments]),
     ]
-    return "\n".join(lines) + "\n"
+    columns = ["scene", "compared by", "CPU s", "loss"]
+    return table_page(
+        intro, columns, [*map(_line, rows)], ["python -m benchmarks.sliced_ends", *arguments]
+    )
 
 
 if __name__ == "__main__":

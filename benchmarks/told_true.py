@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from benchmarks.circumstances import circumstances
+from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.optimiser_error import measure_step
 from benchmarks.raymarch import march_rays
@@ -255,9 +255,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows.append(row)
             print(_line(row), file=sys.stderr, flush=True)
     text = _report(rows, arguments if arguments is not None else sys.argv[1:])
-    if options.report:
-        options.report.write_text(text, encoding="utf-8")
-    print(text)
+    publish(text, options.report)
     return 0
 
 
@@ -274,20 +272,17 @@ def _line(row: Row) -> str:
 
 def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
     known = [row for row in rows if np.isfinite(row.true)]
-    lines = [
+    intro = [
         "# The error budget, told and true",
         "",
         "*Told* is the row of the run's error budget, *true* the error itself. Both are relative.",
         "Below 0.1 % no ratio is given.",
         f"Within a factor of 2: {sum(row.within for row in known)} of {len(known)}.",
-        "",
-        "| scene | row | told | true | told / true | remark |",
-        "|---|---|---|---|---|---|",
-        *map(_line, rows),
-        "",
-        *circumstances(["python -m benchmarks.told_true", *arguments]),
     ]
-    return "\n".join(lines) + "\n"
+    columns = ["scene", "row", "told", "true", "told / true", "remark"]
+    return table_page(
+        intro, columns, [*map(_line, rows)], ["python -m benchmarks.told_true", *arguments]
+    )
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ __all__ = [
     "run_coarse",
     "run_window",
     "stylize",
+    "told_plan",
 ]
 
 _Planned = Callable[[Plan], None]
@@ -68,7 +69,7 @@ def plan(
 
 def plan_request(request: Request, fits: bool = True) -> Plan:
     """``plan`` of a request."""
-    return _told_plan(prepare_job(request, fits))
+    return told_plan(prepare_job(request, fits))
 
 
 def stylize(
@@ -243,11 +244,11 @@ def _prepare(request: Request, planned: _Planned | None) -> Job:
     prepare_torch_environment()
     job = prepare_job(request)
     if planned is not None:
-        planned(_told_plan(job))
+        planned(told_plan(job))
     return job
 
 
-def _told_plan(job: Job) -> Plan:
+def told_plan(job: Job) -> Plan:
     """The plan, with a note where a result is made longer."""
     growth = find_growth(job)
     return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, growth.note))

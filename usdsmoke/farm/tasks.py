@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from usdsmoke.pipeline import Request, plan_request, run_coarse, run_window
+from usdsmoke.pipeline import Request, run_coarse, run_window, told_plan
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.opening import frames_again, refuse_result
@@ -54,15 +54,14 @@ def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) 
     Raises:
         OutputExists: a finished result is in the way.
     """
-    found = plan_request(request, fits=False)
+    job = prepare_job(request, fits=False)
+    found = told_plan(job)
     if planned is not None:
         planned(found)
-    request = request.settled()
-    job = prepare_job(request.with_config(found.config), fits=False)
-    if not request.force and found.config.stage.frames:
+    if not request.force and job.config.stage.frames:
         repeated = frames_again(job)
         if repeated is not None:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
     refuse_result(job)
-    return Tasks(request, found)
+    return Tasks(request.settled(), found)
