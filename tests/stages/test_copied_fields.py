@@ -1,14 +1,16 @@
 """Other fields in the result's files, extents of other frames, and paths as authored (td.md D7, D8,
 D20, F)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from pxr import Usd, UsdVol
 
 from tests.fixtures.grids_fixtures import openvdb
-from tests.fixtures.pipeline_fixtures import Shot, make_shot, run, values_of
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run, values_of
 from tests.fixtures.usd_fixtures import (
     density_prim,
     sequence,
@@ -18,8 +20,12 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.pipeline import plan as make_plan
 from usdsmoke.usd.rules import validate
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -79,6 +85,50 @@ def test_named_fields_alone_are_copied_and_also_where_windows_are_blended(fire: 
         assert np.all(values_of(file_path, "heat") == code)
     rules = {finding.rule for finding in validate(Usd.Stage.Open(str(result.root_stage)))}
     assert not {"MixedFilesPerVolume", "GridMissing", "FieldNameMismatch"} & rules
+
+
+def shifted(fire: Shot, core: FakeCore) -> None:
+    """What the core moves goes one voxel along i."""
+    voxel = read_grids(
+        fire.stage.parent / "cache/heat.0001.vdb", [GridRequest("temperature")], GridsConfig()
+    )[0]
+    matrix = voxel.index_to_world
+    lattice = Lattice(np.array([-4, -4, -4]), (16, 16, 16), matrix)
+    step = torch.tensor(matrix[0, :3], dtype=torch.float32).expand(16, 16, 16, 3).contiguous()
+    core.moved_by = Displacement(step, lattice)
+
+
+@pytest.mark.parametrize("windows", [(), ("windows.size=2", "windows.overlap=1")])
+def test_d8_copied_fields_move_with_the_density_also_where_windows_are_blended(
+    fire: Shot, core: FakeCore, windows: tuple[str, ...]
+) -> None:
+    shifted(fire, core)
+    result = run(fire, "layer.copy_fields=[heat]", *windows)
+    for code, file_path in enumerate(result.frames, 1):
+        source = read_grids(
+            fire.stage.parent / f"cache/heat.{code:04d}.vdb",
+            [GridRequest("temperature")],
+            GridsConfig(),
+        )[0]
+        (heat,) = read_grids(file_path, [GridRequest("heat")], GridsConfig())
+        assert heat.ijk_min == (source.ijk_min[0] + 1, *source.ijk_min[1:])
+        np.testing.assert_allclose(heat.values, source.values, rtol=1e-6)
+    assert any("moved with the density: heat" in text for text in result.plan.needed)
+
+
+def test_copied_fields_stay_where_that_is_asked_for_or_the_density_does(
+    fire: Shot, core: FakeCore
+) -> None:
+    shifted(fire, core)
+    still = run(fire, "layer.copy_fields=[heat]", "layer.move_fields=false", "stage.frames=1")
+    colour = run(
+        replace(fire, output=fire.folder / "colour"), "layer.copy_fields=[heat]",
+        "optimize.steps=[colour]", "stage.frames=1",
+    )  # fmt: skip
+    for result in (still, colour):
+        (heat,) = read_grids(result.frames[0], [GridRequest("heat")], GridsConfig())
+        assert heat.ijk_min == (0, 0, 0)
+        assert any("as they are: heat" in text for text in result.plan.needed)
 
 
 def test_by_default_nothing_is_copied_and_the_plan_names_the_setting(fire: Shot) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from pxr import Ar, Sdf, Tf, Usd
 
 from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
+from usdsmoke.base.naming import RUNS_FOLDER
 from usdsmoke.base.record_format import (
     RECORD_FILE,
     RECORD_FORMAT,
@@ -142,13 +143,13 @@ def _of_grids(path: Path) -> list[FoundRecord]:
     run = str(metadata.get(_OURS + "run", ""))
     if not run:
         return []
-    output = path.parents[2] if len(path.parents) > 2 else path.parent  # OUT/vdb/KEY/NAME.vdb
-    looks = _in_folder(output)
-    looks = [look for look in looks if run in (look.record.run, *look.record.grown_from)]
-    beside = path.with_name(RECORD_FILE)
-    if not looks and beside.is_file() and (found := _of_run(beside)).record.run == run:
-        return [found]
-    return looks or [FoundRecord(path, path.parent, known=_of_metadata(path, metadata))]
+    for output in path.parents:  # OUT/vdb/KEY/NAME.vdb, or as layer.files puts it
+        looks = _in_folder(output) if any(output.glob("look*.usd[ac]")) else []
+        records = map(_of_run, sorted(output.glob(f"{RUNS_FOLDER}/*/{RECORD_FILE}")))
+        for found in (looks, records):
+            if ours := [r for r in found if run in (r.record.run, *r.record.grown_from)]:
+                return ours
+    return [FoundRecord(path, path.parent, known=_of_metadata(path, metadata))]
 
 
 def _of_metadata(path: Path, metadata: Mapping[str, Any]) -> RunRecord:

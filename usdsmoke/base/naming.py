@@ -3,10 +3,10 @@
 import math
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from usdsmoke.base.errors import LayerError
+from usdsmoke.base.errors import ConfigError, LayerError
 
 # Relationship, field prim and grid of one field have the same name: renderers differ in which of
 # them they look up.
@@ -18,9 +18,12 @@ DEFAULT_LOOK = "stylized"  # the look whose name is not part of its files' names
 VARIANT_SET = "look"  # of an asset: ORIGINAL, and the names of its looks
 RUN_RECORD = "run.json"  # in the folder of a run, OUT/vdb/KEY
 ORIGINAL = "original"  # the variant without a look
+RUNS_FOLDER = "vdb"  # of the output folder: holds a folder for each run
 ASSET_SOURCE = "usdsmokeAssetSource"  # in an asset's customLayerData: its source, relative
 
 _DECIMALS = 6  # most decimals of a fractional timeCode
+_FIELD = re.compile(r"\{(\w*)(?::([^{}]*))?\}")  # of a template: name and format
+_WIDTH = re.compile(r"0?[1-9]d")
 
 
 def channel_names(name: str) -> tuple[str, str, str]:
@@ -104,21 +107,80 @@ def frame_file_names(
     Raises:
         LayerError: two timeCodes are so close that their names would be the same.
     """
+    return tuple(f"{stem}.{number}{suffix}" for number in _frame_numbers(stem, time_codes))
+
+
+def _frame_numbers(stem: str, time_codes: Sequence[float], least: int = 4) -> list[str]:
+    """A number for each timeCode, padded to one width of at least ``least`` whole digits."""
     decimals = 0
     while decimals < _DECIMALS and not _is_exact(time_codes, decimals):
         decimals += 1
     digits = max((len(str(abs(math.trunc(code)))) for code in time_codes), default=0)
-    width = max(4, digits) + (decimals + 1 if decimals else 0)
-    names = []
-    for code in time_codes:
-        sign = "-" if code < 0 else ""
-        names.append(f"{stem}.{sign}{abs(code):0{width}.{decimals}f}{suffix}")
-    if len(set(names)) < len(names):
+    width = max(least, digits) + (decimals + 1 if decimals else 0)
+    numbers = [f"{'-' if code < 0 else ''}{abs(code):0{width}.{decimals}f}" for code in time_codes]
+    if len(set(numbers)) < len(numbers):
         raise LayerError(
             f"two timeCodes of {stem} differ by less than 1e-{_DECIMALS}, so their files would "
             "share a name. Select other frames."
         )
-    return tuple(names)
+    return numbers
+
+
+def frame_places(
+    template: str, names: Mapping[str, str], time_codes: Sequence[float]
+) -> dict[float, str]:
+    """The path that ``layer.files`` gives each frame's file in the output folder, by timeCode.
+
+    >>> frame_places("{look}/{name}.{frame:03d}.vdb", {"look": "ember", "name": "fog"}, [7])
+    {7: 'ember/fog.007.vdb'}
+
+    Args:
+        template: relative, with ``/`` between folders; its fields are ``{frame}``, with a width
+            such as ``{frame:04d}``, and those of ``names``. "" gives no paths.
+        names: text by field; letters, digits, ``_``, ``-`` and ``.`` only.
+
+    Raises:
+        ConfigError: a field is unknown, there is no ``{frame}``, or the path is none of a VDB file
+            inside the output folder.
+        LayerError: two timeCodes are too close for names of their own.
+    """
+    if not template:
+        return {}
+    parts = _FIELD.split(template)
+    literal, fields, formats = "".join(parts[::3]), parts[1::3], parts[2::3]
+    known = [f"{{{name}}}" for name in (*names, "frame")]
+    for field, form in zip(fields, formats, strict=True):
+        if f"{{{field}}}" not in known:
+            raise _wrong_template(template, f"the field {{{field}}}", f"Use {', '.join(known)}")
+        if form and (field != "frame" or not _WIDTH.fullmatch(form)):
+            what = f"the format {form!r} of {{{field}}}"
+            raise _wrong_template(template, what, "Only {frame} has one, such as {frame:04d}")
+    if strange := re.sub(r"[\w./-]", "", literal):
+        raise _wrong_template(template, repr(strange), "Use letters, digits, _ - . and / alone")
+    if "frame" not in fields:
+        raise _wrong_template(template, "no {frame}", "Each frame needs a file of its own")
+    if not template.endswith(".vdb"):
+        raise _wrong_template(template, "no suffix .vdb", "Add it")
+    width = max((int(form[:-1]) for form in formats if form), default=1)
+    places = {}
+    for code, number in zip(time_codes, _frame_numbers(template, time_codes, width), strict=True):
+        values = {**names, "frame": number}
+        places[code] = "".join(
+            values[part] if place % 3 == 1 else part
+            for place, part in enumerate(parts)
+            if place % 3 < 2
+        )
+    folders = next(iter(places.values()), "").split("/")
+    for folder in folders:
+        if not folder or folder.startswith("."):
+            raise _wrong_template(template, f"the part {folder!r}", "Give a path inside the output")
+    if folders[0].casefold() == RUNS_FOLDER:
+        raise _wrong_template(template, f"the folder {RUNS_FOLDER}", "That one holds the runs")
+    return places
+
+
+def _wrong_template(template: str, found: str, advice: str) -> ConfigError:
+    return ConfigError(f"layer.files is {template!r}, with {found}. {advice}.")
 
 
 def _clean(text: str) -> str:
@@ -131,7 +193,7 @@ def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
 
 def run_record_files(output: Path) -> Iterator[Path]:
     """The records of the runs in an output folder, finished or not, sorted by name."""
-    yield from sorted(output.glob(f"vdb/*/{RUN_RECORD}"))
+    yield from sorted(output.glob(f"{RUNS_FOLDER}/*/{RUN_RECORD}"))
 
 
 def relative_asset_path(file_path: str | Path, folder: Path) -> str:

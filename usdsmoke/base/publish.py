@@ -10,6 +10,7 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -119,6 +120,26 @@ def _link(temporary: Path, target: Path) -> bool:
             raise
         os.replace(temporary, target)
     return True
+
+
+def share_file(source: Path, target: Path) -> None:
+    """One file in two folders, for files that are replaced and never written to.
+
+    Where the file system has no hard links it is copied. An old ``target`` is replaced.
+
+    Raises:
+        WriteFailed: the operating system refused.
+    """
+    make_folders(target.parent)
+
+    def link(temporary: Path) -> None:
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)
+
+    if not (target.exists() and source.samefile(target)):
+        publish_file(target, link)
 
 
 def make_folders(folder: Path) -> list[Path]:

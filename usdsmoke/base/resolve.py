@@ -240,6 +240,8 @@ def _read_text(text: str, source: str) -> tuple[str, Any]:
     try:
         return name, _read_yaml(value)
     except (ValueError, yaml.YAMLError):
+        if type_text(declared_settings()[name]) == "a string":  # such as {name}.{frame}.vdb
+            return name, value.strip()
         raise ConfigError(
             f"cannot read the value of {name} ({value!r:.99}). "
             'Write it as YAML: 3, true, [1, 2] or "text".'

@@ -283,14 +283,20 @@ class LayerConfig(Section):
     name: str = setting(
         "", "stem of the VDB files; empty: the Volume prim's name",
         pattern=r"(?!\.)[\w.-]*", form="letters, digits, _ - . only, not starting with a dot")
+    files: str = setting(
+        "", "path of each frame's VDB file in the output folder, such as "
+        "{prim}/{look}/{name}.{frame:04d}.vdb; empty: vdb/KEY/NAME.####.vdb, where KEY is the "
+        "run's")
     format: Literal["usda", "usdc"] = setting("usda", "file format of the look layer")
     copy_velocity: bool | None = setting(
         None, "write the velocity into the result's files; unset: only if the Volume has a "
         "velocity field")
     copy_fields: list[str] = setting(
         [], "other fields of the Volume, and grids beside its density, that are written into the "
-        "result's files as they are: their names, or all; they do not move with the density; "
-        "empty: none", distinct=True)
+        "result's files: their names, or all; empty: none", distinct=True)
+    move_fields: bool = setting(
+        True, "copied fields move with the density; false: they stay where they are. The velocity "
+        "of layer.copy_velocity stays")
     emission_mode: Literal["absolute", "perDensity"] = setting(
         "absolute", "meaning of the emission field: radiance per stage unit (absolute), or the "
         "same divided by density (perDensity), for renderers that multiply emission by density")

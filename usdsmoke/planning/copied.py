@@ -1,4 +1,4 @@
-"""Other fields and grids of a Volume that go into the result's files as they are."""
+"""Other fields and grids of a Volume that go into the result's files."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

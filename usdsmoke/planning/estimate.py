@@ -74,7 +74,8 @@ class FrameSize:
     active_voxels: int
     box: tuple[int, int, int]  # voxels along i, j, k; (0, 0, 0) when empty
     window_start: bool = True  # False: it starts from its neighbour's result
-    n_copied: int = 0  # values per voxel that are copied to the result: the velocity's 3, or 0
+    n_copied: int = 0  # values per voxel that are copied to the result: the velocity's 3, others'
+    n_moved: int = 0  # of these, those that move with the density
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
@@ -135,7 +136,7 @@ def written_bytes(
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     return (
         sum(_frame_bytes(frame, config) for frame in frames)
-        + sum(_frame_bytes(replace(frame, n_copied=0), plain) for frame in parts)
+        + sum(_frame_bytes(replace(frame, n_copied=frame.n_moved), plain) for frame in parts)
         + sum(round(finest**3 * sum(_refined(f, config)) * COARSE_BYTES) for f in coarse)
     )
 

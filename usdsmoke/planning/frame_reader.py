@@ -52,18 +52,27 @@ class FrameReader:
         """Give up the disk space of frames; files that ``needed`` ones are read from stay."""
         self._store.release(_files(frames) - _files(needed))
 
-    def read_copied(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
-        """The grids that are copied to a frame's result; velocity, then others.
+    def read_velocity_copy(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
+        """The velocity's grids that are copied to a frame's result; none where it is not.
 
         Raises:
             GridError: see ``read_velocity_grids``.
         """
-        found, read = [], self._store.read
-        if frame.copied is not None:
-            density = frame.source.fields[volume.source.density]
-            found = read_velocity_grids(frame.copied, density, volume.config, read)
+        if frame.copied is None:
+            return []
+        density = frame.source.fields[volume.source.density]
+        return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
+
+    def read_others(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
+        """The other grids that are copied to a frame's result, as they are in the source.
+
+        Raises:
+            GridError: a file or grid cannot be used.
+        """
+        found = []
         for grid in frame.others:
-            (field,) = read(grid.field.file_path, [grid.request], volume.config.grids)
+            files, limits = grid.field.file_path, volume.config.grids
+            (field,) = self._store.read(files, [grid.request], limits)
             found.append(dataclasses.replace(field, name=grid.name))
         return found
 

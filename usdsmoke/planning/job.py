@@ -165,7 +165,8 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     plan = _plan(source, config, resolved, earlier)
     targets = look_files(source, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
-    written = [*targets.written, *_sheets(plan, output)]
+    placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]
+    written = [*targets.written, *_sheets(plan, output), *(placed if config.layer.files else ())]
     inputs = [*files, *(Path(file_path) for file_path in earlier.layers)]
     check_output_folder(output, config.layer.look, inputs, written)
     if fits:  # of a run that has begun, ``OpenRun.check_disk`` looks at the rest

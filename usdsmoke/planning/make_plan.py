@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from usdsmoke.base.errors import GridError, PlanError
+from usdsmoke.base.errors import ConfigError, GridError, PlanError
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
-from usdsmoke.base.naming import frame_file_names, volume_stems
+from usdsmoke.base.naming import frame_file_names, frame_places, volume_stems
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
@@ -50,10 +50,12 @@ def make_plan(
 
     Raises:
         GridError: a density, or the named velocity or mask, cannot be used.
-        ConfigError: a frame's controls are out of range, or not one weight for each style.
+        ConfigError: a frame's controls are out of range, or not one weight for each style; or
+            ``layer.files`` does not give each frame a path of its own.
         LayerError: two timeCodes are too close for file names of their own.
     """
-    stems = volume_stems([volume.prim_path for volume in source.volumes], config.layer.name)
+    paths = [volume.prim_path for volume in source.volumes]
+    stems = volume_stems(paths, config.layer.name)
     if settings is None:
         settings = [VolumeSettings(config, (0,))] * len(stems)
     headers: dict[str, FileHeader] = {}
@@ -67,6 +69,7 @@ def make_plan(
                 raise
             raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
         volumes.append(planned)
+    volumes = _with_places(volumes, volume_stems(paths), config)
     return Plan(
         source=source,
         config=config,
@@ -76,6 +79,30 @@ def make_plan(
         estimate=add_estimates([_estimate(planned) for planned in volumes]),
         notes=list_remarks(volumes),
     )
+
+
+def _with_places(
+    volumes: Sequence[VolumePlan], prims: Sequence[str], config: Config
+) -> list[VolumePlan]:
+    """The Volumes with the paths that ``layer.files`` gives their frames.
+
+    Args:
+        prims: a name for each Volume, whatever ``layer.name`` is.
+    """
+    placed, owners = [], dict[str, str]()
+    for volume, prim in zip(volumes, prims, strict=True):
+        names = {"prim": prim, "look": config.layer.look, "name": volume.stem}
+        codes = list(result_file_names(volume.source, volume.stem))
+        places = frame_places(config.layer.files, names, codes)
+        for place in places.values():
+            other = owners.setdefault(place.casefold(), volume.source.prim_path)
+            if other != volume.source.prim_path:
+                raise ConfigError(
+                    f"layer.files gives <{other}> and <{volume.source.prim_path}> the same file "
+                    f"{place}. Put {{prim}} or {{name}} into it."
+                )
+        placed.append(replace(volume, places=places))
+    return placed
 
 
 def _estimate(volume: VolumePlan) -> CostEstimate:
@@ -180,14 +207,20 @@ def _plan_volume(
     runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
     cuts = find_cuts(time_codes, frame_length)
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
-    planned = tuple(_with_copies(frame, grids) for frame, grids in zip(frames, copies, strict=True))
-    return VolumePlan(volume, stem, planned, windows, config, own.styles, runs, cuts, reasons)
+    planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
+    frames = [
+        _with_copies(frame, grids, planned.moves_fields)
+        for frame, grids in zip(frames, copies, strict=True)
+    ]
+    return replace(planned, frames=tuple(frames))
 
 
-def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...]) -> FramePlan:
+def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:
     """The frame with other grids that are copied into its file."""
-    n_copied = frame.size.n_copied + sum(grid.components for grid in grids)
-    return replace(frame, others=grids, size=replace(frame.size, n_copied=n_copied))
+    n_others = sum(grid.components for grid in grids)
+    n_copied = frame.size.n_copied + n_others
+    size = replace(frame.size, n_copied=n_copied, n_moved=n_others if are_moved else 0)
+    return replace(frame, others=grids, size=size)
 
 
 def _plan_frame(

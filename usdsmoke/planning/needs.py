@@ -42,8 +42,10 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
         needed.append(
             f"velocity copied into {count_text(n_copied, 'file')}, so that each frame is one file"
         )
-    if copied := sorted({grid.name for frame in _frames(volumes) for grid in frame.others}):
-        needed.append(f"copied as they are: {', '.join(copied)}")
+    for moves, how in ((True, "moved with the density"), (False, "as they are")):
+        chosen = [volume for volume in volumes if volume.moves_fields == moves]
+        if copied := sorted({grid.name for frame in _frames(chosen) for grid in frame.others}):
+            needed.append(f"copied {how}: {', '.join(copied)}")
     # Computed.
     groups = _by_config(volumes)
     for own, members in groups:

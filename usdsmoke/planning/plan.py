@@ -57,6 +57,9 @@ class VolumePlan:
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes that share a coarse step
     cuts: tuple[tuple[float, float], ...] = ()  # pairs of timeCodes with a cut between them
     not_copied: Mapping[str, str] = field(default_factory=dict)  # fields by name: why not
+    # By timeCode, selected or not: where a frame's file goes in the output folder (layer.files);
+    # empty: files stay in the run's folder.
+    places: Mapping[float, str] = field(default_factory=dict)
 
     @property
     def request_text(self) -> str:
@@ -65,6 +68,15 @@ class VolumePlan:
         names = sorted(f"{section}.{key}" for section, v in request.settings.items() for key in v)
         found = [*(["style images"] if request.styles else []), *names]
         return f"the request of <{self.source.prim_path}>: {', '.join(found)}" if found else ""
+
+    @property
+    def moves_fields(self) -> bool:
+        """Whether copied fields move with the density."""
+        return self.config.layer.move_fields and "shape" in self.config.optimize.steps
+
+    def file_of(self, frame: FramePlan) -> str:
+        """The frame's file, relative to the output folder; without ``layer.files`` the run's."""
+        return self.places.get(frame.source.time_code, frame.file_name)
 
     @property
     def coarse_frames(self) -> tuple[FramePlan, ...]:
@@ -195,5 +207,5 @@ def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
         "velocity": [grid.label for grid in frame.velocity.grids] if frame.velocity else [],
         "mask": frame.mask.grid.label if frame.mask else "",
         "empty": frame.is_empty,
-        "output_file": frame.file_name,
+        "output_file": volume.file_of(frame),
     }

@@ -13,6 +13,7 @@ The files are imported by name, because most of them load OpenUSD.
 - ``window``: frames are checked, stylized and written, window by window
 - ``outputs``: one frame's grids, file and entry in the manifest; a Volume's frames for the layer
 - ``assemble``: frames of two windows are blended, the look layer is written
+- ``delivery``: finished frames under the paths of ``layer.files``
 - ``provenance_record``: the record of a finished run, and the metadata of a frame's file
 - ``sheet``: contact sheets
 - ``progress``: how far a run is, as a record

@@ -11,7 +11,6 @@ from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.base.volume import DenseField
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.materials import hidden_look_warnings
@@ -24,6 +23,7 @@ from usdsmoke.runs.budget import (
     run_budget,
     run_seconds,
 )
+from usdsmoke.runs.delivery import deliver_frames, result_file
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import (
@@ -38,7 +38,7 @@ from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
 from usdsmoke.usd import late_note
 from usdsmoke.usd.look import author_look, published_runs, result_hashes
-from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
+from usdsmoke.vdb.blend import blend_fields, blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 
@@ -134,7 +134,8 @@ def assemble_run(opened: OpenRun, tell: RunProgressCallback, clock: PartClock) -
 def _assemble(
     opened: OpenRun, windows: Sequence[WindowRecord], tell: RunProgressCallback
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """All of it but the run's record: the layers' files, and what went wrong with the sheets."""
+    """All of it but the run's record: the files outside its folder, and what went wrong with the
+    sheets."""
     job, run = opened.job, opened.run
     _collect_frames(opened, windows, tell)
     volumes = [
@@ -145,11 +146,12 @@ def _assemble(
     record = make_record(job, run, windows, result_hashes(volumes, run.output))
     keep_record(run, record)
     source, layer = job.plan.source, job.config.layer
+    delivered = deliver_frames(run, job.plan)
     files = author_look(job.stage, source, volumes, job.output, layer, record, job.earlier)
     failures = _draw_sheets(opened, tell)
     run.request = describe_request(job)  # the mode may be another one than it was begun with
     run.remove_locks()  # before the record says that nothing is left to do
-    return files.written, failures
+    return (*files.written, *delivered), failures
 
 
 def is_whole(opened: OpenRun) -> bool:
@@ -169,12 +171,15 @@ def is_whole(opened: OpenRun) -> bool:
 def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult:
     """What is in the output folder when a run is complete."""
     job, run = opened.job, opened.run
-    names = [frame.file_name for volume in job.plan.volumes for frame in volume.frames]
     budget, reports = ErrorBudget.from_json(run.error_budget), run.reports.values()
     return StylizeResult(
         root_stage=job.targets.root_stage,
         look_layer=job.targets.look_layer,
-        frames=tuple(run.folder / name for name in names),
+        frames=tuple(
+            result_file(run, volume, frame)
+            for volume in job.plan.volumes
+            for frame in volume.frames
+        ),
         contact_sheets=tuple(sheet for sheet in job.sheets if sheet.is_file()),
         plan=job.plan,
         warnings=(
@@ -236,16 +241,29 @@ def _versions(plan: Plan, run: Run, windows: Sequence[WindowRecord]) -> dict[str
 def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
     """Write the blend of both versions of a frame; its record."""
     volume, frame, config = pair.volume, pair.frame, pair.volume.config
-    tail, head = (_read_part(run, pair, window) for window in (pair.tail, pair.head))
-    names = ("density", "emission")
+    names = _smoke_names(volume)
+    n, moved = len(names), [grid.name for grid in frame.others if volume.moves_fields]
+    versions = [
+        read_grids(
+            run.folder / pair.part_of(window),
+            [GridRequest(name) for name in (*names, *moved)],
+            config.grids,
+        )
+        for window in (pair.tail, pair.head)
+    ]
+    tail, head = versions[0][:n], versions[1][:n]
     difference = {
         name: relative_difference(one, other)
-        for name, one, other in zip(names, tail, head, strict=False)
+        for name, one, other in zip(("density", "emission"), tail, head, strict=False)
     }
     blended = blend_frames(tail, head, pair.weight)
     gamma_w = pair.reports[1].extinction
     gamma_w = pair.gamma_w if gamma_w is None else gamma_w
-    copied, report = reader.read_copied(volume, frame), _blended_report(pair, difference)
+    others = reader.read_others(volume, frame)
+    if volume.moves_fields:
+        others = blend_fields(versions[0][n:], versions[1][n:], pair.weight)
+    copied, report = reader.read_velocity_copy(volume, frame), _blended_report(pair, difference)
+    copied += others
     fields, report = result_fields(blended, copied, report, gamma_w, config)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
     metadata = frame_metadata(run, volume, frame, hashes)
@@ -266,14 +284,10 @@ def _blended_report(pair: _Versions, difference: Mapping[str, float]) -> FrameRe
     return replace(later, temporal=temporal, overlap=overlap)
 
 
-def _read_part(run: Run, pair: _Versions, window: WindowRecord) -> list[DenseField]:
-    """Density and, after a colour step, emission of one version."""
-    names = [pair.volume.source.density]
-    config = pair.volume.config
-    if "colour" in config.optimize.steps:
-        names.append(EMISSION)
-    part = run.folder / pair.part_of(window)
-    return read_grids(part, [GridRequest(name) for name in names], config.grids)
+def _smoke_names(volume: VolumePlan) -> list[str]:
+    """The grids of density and, after a colour step, emission."""
+    has_colour = "colour" in volume.config.optimize.steps
+    return [volume.source.density, *([EMISSION] if has_colour else [])]
 
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:

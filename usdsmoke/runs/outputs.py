@@ -18,6 +18,7 @@ from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
+from usdsmoke.runs.delivery import result_file
 from usdsmoke.runs.manifests import part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.provenance_record import frame_metadata
@@ -42,7 +43,7 @@ def result_fields(
 
     Args:
         fields: density and, after a colour step, emission.
-        copied: grids that are written beside them as they are.
+        copied: grids that are written beside them as they are given.
         gamma_w: extinction per density, 1/stage unit.
 
     Returns:
@@ -70,8 +71,8 @@ def write_result(
     """Write what one window made of a frame.
 
     A version that is to be blended with another is a part: it keeps all of its voxels, in 32-bit
-    floats, and nothing is copied into it. The density's grid has the name of its relationship: some
-    renderers look for the one name, some for the other.
+    floats, and of what is copied it holds only what moves with the density. The density's grid has
+    the name of its relationship: some renderers look for the one name, some for the other.
 
     Returns:
         The file, relative to the run's folder, and JSON values that describe it; see
@@ -79,7 +80,7 @@ def write_result(
 
     Raises:
         WriteFailed: the operating system refused, or the file came back different.
-        GridError: a velocity to be copied cannot be read.
+        GridError: a field to be copied cannot be read.
     """
     run, volume, config = opened.run, task.volume, task.volume.config
     is_part, report = task.is_part(frame), stylized.report
@@ -87,11 +88,16 @@ def write_result(
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
     if stylized.emission is not None:
         fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
-    if not is_part:
+    others = []
+    if volume.moves_fields or not is_part:
+        others = _moved(opened.reader.read_others(volume, frame), volume, frame, stylized)
+    if is_part:
+        fields += others
+    else:
         gamma_w = report.extinction
         if gamma_w is None:  # then the scene's
             gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
-        copied = opened.reader.read_copied(volume, frame)
+        copied = [*opened.reader.read_velocity_copy(volume, frame), *others]
         fields, report = result_fields(fields, copied, report, gamma_w, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
@@ -100,6 +106,18 @@ def write_result(
     record = manifest_entry(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)
     return name, {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
+
+
+def _moved(
+    others: list[DenseField], volume: VolumePlan, frame: FramePlan, stylized: "StylizedFrame"
+) -> list[DenseField]:
+    """Copied fields as they go with the density."""
+    if not volume.moves_fields or stylized.moved_by is None:
+        return others
+    from usdsmoke.core.steps.move import move_field
+
+    place = frame.source.fields[volume.source.density].field_to_stage  # copies stand there too
+    return [move_field(field, place, stylized.moved_by) for field in others]
 
 
 def manifest_entry(
@@ -145,7 +163,7 @@ def collect_volume(
         written.append(
             WrittenFrame(
                 time_code=frame.source.time_code,
-                file_path=str(run.folder / frame.file_name),
+                file_path=str(result_file(run, volume, frame)),
                 content_hash=record["content_hash"],
                 extent_min=_triple(record["extent_min"]),
                 extent_max=_triple(record["extent_max"]),
@@ -200,8 +218,9 @@ def _write_empty(run: Run, volume: VolumePlan, config: Config) -> tuple[str, str
     matrix = volume.frames[0].grid.index_to_world
     colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config.layer)
     metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
-    target = run.folder / name
-    content_hash = write_frame(target, colours, metadata, config.grids.half, config.grids)
+    half = config.grids.half
+    content_hash = write_frame(run.folder / name, colours, metadata, half, config.grids)
+    target = run.output / volume.places[rest[0]] if volume.places else run.folder / name
     return str(target), content_hash
 
 

@@ -24,6 +24,7 @@ from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import step_seconds, summarize_figures
+from usdsmoke.runs.delivery import result_file
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import machine_record
@@ -127,7 +128,7 @@ def _frame_record(run: Run, volume: VolumePlan, frame: FramePlan) -> FrameRecord
         SourceGrid(name, relative_asset_path(path, run.output), label, hashes.get(name, ""))
         for name, path, label in _sources(volume, frame)
     )
-    place = relative_asset_path(run.folder / frame.file_name, run.output)
+    place = relative_asset_path(result_file(run, volume, frame), run.output)
     return FrameRecord(place, volume.source.prim_path, frame.source.time_code, sources)
 
 

@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.locks import hold_file
-from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, run_record_files
+from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, RUNS_FOLDER, run_record_files
 from usdsmoke.base.publish import (
     make_folders,
     publish_file,
@@ -157,8 +157,11 @@ class Run:
             if run.look == self.look:
                 for name in set(run.files) - set(self.files) - kept:
                     (self.output / name).unlink(missing_ok=True)
+                    above = [f for f in (self.output / name).parents if self.output in f.parents]
+                    remove_empty(above)
                 run.remove()
-        remove_leftovers(self.output, of=self.files)
+        for folder in {(self.output / name).parent for name in self.files}:
+            remove_leftovers(folder, of=self.files)
         self.tidy(alone)
         if (self.folder / _SCENES).exists():
             self.save()  # scenes and all
@@ -289,9 +292,9 @@ def find_runs(output: Path) -> Iterator[Run]:
 def new_run(output: Path, description: Mapping[str, Any]) -> Run:
     """A run that has not begun, in a folder of its own."""
     key = _digest(description)[:_KEY_LENGTH]
-    folder, number = output / "vdb" / key, 2
+    folder, number = output / RUNS_FOLDER / key, 2
     while (folder / RUN_RECORD).exists():  # a result with the same key is being replaced
-        folder, number = output / "vdb" / f"{key}-{number}", number + 1
+        folder, number = output / RUNS_FOLDER / f"{key}-{number}", number + 1
     return Run(folder, description)
 
 

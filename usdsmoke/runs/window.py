@@ -102,7 +102,9 @@ def _frames_to_assemble(plan: Plan) -> Iterator[FramePlan]:
     """Sources that are read after the windows: for contact sheets, and beside blended frames."""
     for volume in plan.volumes:
         yield from sample_frames(volume)
-        yield from (f for f in volume.overlap_frames if f.copied is not None or f.others)
+        for frame in volume.overlap_frames:
+            if frame.copied is not None or (frame.others and not volume.moves_fields):
+                yield frame
 
 
 def _never_back(tell: RunProgressCallback) -> RunProgressCallback:

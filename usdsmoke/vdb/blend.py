@@ -46,10 +46,15 @@ def blend_frames(
             f"two versions of a frame have {len(tail)} and {len(head)} grids. Run both windows "
             "again."
         )
-    density, *others = [
-        _blend_field(one, other, weight) for one, other in zip(tail, head, strict=True)
-    ]
+    density, *others = blend_fields(tail, head, weight)
     return [density, *(_where_smoke_is(density, emission) for emission in others)]
+
+
+def blend_fields(
+    tail: Sequence[DenseField], head: Sequence[DenseField], weight: float
+) -> list[DenseField]:
+    """Fields of two versions of a frame, each blended by itself; see ``blend_frames``."""
+    return [_blend_field(one, other, weight) for one, other in zip(tail, head, strict=True)]
 
 
 def relative_difference(tail: DenseField, head: DenseField) -> float:

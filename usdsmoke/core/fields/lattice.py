@@ -131,7 +131,8 @@ def grow(mask: Tensor) -> Tensor:
 
 def field_from_box(like: DenseField, values: np.ndarray, ijk_min: np.ndarray) -> DenseField:
     """A field with another box of values, trimmed to what differs from the background."""
-    filled = np.argwhere(values != like.background)
+    differs = values != np.asarray(like.background, np.float32)
+    filled = np.argwhere(differs.any(-1) if differs.ndim == 4 else differs)
     if len(filled):
         first, last = filled.min(0), filled.max(0)
         values = values[tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))]

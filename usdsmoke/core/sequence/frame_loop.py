@@ -187,8 +187,9 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
     estimated = transport.error.seconds if transport.error is not None else 0.0
     report = report.with_transport_time(time.perf_counter() - started - estimated)
     return advance(
-        frame, MovedFrame, displacement=displacement, density=density, smoke=smoke, report=report
-    )
+        frame, MovedFrame, displacement=displacement, moved_by=own, density=density, smoke=smoke,
+        report=report,
+    )  # fmt: skip
 
 
 # paint

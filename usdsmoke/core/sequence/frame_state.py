@@ -144,6 +144,7 @@ class MovedFrame(ShapedFrame):
     """Its density and smoke are moved."""
 
     displacement: Displacement | None = None  # clamped, at full strength
+    moved_by: Displacement | None = None  # the same at the frame's own strength; None: not at all
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from torch import Tensor
 from usdsmoke.base.frame_report import FrameReport, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.error_estimates import frame_errors
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
@@ -26,6 +27,7 @@ class StylizedFrame:
     density: DenseField
     emission: DenseField | None  # None without a colour step
     report: FrameReport = field(default_factory=FrameReport)
+    moved_by: Displacement | None = None  # what moved the density; None where it stays
 
 
 def stylize_window(
@@ -78,7 +80,7 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
                 strength = strength * frame.mask.at(frame.painted.positions)
             _emit(emission, frame.painted, frame.colours, frame.scene, strength)
     report = replace(frame.report, errors=frame_errors(frame))
-    return StylizedFrame(frame.time_code, frame.density, emission, report)
+    return StylizedFrame(frame.time_code, frame.density, emission, report, frame.moved_by)
 
 
 def _empty_emission(density: DenseField) -> DenseField:

@@ -150,6 +150,41 @@ def move_density(
     return field_from_box(density, values, low), report
 
 
+def move_field(
+    field: DenseField, field_to_stage: np.ndarray, displacement: Displacement | None
+) -> DenseField:
+    """Another field, such as a temperature, moved as the density was, on its own grid.
+
+    Values are carried, not mass. The linear scheme keeps their range and the background's voxels;
+    where nothing moves the bits stay.
+
+    Args:
+        field: [I J K] or [I J K 3], whose numbers do not turn with the motion.
+        field_to_stage: [4 4] its grid world to stage space.
+        displacement: what the density was moved by; None moves nothing.
+    """
+    if displacement is None or field.is_empty or not bool(displacement.values.any()):
+        return field
+    to_stage = field.index_to_world @ field_to_stage
+    sides = np.linalg.norm(to_stage[:3, :3], axis=1)
+    reach = float(displacement.values.norm(dim=-1).max()) / sides
+    shape = np.array(field.values.shape[:3])
+    margin = np.where(shape > 1, np.ceil(reach).astype(int) + 1, 0)
+    low, components = np.asarray(field.ijk_min) - margin, field.values.shape[3:]
+    background = np.asarray(field.background, np.float32)
+    values = np.broadcast_to(background, (*(shape + 2 * margin), *components)).copy()
+    values[_slices(margin, field.values.shape[:3])] = field.values
+    lengths = values.shape[:3]
+    lattice = Lattice(low, (lengths[0], lengths[1], lengths[2]), to_stage)
+    u = displacement.on(lattice)
+    u /= u.new_tensor(lattice.spacing)
+    excess = torch.as_tensor(values - background).to(u)
+    moved = warp(excess, u).cpu().numpy() + background
+    rests = (u == 0).all(dim=-1).cpu().numpy()
+    moved[rests] = values[rests]
+    return field_from_box(field, moved, low)
+
+
 def _scheme_errors(
     box: Tensor, u: Tensor, moved: Tensor, scheme: Scheme
 ) -> tuple[float | None, Estimate]:

@@ -11,6 +11,7 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
 from usdsmoke.runs.changes import Changes
+from usdsmoke.runs.delivery import check_delivery
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.opening.growth import Growth, find_growth, take_over
@@ -274,8 +275,10 @@ def _choose_run(
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
+        LayerError: see ``check_delivery``.
     """
     output, force = job.output, job.request.force
+    check_delivery(job.plan, output)
     published, runs, results = _results(job)
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if not identity.is_of(run)]
@@ -301,7 +304,8 @@ def _choose_run(
 
 
 def refuse_result(job: Job) -> None:
-    """Raise OutputExists where a finished result is in the way of a job; nothing is written."""
+    """Raise OutputExists or LayerError where files are in the way of a job; nothing is written."""
+    check_delivery(job.plan, job.output)
     _refuse_result(job, Identity(job), find_growth(job))
 
 

@@ -5,14 +5,11 @@ starts are the same are taken over; the others are done. The result has the bits
 frames whose ``optics.frames`` are the earlier run's.
 """
 
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
-from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.base.publish import share_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.sequence.controls import FRAMES_AHEAD
@@ -86,7 +83,7 @@ def take_over(growth: Growth, run: Run) -> None:
         frames = {}
         for name, frame in record.frames.items():
             other = part_file_name(task.number, Path(name).name) if frame["part"] else name
-            _share_file(growth.earlier.folder / name, run.folder / other)
+            share_file(growth.earlier.folder / name, run.folder / other)
             frames[other] = frame
         run.keep(replace(record, run_id=run.run_id, window=task.number, frames=frames))
 
@@ -108,7 +105,7 @@ def _take_over_starts(growth: Growth, run: Run) -> set[str]:
     record = earlier.coarse(names)
     if record.frames:
         for name in record.frames:
-            _share_file(earlier.folder / name, run.folder / name)
+            share_file(earlier.folder / name, run.folder / name)
         run.keep(CoarseRecord(run.run_id, record.frames, record.seconds, record.processor))
     return set(record.frames)
 
@@ -141,16 +138,6 @@ def _is_same(task: WindowTask, old: WindowTask, starts: set[str]) -> bool:
 
 def _has_start(task: WindowTask, code: float) -> bool:
     return any(code in chain for chain in task.volume.coarse_runs)
-
-
-def _share_file(source: Path, target: Path) -> None:
-    """One file in two folders: files of runs are replaced, never written to."""
-    make_folders(target.parent)
-    try:
-        target.unlink(missing_ok=True)
-        os.link(source, target)
-    except OSError:  # the file system has no hard links
-        publish_file(target, partial(shutil.copyfile, source))
 
 
 def _measured_on(job: Job, codes: str) -> Job:

@@ -209,7 +209,7 @@ def _volume_line(volume: "VolumePlan") -> str:
     return (
         f"<{volume.source.prim_path}>: {count_text(len(volume.frames), 'frame')} in "
         f"{count_text(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} "
-        f"voxels in {_box(largest.size.box)}, written to {volume.frames[0].file_name}"
+        f"voxels in {_box(largest.size.box)}, written to {volume.file_of(volume.frames[0])}"
         f"{' ...' if len(volume.frames) > 1 else ''}"
     )
 

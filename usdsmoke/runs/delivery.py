@@ -1,0 +1,74 @@
+"""Finished frames under the paths that ``layer.files`` gives them in the output folder.
+
+The files stay in the folder of their run too, as hard links where the file system has them: there
+they are looked for when frames are done again. A path that stays the same from one result to the
+next is replaced when the later result is assembled.
+"""
+
+from pathlib import Path
+
+from usdsmoke.base.errors import LayerError, UsdSmokeError
+from usdsmoke.base.publish import share_file
+from usdsmoke.planning.make_plan import result_file_names
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.runs.run import Run, find_runs
+from usdsmoke.vdb.header import read_header
+
+
+def result_file(run: Run, volume: VolumePlan, frame: FramePlan) -> Path:
+    """The file of a frame that layers and records name."""
+    return (run.output if volume.places else run.folder) / volume.file_of(frame)
+
+
+def check_delivery(plan: Plan, output: Path) -> None:
+    """Refuse paths that hold files of other looks, or no files of usdsmoke.
+
+    Raises:
+        LayerError: with the file and whose it is.
+    """
+    looks: dict[str, str] = {}  # by run and by file
+    if any(volume.places for volume in plan.volumes):
+        for run in find_runs(output):
+            looks |= dict.fromkeys((run.run_id, *run.grown_from, *run.files), run.look)
+    ours = plan.config.layer.look
+    for place in (place for volume in plan.volumes for place in volume.places.values()):
+        if not (output / place).exists():
+            continue
+        look = looks.get(_run_of(output / place)) or looks.get(place)
+        if look is None:
+            raise LayerError(
+                f"{output / place} is not of a result in {output}, and would be overwritten. Move "
+                "it away, or change layer.files."
+            )
+        if look != ours:
+            raise LayerError(
+                f"{output / place} belongs to the look {look}, and the look {ours} would overwrite "
+                "it. Put {look} into layer.files."
+            )
+
+
+def deliver_frames(run: Run, plan: Plan) -> list[Path]:
+    """Give the files of a run, finished and checked, their paths; these.
+
+    Raises:
+        LayerError: see ``check_delivery``.
+        WriteFailed: the operating system refused.
+    """
+    check_delivery(plan, run.output)
+    delivered = []
+    for volume in plan.volumes:
+        names = result_file_names(volume.source, volume.stem)
+        for time_code, place in volume.places.items():
+            made = run.folder / names[time_code]
+            if made.is_file():  # one that was stylized, or the one without a voxel
+                share_file(made, run.output / place)
+                delivered.append(run.output / place)
+    return delivered
+
+
+def _run_of(file_path: Path) -> str:
+    """The id of the run that has written a file; "" for other programs' files."""
+    try:
+        return str(read_header(file_path).metadata.get("usdsmoke:run", ""))
+    except UsdSmokeError:
+        return ""
