@@ -122,7 +122,7 @@ def test_a_dome_lights_thin_smoke_from_all_around_and_a_deep_voxel_hardly() -> N
 def test_directions_to_a_dome_have_no_preferred_side() -> None:
     directions = sky_directions()
     assert np.allclose(np.linalg.norm(directions, axis=1), 1)
-    assert np.allclose(directions.sum(0), 0)
+    assert (directions @ directions.T > -0.5).all()  # none is another one's opposite
     assert np.allclose(directions.T @ directions / len(directions), np.eye(3) / 3)
 
 

@@ -115,10 +115,11 @@ def test_lights_cost_nothing_where_smoke_scatters_none_and_little_where_it_does(
     dark = frame_of(puff(12))
     lit = replace(dark, lights=(sun,))
     plain = work([dark]).made
-    assert plain == work([lit]).made == work([dark], optics={"albedo": 0.9}).made
-    assert plain < work([lit], optics={"albedo": 0.9}).made < 1.1 * plain
+    assert plain == work([lit], optics={"albedo": 0.0}).made
+    assert plain == work([dark], optics={"albedo": 0.9}).made
+    assert plain < work([lit]).made < 1.1 * plain
     dome = replace(dark, lights=(LightSource("/sky", (1.0, 1.0, 1.0)),))
-    assert work([lit], optics={"albedo": 0.9}).made < work([dome], optics={"albedo": 0.9}).made
+    assert work([lit]).made < work([dome]).made
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -156,7 +156,7 @@ def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:
     resolved = resolve_volumes(found, config, bare=True)
     cameras = [own.config.views.camera for own in resolved.volumes]
     source = seen_through(opened, resolved.source, cameras)
-    return lit_by(opened, source, [own.config.scatters for own in resolved.volumes])
+    return lit_by(opened, source, [own.config.lit_optics for own in resolved.volumes])
 
 
 def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change]:

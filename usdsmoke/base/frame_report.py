@@ -74,6 +74,15 @@ class TransportReport:
 
 
 @dataclass(frozen=True)
+class LightReport:
+    """What lamps do in the pictures of lit smoke."""
+
+    share: float  # of the pictures' light, that which lamps give
+    outshone: float  # of the pixels with smoke, those where it is brighter than the style's white
+    advised: float  # optics.exposure at which smoke in the light is half as bright as that white
+
+
+@dataclass(frozen=True)
 class FrameErrors:
     """What is estimated or measured of a finished frame; None where it does not apply."""
 
@@ -145,6 +154,7 @@ class FrameReport(JsonRecord):
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step
     colour: StepReport | None = None
+    light: LightReport | None = None  # None where no light is scattered
     errors: FrameErrors = field(default_factory=FrameErrors)
     temporal: TemporalErrors | None = None  # None without a frame before it in the window
     overlap: OverlapReport | None = None  # None for a frame of one window

@@ -137,12 +137,25 @@ class OpticsConfig(Section):
         "of those that are stylized, and for a look that grows its own")
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
-    albedo: float = setting(
-        0.0, "share of the light it takes away that smoke scatters; above 0 the stage's distant "
-        "lights and domes light it, and the look's material scatters as much", ge=0, le=1)
+    albedo: float | None = setting(
+        None, "share of the light it takes away that smoke scatters, and the look's material with "
+        "it; unset: 0.5 where distant lights or domes light the smoke; 0: no light is read",
+        ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
         ge=-0.99, le=0.99)
+    exposure: float | None = setting(
+        None, "exposure at which the lit smoke shows the style; the emission is divided by it; "
+        "unset: 0", ge=-40, le=40, unit="stops")
+    sun: list[float] = setting(
+        [], "direction from the smoke to a distant light, x y z of the stage, which takes the "
+        "place of the stage's lights; empty: the stage's lights")
+    sun_colour: Weights = setting(
+        [3.14159, 3.14159, 3.14159], "light of optics.sun on a surface that faces it, red green "
+        "blue; 3.14159 lights a white matte surface as bright as white")
+    sky: Weights = setting(
+        [], "light from all around, red green blue, which takes the place of the stage's lights; "
+        "empty: the stage's lights")
 
 
 class StyleConfig(Section):

@@ -23,6 +23,11 @@ from usdsmoke.base.sections import (
 )
 from usdsmoke.base.setting_model import Section, nearest
 
+# Of lit smoke where ``optics.albedo`` is unset. Measured smoke of fires has 0.3 (soot of flames) to
+# 0.9 (smouldering wood) [Liu2014]; half is also far from both ends, where a look is worst if its
+# renderer bounces light more than once (at 1) or draws no light at all (at 0).
+LIT_ALBEDO = 0.5
+
 
 class Config(BaseModel):
     """All settings, by section, and which of them the user gave explicitly."""
@@ -78,9 +83,14 @@ class Config(BaseModel):
         )
 
     @property
-    def scatters(self) -> bool:
-        """Whether lights have any effect: smoke without colours of ours is not drawn lit."""
-        return self.optics.albedo > 0 and "colour" in self.optimize.steps
+    def albedo(self) -> float:
+        """The share of light that lit smoke scatters: ``optics.albedo``, or what stands for it."""
+        return LIT_ALBEDO if self.optics.albedo is None else self.optics.albedo
+
+    @property
+    def lit_optics(self) -> OpticsConfig | None:
+        """How light is scattered; None where none is: smoke without colours is not drawn lit."""
+        return self.optics if self.albedo > 0 and "colour" in self.optimize.steps else None
 
     def explicit_values(self) -> dict[str, dict[str, Any]]:
         """The explicit settings, by section and key."""

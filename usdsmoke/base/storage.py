@@ -38,7 +38,8 @@ def prune_fields(fields: Sequence[DenseField], prune: float) -> list[DenseField]
 def check_half(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
     """Refuse 16-bit floats that cannot hold what a frame will have.
 
-    Colours are at most 1, so no emission is above gamma_w times the largest density.
+    Colours are at most 1, so no emission is above gamma_w times the largest density, divided by the
+    exposure.
 
     Args:
         density: of the frame.
@@ -54,7 +55,8 @@ def check_half(density: DenseField, time_code: float, gamma_w: float, config: Co
     largest = float(density.values.max(initial=0.0))
     bounds = {"density": largest}
     if "colour" in config.optimize.steps:
-        bounds["emission"] = gamma_w * largest * config.optimize.strength
+        exposure = 2.0 ** (config.optics.exposure or 0.0)
+        bounds["emission"] = gamma_w * largest * config.optimize.strength / exposure
     for name, bound in bounds.items():
         if bound > LARGEST_HALF:
             raise ConfigError(

@@ -6,7 +6,7 @@ Matrices are 4x4 float64 in the row-vector convention that USD and OpenVDB share
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -78,6 +78,16 @@ class Scattering:
     def is_uneven(self) -> bool:
         """Whether it looks brighter from some sides."""
         return bool(self.lights) and self.albedo > 0 and self.anisotropy != 0
+
+    def exposed(self, stops: float) -> "Scattering":
+        """The same in lights that are 2^stops times as bright."""
+        if stops == 0:
+            return self
+        lights = (
+            replace(light, colour=tuple(2.0**stops * channel for channel in light.colour))
+            for light in self.lights
+        )
+        return replace(self, lights=tuple(lights))
 
 
 @dataclass(frozen=True)

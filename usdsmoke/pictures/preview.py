@@ -108,7 +108,7 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
             smoke.check_memory(code)  # and whatever headers tell, before any file is written
     shots = _shots(request, smokes, codes)
     view = shots[0].view
-    drawn = _draw(smokes, shots, progress)
+    drawn = _draw(smokes, shots, not request.is_exr, progress)
     if request.is_exr:
         files = write_layers(request, codes, drawn)
     else:
@@ -199,6 +199,7 @@ def _aspect(camera: CameraSource) -> float:
 def _draw(
     smokes: dict[str, Smoke],
     shots: Sequence[PreviewShot],
+    exposed: bool,
     progress: Callable[[int, int], None] | None,
 ) -> Drawn:
     """One picture after the other."""
@@ -210,7 +211,7 @@ def _draw(
             shown, media = smoke.shown(code), None
             for shot in of_frame:
                 if media is None or is_uneven(shown):
-                    media = smoke.media(shown, shot.view)
+                    media = smoke.media(shown, shot.view, exposed)
                 picture = march(media, shot.view, shot.clip)
                 done += 1
                 if progress is not None:

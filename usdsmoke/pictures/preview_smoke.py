@@ -106,12 +106,15 @@ class Smoke:
                     raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
-    def media(self, shown: Iterable[ComposedVolume], view: "View") -> list["Medium"]:
+    def media(
+        self, shown: Iterable[ComposedVolume], view: "View", exposed: bool = False
+    ) -> list["Medium"]:
         """The smoke of some Volumes as media for ray marching.
 
         Args:
             shown: from ``shown``.
             view: matters where smoke scatters light unevenly (``is_uneven``).
+            exposed: each look at the exposure that it was made for; else scene-linear.
 
         Raises:
             GridError, NonFiniteError: a grid cannot be used.
@@ -132,6 +135,8 @@ class Smoke:
             if light is not None and volume.scattering is not None:
                 light = self._with_scattered(volume, density, light, gamma_w, view)
                 lit = True
+            if light is not None and exposed and volume.stops:
+                light = replace(light, values=light.values * np.float32(2.0**volume.stops))
             place = None if volume.emission is None else volume.emission.field_to_stage
             media += make_media(
                 density,

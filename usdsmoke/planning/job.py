@@ -154,7 +154,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     resolved = resolve_volumes(found, config, style_files)
     cameras = [own.config.views.camera for own in resolved.volumes]
     source = seen_through(stage, resolved.source, cameras)
-    source = lit_by(stage, source, [own.config.scatters for own in resolved.volumes])
+    source = lit_by(stage, source, [own.config.lit_optics for own in resolved.volumes])
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
         check_features(own.config.features, fits)

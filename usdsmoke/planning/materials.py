@@ -1,10 +1,11 @@
 """A look's material, what hides the look, and the lights that its smoke scatters, in sentences."""
 
+import math
 from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.naming import colour_names
 from usdsmoke.base.settings import Config
-from usdsmoke.base.volume import StageSource
+from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.usd.materials import binds_material
 
@@ -55,25 +56,93 @@ def _has_colour(volume: VolumePlan) -> bool:
 
 def lights_needed(config: Config, frames: Sequence[FramePlan]) -> list[str]:
     """The lights that light the smoke of frames with the same settings, as a sentence."""
-    lights = dict.fromkeys(light.prim_path for frame in frames for light in frame.source.lights)
-    if not lights:
+    names = _light_names(frames)
+    if not names:
         return []
-    names = ", ".join(f"<{path}>" for path in lights)
+    why = ", because light reaches it" if config.optics.albedo is None else ""
     return [
-        f"light of {names}, of which the smoke scatters {config.optics.albedo:.0%} (optics.albedo)"
+        f"the light of {names}, of which the smoke scatters {config.albedo:.0%} "
+        f"(optics.albedo{why}; 0 leaves it out)"
+    ]
+
+
+def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
+    """That a look is made for its lights, and how bright they make smoke."""
+    names = _light_names(volume.frames)
+    if not names:
+        return []
+    brightest = max(_front(config, frame.source.lights) for frame in volume.frames)
+    stops = config.optics.exposure or 0.0
+    exposed = f" at optics.exposure={stops:g}" if stops else ""
+    return [
+        f"the look of <{volume.source.prim_path}> is made for the light of {names} "
+        f"(optics.albedo={config.albedo:g}). Stylize again when it changes. Thick smoke that faces "
+        f"it is about {brightest:.2g} times as bright as white{exposed}"
     ]
 
 
 def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
     """Lights of the stage that light no smoke, and scattering without a light."""
-    frames = [frame for volume in volumes for frame in volume.frames]
-    used = any(frame.source.lights for frame in frames)
-    if not any(volume.config.scatters for volume in volumes):
-        names = ", ".join(f"<{path}>" for path in source.lights)
-        reason = "optics.albedo is 0, so the smoke scatters no light"
+    used = {light for volume in volumes for light in _lights(volume.frames)}
+    optics = [own for volume in volumes if (own := volume.config.lit_optics) is not None]
+    names = _name_all(path for path in source.lights if path not in used)
+    if not optics:
+        no_colour = not any("colour" in volume.config.optimize.steps for volume in volumes)
+        reason = "there is no colour step" if no_colour else "optics.albedo is 0"
+        return [Omission(f"lights {names}", f"{reason}, so they have no effect")] if names else []
+    if any(own.sun or own.sky for own in optics):
+        reason = "optics.sun and optics.sky take their place"
         return [Omission(f"lights {names}", reason)] if names else []
     omitted = [Omission(f"light <{path}>", why) for path, why in source.unused_lights.items()]
-    if not used:
+    if not used and any(own.albedo is not None for own in optics):
         reason = "the stage has no DistantLight or DomeLight that lights the smoke"
         omitted.append(Omission("scattering (optics.albedo)", reason))
     return omitted
+
+
+def _lights(frames: Iterable[FramePlan]) -> dict[str, LightSource]:
+    """By path, or by the name of the setting; of the first frame that has it."""
+    found: dict[str, LightSource] = {}
+    for frame in frames:
+        for light in frame.source.lights:
+            found.setdefault(light.prim_path, light)
+    return found
+
+
+def _light_names(frames: Iterable[FramePlan]) -> str:
+    """Lights with where they come from and how bright they are; "" without any."""
+    return ", ".join(
+        f"{_name_all([path])} ({_describe(light)})" for path, light in _lights(frames).items()
+    )
+
+
+def _describe(light: LightSource) -> str:
+    """
+    >>> _describe(LightSource("/sun", (3, 2, 1.5), (0, 0, 1)))
+    'from 0 0 1, colour 3 2 1.5'
+    """
+    place = "all around" if light.towards is None else f"from {_numbers(light.towards)}"
+    return f"{place}, colour {_numbers(light.colour)}"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.3g}" for value in values)
+
+
+def _name_all(paths: Iterable[str]) -> str:
+    return ", ".join(f"<{path}>" if path.startswith("/") else path for path in paths)
+
+
+def _front(config: Config, lights: Sequence[LightSource]) -> float:
+    """Radiance of a thick wall of smoke that faces all of its lights; of the brightest channel.
+
+    Scattered once, a sun behind the eye gives E p(180 degrees) albedo / 2, and a dome albedo L
+    (1 - ln 2) / 2: the integrals of exp(-2 t), and of exp(-t) E_2(t) / 2.
+    """
+    back = (1 - config.optics.anisotropy) / (4 * math.pi * (1 + config.optics.anisotropy) ** 2)
+    shares = [(1 - math.log(2)) / 2 if light.towards is None else back / 2 for light in lights]
+    total = [
+        sum(share * light.colour[channel] for share, light in zip(shares, lights, strict=True))
+        for channel in range(3)
+    ]
+    return config.albedo * max(total) * 2.0 ** (config.optics.exposure or 0.0)

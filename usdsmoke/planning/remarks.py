@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.sections import ColourConfig
+from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 
 # Times the default learning rate. On the example plume of 32 voxels 16 times it ends 6 % worse, 100
@@ -15,7 +16,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     """Sentences about all Volumes, each once."""
     found: list[str] = []
     for volume in volumes:
-        found += [*_part(volume), *_rate(volume), *_light(volume)]
+        found += [*_part(volume), *_rate(volume), *lights_remark(volume.config, volume)]
     return tuple(dict.fromkeys(found))
 
 
@@ -47,17 +48,4 @@ def _rate(volume: VolumePlan) -> list[str]:
     return [
         f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: a step goes from "
         f"one end of the range to the other. Set {usual:g}, or look closely at the result"
-    ]
-
-
-def _light(volume: VolumePlan) -> list[str]:
-    lights = dict.fromkeys(
-        light.prim_path for frame in volume.frames for light in frame.source.lights
-    )
-    if not lights:
-        return []
-    names = ", ".join(f"<{path}>" for path in lights)
-    return [
-        f"the look of <{volume.source.prim_path}> is made for the light of {names} "
-        f"(optics.albedo={volume.config.optics.albedo:g}). Stylize again when it changes"
     ]

@@ -139,7 +139,7 @@ def _assemble(
     job, run = opened.job, opened.run
     _collect_frames(opened, windows, tell)
     volumes = [
-        collect_volume(run, volume, scene["gamma_w"], job.styles)
+        collect_volume(run, volume, scene, job.styles)
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     run.error_budget = run_budget(job.plan, run.reports, run.scenes).to_json()

@@ -24,6 +24,7 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.provenance_record import frame_metadata
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
+from usdsmoke.usd.stage.lights import named_lights
 from usdsmoke.vdb.boxes import field_extent
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.vdb.write import write_frame
@@ -142,7 +143,7 @@ def manifest_entry(
 def collect_volume(
     run: Run,
     volume: VolumePlan,
-    extinction_per_density: float,
+    scene: Mapping[str, Any],
     styles: Sequence[StyleImage],
 ) -> StylizedVolume:
     """What the layer has to know of one Volume's finished frames.
@@ -152,12 +153,13 @@ def collect_volume(
 
     Args:
         run: complete but for the layer.
-        extinction_per_density: of its scene, for frames that have no gamma of their own.
+        scene: the core's, as JSON values.
 
     Raises:
         WriteFailed: that file could not be written.
     """
     written, extinctions, config = [], {}, volume.config
+    extinction_per_density, stops = scene["gamma_w"], scene.get("stops", 0.0)
     for frame in volume.frames:
         record = run.frames[frame.file_name]
         written.append(
@@ -190,8 +192,10 @@ def collect_volume(
         empty_file=empty_file,
         empty_hash=empty_hash,
         emission_mode=config.layer.emission_mode,
-        albedo=config.optics.albedo if is_lit else 0.0,
+        albedo=config.albedo if is_lit else 0.0,
         anisotropy=config.optics.anisotropy if is_lit else 0.0,
+        named_lights=named_lights(config.optics) if is_lit else (),
+        stops=stops,
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
         seed=config.optimize.seed,
     )

@@ -83,7 +83,8 @@ def write_contact_sheet(
     turn: list[_Labelled] = []
     views = _views(volume, frames, folder, scene["up_axis"]) if frames else {}
     for number, frame in enumerate(frames if views else []):
-        shown = _Shown(volume, frame, _extinctions(scene, volume.config, frame.source))
+        extinctions = _extinctions(scene, volume.config, frame.source)
+        shown = _Shown(volume, frame, extinctions, scene.get("stops", 0.0))
         name = f"timeCode {format_time_code(frame.source.time_code)}"
         sources.append((f"source, {name}", shown.source(reader, views["front"])))
         give_back_memory()
@@ -105,12 +106,14 @@ class _Shown:
     volume: VolumePlan
     frame: FramePlan
     extinctions: tuple[float, float]  # of grey and of coloured smoke, per density, 1/stage unit
+    stops: float  # exposure of the result's pictures
 
     @property
     def scattering(self) -> Scattering:
-        """Without lights where the stage has none."""
-        optics = self.volume.config.optics
-        return Scattering(self.frame.source.lights, optics.albedo, optics.anisotropy)
+        """Exposed; without lights where the stage has none."""
+        config, lights = self.volume.config, self.frame.source.lights
+        scattering = Scattering(lights, config.albedo, config.optics.anisotropy)
+        return scattering.exposed(self.stops)
 
     def source(self, reader: FrameReader, view: "View") -> np.ndarray:
         density = reader.read(self.volume, self.frame).density
@@ -121,7 +124,7 @@ class _Shown:
         from usdsmoke.core.smoke.tasks import run_tasks
 
         fields = _read_result(self.volume, folder / self.frame.file_name)
-        emission = fields[1] if len(fields) > 1 else None
+        emission = _times(fields[1], 2.0**self.stops) if len(fields) > 1 else None
         sides = list(views.values())
         lit_from = sides if self.scattering.is_uneven else sides[:1]
         media = [self._media(fields[0], emission, view) for view in lit_from]
@@ -147,6 +150,12 @@ class _Shown:
 
         place, gamma_w = _to_stage(self.volume, self.frame), self.extinctions[1]
         return lit_emission(density, emission, place, gamma_w, self.scattering, view)
+
+
+def _times(field: DenseField, factor: float) -> DenseField:
+    if factor == 1:
+        return field
+    return dataclasses.replace(field, values=field.values * np.float32(factor))
 
 
 def _draw(media: Sequence["Medium"], view: "View") -> np.ndarray:

@@ -10,7 +10,7 @@ from pxr import Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
-from usdsmoke.base.sections import StageConfig
+from usdsmoke.base.sections import OpticsConfig, StageConfig
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
@@ -55,7 +55,7 @@ def inspect(
     source = _find(stage, own, not given.styles, problems)
     headers: dict[str, FileHeader | str] = {}
     requests = describe_requests(stage, source, given)
-    lit = lit_by(stage, source, [True] * len(source.volumes))
+    lit = lit_by(stage, source, [OpticsConfig()] * len(source.volumes))
     return {
         "stage": _describe_stage(source),
         "volumes": [

@@ -9,6 +9,8 @@ from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, LightSource, VolumeFrame
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.runs.budget.findings import find_frame
 
 SUN = LightSource("/sun", (9.0, 9.0, 9.0), (0.0, 0.6, 0.8))
 STYLE = np.full((24, 24, 3), 0.5, np.float32)
@@ -19,9 +21,19 @@ COLOUR = {
 }
 
 
+def stylized(frame: VolumeFrame, **optics: object) -> StylizedFrame:
+    config = quick_config(**COLOUR, optics=optics)
+    (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
+    return result
+
+
 def painted(frame: VolumeFrame, albedo: float) -> np.ndarray:
-    (result,) = run_core([frame], quick_config(**COLOUR, optics={"albedo": albedo}), styles=[STYLE])
-    return result.emission.values
+    return stylized(frame, albedo=albedo).emission.values
+
+
+def in_light(brightness: float) -> VolumeFrame:
+    light = replace(SUN, colour=(brightness,) * 3)
+    return replace(frame_of(puff(12)), lights=(light,))
 
 
 def test_smoke_in_light_glows_less_where_the_light_comes_from() -> None:
@@ -38,6 +50,32 @@ def test_light_on_smoke_that_scatters_none_changes_no_bit() -> None:
     lit = replace(frame, lights=(SUN,))
     assert (painted(frame, 0.0) == painted(lit, 0.0)).all()
     assert (painted(frame, 0.9) == painted(frame, 0.0)).all()
+
+
+def test_smoke_in_light_scatters_half_of_it_by_default() -> None:
+    assert (painted(in_light(9.0), 0.5) == stylized(in_light(9.0)).emission.values).all()
+
+
+def test_an_exposure_stands_for_brighter_lights_and_dims_what_is_written() -> None:
+    bright, dim = stylized(in_light(8.0)), stylized(in_light(2.0), exposure=2.0)
+    assert (dim.emission.values == bright.emission.values / 4).all()
+    assert dim.report.light.advised == bright.report.light.advised + 2
+
+
+@pytest.mark.parametrize(("brightness", "told"), [(0.01, "lamps"), (5.0, ""), (1e5, "white")])
+def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
+    brightness: float, told: str
+) -> None:
+    found = stylized(in_light(brightness)).report
+    findings = list(find_frame("a.vdb", found))
+    if not told:
+        assert not any("exposure" in finding.setting for finding in findings)
+        return
+    (finding,) = (f for f in findings if f.setting == "optics.exposure")
+    assert told in finding.cause
+    mended = stylized(in_light(brightness), exposure=found.light.advised).report
+    assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended))
+    assert 0.02 < mended.light.share < 1 and mended.light.outshone < 0.02
 
 
 @pytest.mark.parametrize("hidden", [False, True])

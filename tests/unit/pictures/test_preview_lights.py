@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.fixtures.preview_fixtures import look_of_four_frames, parts
 from tests.fixtures.usd_fixtures import write_text
@@ -81,3 +82,22 @@ def test_an_invisible_sun_adds_nothing_and_anisotropy_turns_its_light_away(added
     forward = added("forward", more="float usdSmoke:anisotropy = 0.5")
     share = (1 - 0.25) / 1.5**3  # of the phase function straight back, to that of all sides
     assert np.allclose(forward, share * added("full"), atol=1e-4)
+
+
+def test_lights_that_a_look_records_take_the_place_of_the_stage_s(added):
+    named = "float3[] usdSmoke:lights = [(0, -1, 0), (6, 3, 1.5)]"
+    assert np.allclose(added("own", body="", more=named), added("full"), atol=1e-6)
+    assert np.allclose(added("both", more=named), added("full"), atol=1e-6)
+
+
+def test_a_png_is_drawn_at_the_look_s_exposure_and_an_exr_without(tmp_path):
+    plain = picture(tmp_path, "plain", "")
+    exposed = picture(tmp_path, "exposed", "", more="float usdSmoke:exposure = -20")
+    assert np.allclose(plain, exposed)
+    brightest = []
+    for name in ("plain", "exposed"):
+        stage, target = tmp_path / f"{name}.usda", tmp_path / f"{name}.png"
+        preview(stage, target, frames="2", width=24, background="black")
+        with Image.open(target) as shown:
+            brightest.append(np.asarray(shown.convert("L"))[-24:].max())
+    assert brightest[1] < 30 < brightest[0]

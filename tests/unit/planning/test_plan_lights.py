@@ -1,5 +1,6 @@
 """What a plan says of the stage's lights."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -29,21 +30,38 @@ def plan_of(shot: Shot, lights: str, *settings: str) -> Plan:
     return plan(shot.stage, shot.style, shot.output, list(settings))
 
 
-def test_lights_are_left_out_while_the_smoke_scatters_none(shot: Shot) -> None:
+def test_a_stage_with_a_sun_is_lit_by_default_and_the_plan_says_how_to_leave_it_out(
+    shot: Shot,
+) -> None:
     made = plan_of(shot, LIGHTS)
     said = {item.what: item.reason for item in made.omitted}
-    assert "optics.albedo" in said["lights </sun>, </lamp>"]
-    assert not any("</sun>" in text for text in (*made.needed, *made.notes))
-    assert made.source.volumes[0].frames[0].lights == ()
-
-
-def test_lights_that_light_the_smoke_are_needed_and_others_named(shot: Shot) -> None:
-    made = plan_of(shot, LIGHTS, "optics.albedo=0.8")
-    said = {item.what: item.reason for item in made.omitted}
     assert "SphereLight" in said["light </lamp>"] and len(made.source.lights) == 2
-    for texts in (made.needed, made.notes):
-        (sentence,) = (text for text in texts if "</sun>" in text)
-        assert "optics.albedo" in sentence
+    (needed,) = (text for text in made.needed if "</sun>" in text)
+    for fact in ("50%", "optics.albedo", "from 0 0 1", "colour 3.36 3.36 3.36", "0 leaves it out"):
+        assert fact in needed
+    (note,) = (text for text in made.notes if "</sun>" in text)
+    white = 0.5 * 3.36 / (8 * math.pi)  # of a wall that faces the sun
+    assert f"{white:.2g} times as bright" in note
+
+
+def test_lights_are_left_out_where_the_smoke_scatters_none(shot: Shot) -> None:
+    shot.stage.write_text(shot.stage.read_text() + LIGHTS)
+    for setting, why in (("optics.albedo=0", "albedo"), ("optimize.steps=[shape]", "colour step")):
+        made = plan(shot.stage, shot.style, shot.output, [setting])
+        said = {item.what: item.reason for item in made.omitted}
+        assert why in said["lights </sun>, </lamp>"]
+        assert not any("</sun>" in text for text in (*made.needed, *made.notes))
+        assert made.source.volumes[0].frames[0].lights == ()
+
+
+def test_lights_of_the_settings_are_named_and_the_stage_s_left_out(shot: Shot) -> None:
+    made = plan_of(shot, LIGHTS, "optics.sun=[0,2,0]", "optics.albedo=0.8", "optics.exposure=-1")
+    (needed,) = (text for text in made.needed if "optics.sun" in text)
+    assert "80%" in needed and "from 0 1 0" in needed
+    said = {item.what: item.reason for item in made.omitted}
+    assert "optics.sun" in said["lights </sun>, </lamp>"]
+    (note,) = (text for text in made.notes if "optics.sun" in text)
+    assert f"{0.8 / 8 / 2:.2g} times" in note
 
 
 def test_scattering_without_a_light_is_said_to_do_nothing(shot: Shot) -> None:

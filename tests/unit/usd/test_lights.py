@@ -16,9 +16,9 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
-from usdsmoke.base.sections import LayerConfig, StageConfig
+from usdsmoke.base.sections import LayerConfig, OpticsConfig, StageConfig
 from usdsmoke.usd.inspect import inspect
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.stage import composed_volumes, find_volumes, open_stage
@@ -34,9 +34,12 @@ def shot(tmp_path, *lights):
     return write_text(tmp_path / "shot.usda", world(body))
 
 
-def lit(tmp_path, *lights, scatters=True):
+SCATTERS = OpticsConfig()
+
+
+def lit(tmp_path, *lights, optics=SCATTERS):
     stage = open_stage(shot(tmp_path, *lights))
-    return lit_by(stage, find_volumes(stage, StageConfig()), [scatters])
+    return lit_by(stage, find_volumes(stage, StageConfig()), [optics])
 
 
 def only_light(tmp_path, *lights):
@@ -112,7 +115,7 @@ def test_light_linking_decides_which_volume_is_lit(tmp_path):
 
 
 def test_smoke_that_scatters_nothing_has_no_lights(tmp_path):
-    source = lit(tmp_path, SUN % "", 'def SphereLight "lamp" { }', scatters=False)
+    source = lit(tmp_path, SUN % "", 'def SphereLight "lamp" { }', optics=None)
     assert not any(frame.lights for frame in source.volumes[0].frames)
     assert source.lights == ("/World/sun", "/World/lamp") and source.unused_lights == {}
 
@@ -121,9 +124,21 @@ def test_smoke_that_scatters_nothing_has_no_lights(tmp_path):
     "values",
     ["float inputs:intensity = -1", "float inputs:intensity = inf", "float inputs:exposure = 3000"],
 )
-def test_light_that_is_no_light_is_refused_by_its_path(tmp_path, values):
-    with pytest.raises(StageError, match="/World/sun"):
-        lit(tmp_path, SUN % values)
+def test_light_that_is_no_light_is_left_out_by_its_path(tmp_path, values):
+    source = lit(tmp_path, SUN % values)
+    assert "emits" in source.unused_lights["/World/sun"]
+    assert source.volumes[0].frames[0].lights == ()
+
+
+def test_lights_of_the_settings_take_the_place_of_the_stage_s(tmp_path):
+    optics = OpticsConfig(sun=[0.0, 0.0, 4.0], sun_colour=[3.0, 2.0, 1.0], sky=[0.1, 0.2, 0.3])
+    source = lit(tmp_path, SUN % "", optics=optics)
+    sun, sky = source.volumes[0].frames[-1].lights
+    assert (sun.towards, sun.colour) == ((0, 0, 1), (3, 2, 1))
+    assert (sky.towards, sky.colour) == (None, (0.1, 0.2, 0.3))
+    assert source.lights == ("/World/sun",)
+    with pytest.raises(ConfigError, match=r"optics\.sun"):
+        lit(tmp_path, optics=OpticsConfig(sun=[0.0, 0.0, 0.0]))
 
 
 def test_inspect_lists_the_lights_of_a_volume(tmp_path):

@@ -36,6 +36,8 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.SEED: ("int64", 0),
     schema.ALBEDO: ("float", 0.0),
     schema.ANISOTROPY: ("float", 0.0),
+    schema.LIGHTS: ("float3[]", []),
+    schema.EXPOSURE: ("float", 0.0),
 }
 
 REQUESTED = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))

@@ -115,9 +115,8 @@ def _unseen_views(frame: PaintedFrame) -> float:
     pool = _views(frame, config.views.pool, config.optimize.seed + len(iterations) - 1)
     seen = pool[:: max(1, len(pool) // N_VIEWS)][:N_VIEWS]
     unseen = _views(frame, N_VIEWS, config.optimize.seed ^ OTHER_SEED, "poisson")
-    ours, others = (
-        sum(losses) / len(losses) for losses in (_losses(frame, seen), _losses(frame, unseen))
-    )
+    losses = _losses(frame, [*seen, *unseen])
+    ours, others = (sum(part) / len(part) for part in (losses[: len(seen)], losses[len(seen) :]))
     return abs(others - ours) / ours if ours > 0 else 0.0
 
 

@@ -40,6 +40,7 @@ from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.smoke.schedule import octave_iterations, pool_size, warm_iterations
 from usdsmoke.core.steps.colour import run_colour_step
+from usdsmoke.core.steps.light_share import light_report
 from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
@@ -212,6 +213,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         problem, is_warm = frame.problem(frame.smoke), paint is not None
         problem = replace(problem, lighting=frame.lighting())
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
+        report = replace(report, light=light_report(problem, painted, colours))
         report = replace(report, colour=_step_report(ends, frame, started))
     kept = frame.carried
     if context.keeps_carried:

@@ -111,14 +111,14 @@ class OpenedFrame:
 
     def lighting(self) -> Lighting | None:
         """Light in the smoke, all of it: what the camera does not see casts shadows too."""
-        lights, optics = self.frame.lights, self.config.optics
-        if not lights or optics.albedo == 0:
+        lights, config = self.frame.lights, self.config
+        if not lights or config.albedo == 0:
             return None
         smoke = self.smoke
         if self.visibility is not None:
             smoke = activate(self.density, self.frame.density_to_stage, smoke.ijk.device)
-        scattering = Scattering(lights, optics.albedo, optics.anisotropy)
-        return light_smoke(smoke, self.scene.gamma_w, scattering)
+        scattering = Scattering(lights, config.albedo, config.optics.anisotropy)
+        return light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""

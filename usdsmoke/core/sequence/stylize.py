@@ -103,11 +103,12 @@ def _emit(
     scene: Scene,
     strength: float | Tensor,
 ) -> None:
-    """Fill in C x sigma in 1/stage unit, scene-linear; it stays zero where there is no paint.
+    """Fill in C x sigma / 2^stops in 1/stage unit, scene-linear; it stays zero without paint.
 
     So the guidance mask is applied to the result too, as in the paper: nothing is left of what the
     network saw beyond the smoke. ``strength`` may be one number for each voxel.
     """
-    light = decode_srgb(colours) * (scene.gamma_w * strength * painted.density)[:, None]
+    brightness = scene.gamma_w * 2.0**-scene.stops * strength * painted.density
+    light = decode_srgb(colours) * brightness[:, None]
     index = painted.ijk.cpu().numpy() - np.asarray(emission.ijk_min)
     emission.values[tuple(index.T)] = light.cpu().numpy()

@@ -5,6 +5,7 @@
 - ``shape``: the shape step: a displacement of the density
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
+- ``light_share``: how much of a picture's light lamps give
 - ``optimize``: Adam with rollbacks, for any objective
 - ``loss_tail``: by how much a loss would still fall, from its history
 """

@@ -42,6 +42,11 @@ class StyleFeatures:
         return decode_srgb(self._pixels).mean(dim=(0, 1))
 
     @cached_property
+    def white(self) -> float:
+        """Linear luminance that one pixel in a hundred is brighter than."""
+        return decode_srgb(luminance(self._pixels).flatten().quantile(0.99)).item()
+
+    @cached_property
     def brightness(self) -> tuple[float, float]:
         """Mean and deviation of the luminance, display-encoded."""
         light = luminance(self._pixels)
@@ -70,6 +75,11 @@ class StyleTargets:
         """Mean colour of the styles, linear [3]: the background of the smoke in the pictures."""
         means = torch.stack([share * image.mean for share, image in self._used])
         return means.sum(0).to(self.device, torch.float32)
+
+    @property
+    def white(self) -> float:
+        """The brightest style's ``StyleFeatures.white``."""
+        return max(image.white for _, image in self._used)
 
     @property
     def brightness(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.volume import DenseField, Scattering
-from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen
+from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import transmittances
 from usdsmoke.core.views.scene import fit_view
@@ -56,10 +56,12 @@ class Lighting:
     def _sky(self, positions: Tensor) -> Tensor:
         """The share of a dome that is seen through the smoke, [P]."""
         coarse, directions = coarsen(self.smoke), sky_directions()
-        total = coarse.density.new_zeros(len(positions))
+        total = coarse.density.new_zeros(len(coarse.ijk))
         for towards in directions:
-            total += _arriving(coarse, self.gamma_w, towards, positions)
-        return total / len(directions)
+            view = fit_view(light_view(towards, coarse.voxel_size), coarse)
+            total += transmittances(coarse, self.gamma_w, view, coarse.positions, both=True)
+        found, near = sample_colours(coarse, total[:, None] / len(directions), positions)
+        return torch.where(near > 0, found, torch.ones_like(found))[:, 0]
 
 
 @dataclass(frozen=True)
@@ -128,14 +130,10 @@ def light_view(towards: np.ndarray, pixel_size: float) -> View:
 
 
 def sky_directions() -> np.ndarray:
-    """Unit vectors to a dome, [12 3]: the corners of an icosahedron, of equal weight."""
+    """Unit vectors to a dome, [6 3], which stand for their opposites too: the corners of an
+    icosahedron, of equal weight."""
     golden = (1 + 5**0.5) / 2
-    corners = [
-        np.roll([0.0, one, other * golden], shift)
-        for shift in range(3)
-        for one in (-1, 1)
-        for other in (-1, 1)
-    ]
+    corners = [np.roll([0.0, one, golden], shift) for shift in range(3) for one in (-1, 1)]
     found: np.ndarray = np.array(corners) / np.hypot(1, golden)
     return found
 

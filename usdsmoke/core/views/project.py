@@ -263,7 +263,9 @@ def colour_map(
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
 
 
-def transmittances(smoke: ActiveSmoke, gamma_w: float, view: View, positions: Tensor) -> Tensor:
+def transmittances(
+    smoke: ActiveSmoke, gamma_w: float, view: View, positions: Tensor, both: bool = False
+) -> Tensor:
     """The share that arrives of light that comes along a view, [P] in [0, 1].
 
     In slab s with optical depth t_s it is exp(-sum_{r<s} t_r) (1 - exp(-t_s)) / t_s, the mean over
@@ -276,6 +278,8 @@ def transmittances(smoke: ActiveSmoke, gamma_w: float, view: View, positions: Te
         view: orthographic, looks where the light goes; its picture holds the smoke with a margin of
             one pixel.
         positions: [P 3] float64, stage space, among the smoke.
+        both: the mean of this light and of as much that comes the other way, through the same
+            slabs.
 
     Gradients: none; density is fixed where smoke is lit.
     """
@@ -297,7 +301,11 @@ def transmittances(smoke: ActiveSmoke, gamma_w: float, view: View, positions: Te
     slab = ((foot.depth - nearest) / step + 1).clamp_min(0).minimum(last)
     pixel, bilinear = foot.pixel, foot.weight.to(density.dtype)
     del points, foot, mass
+    behind = depths.flip(0) if both else None
     _light_up(depths)
+    if behind is not None:
+        _light_up(behind)
+        depths = (depths + behind.flip(0)) / 2
     arriving, found = depths.view(-1), density.new_empty(len(slab))
     for part in chunks(len(slab), CHUNK_ROWS, slab.device):
         cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)

@@ -47,6 +47,7 @@ class Scene:
     camera: CameraSource | None = None  # of the current frame; None: around up
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
     thick_share: float = 1.0  # share of all columns with smoke that are as thick
+    stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:
@@ -200,7 +201,8 @@ def measure_scene(
     """
     filled = _filled(frames)
     if not filled:
-        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size)
+        stops = optics.exposure or 0.0
+        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
     parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
@@ -229,7 +231,7 @@ def measure_scene(
     return Scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
-        thick=thick, thick_share=share,
+        thick=thick, thick_share=share, stops=optics.exposure or 0.0,
     )  # fmt: skip
 
 

@@ -21,6 +21,8 @@ UNLIKE = 3.0  # times the neighbour's loss
 FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
+DIM = 0.02  # of the pictures' light: less from lamps is not seen
+OUTSHONE = 0.02  # of the pixels with smoke
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
 
@@ -90,6 +92,7 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
     if report.temporal is None:  # a warm frame starts where its neighbour ended
         for step, found in report.steps.items():
             yield from _hardly_fallen(name, step, found)
+    yield from _find_light(name, report)
     for row in ROWS:
         figure = row.of_frame(report)
         if figure is not None and not abs(figure.value) <= row.most:
@@ -100,6 +103,26 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
                 _sentence(row.advice),
                 row.setting,
             )
+
+
+def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
+    """Whether lit smoke vanishes or clips."""
+    light = report.light
+    if light is None:
+        return
+    advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
+    if light.share < DIM:
+        cause = f"only {light.share:.2%} of the smoke's light comes from lamps, which is not seen"
+        advice += ", or optics.albedo=0, which leaves them out"
+    elif light.outshone > OUTSHONE:
+        cause = (
+            f"the light of lamps alone is brighter than the style's white on {light.outshone:.0%} "
+            "of the smoke, and nothing takes it away"
+        )
+        advice += ", or a lower optics.albedo"
+    else:
+        return
+    yield Finding(name, "", cause, advice, "optics.exposure")
 
 
 def _unmoved(name: str, motionless: float) -> Finding:

@@ -53,9 +53,7 @@ def author_attributes(
         schema.STYLE: (_TYPES.StringArray, Vt.StringArray(styles)),
         schema.SEED: (_TYPES.Int64, record.seed if volume.seed is None else volume.seed),
     }
-    if volume.albedo:
-        look[schema.ALBEDO] = (_TYPES.Float, volume.albedo)
-        look[schema.ANISOTROPY] = (_TYPES.Float, volume.anisotropy)
+    look |= _light_attributes(volume)
     for name, (type_name, value) in look.items():
         Sdf.AttributeSpec(volume_spec, name, type_name).default = value
     for name, samples in (
@@ -73,6 +71,24 @@ def author_attributes(
             _TYPES.StringArray if is_list else _TYPES.String,
             Sdf.VariabilityUniform,
         ).default = Vt.StringArray(text) if is_list else text
+
+
+def _light_attributes(volume: StylizedVolume) -> dict[str, Any]:
+    """What a look for lights says; empty for one that scatters none."""
+    look: dict[str, Any] = {}
+    if volume.albedo:
+        look[schema.ALBEDO] = (_TYPES.Float, volume.albedo)
+        look[schema.ANISOTROPY] = (_TYPES.Float, volume.anisotropy)
+    if volume.named_lights:
+        triples = [
+            part
+            for light in volume.named_lights
+            for part in (light.towards or (0.0, 0.0, 0.0), light.colour)
+        ]
+        look[schema.LIGHTS] = (_TYPES.Float3Array, Vt.Vec3fArray(triples))
+    if volume.stops:
+        look[schema.EXPOSURE] = (_TYPES.Float, volume.stops)
+    return look
 
 
 def result_hashes(volumes: Sequence[StylizedVolume], folder: Path) -> dict[str, str]:

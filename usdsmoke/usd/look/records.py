@@ -7,7 +7,7 @@ from pathlib import Path, PurePath
 
 from usdsmoke.base.naming import EMISSION, look_suffix
 from usdsmoke.base.sections import LayerConfig
-from usdsmoke.base.volume import StageSource, VolumeSource, WrittenFrame
+from usdsmoke.base.volume import LightSource, StageSource, VolumeSource, WrittenFrame
 from usdsmoke.usd.field_samples import held_time_code
 
 
@@ -33,8 +33,10 @@ class StylizedVolume:
     emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
     styles: tuple[str, ...] | None = None  # "name sha256" of each image; None: those of the run
     seed: int | None = None  # None: the run's
-    albedo: float = 0.0  # share of the light that is scattered; 0: no light of the stage
+    albedo: float = 0.0  # share of the light that is scattered; 0: no light
     anisotropy: float = 0.0
+    named_lights: tuple[LightSource, ...] = ()  # in place of the stage's own
+    stops: float = 0.0  # exposure at which the look shows its style
     # By timeCode, where the extinction changes in time; empty where it does not.
     extinction_samples: Mapping[float, float] = field(default_factory=dict)
 

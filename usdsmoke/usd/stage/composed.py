@@ -1,6 +1,7 @@
 """What a stage's Volumes show at any timeCode, between time samples too, as a renderer sees it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,13 +9,15 @@ from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import FieldSource, Scattering, StageSource
+from usdsmoke.base.volume import FieldSource, LightSource, Scattering, StageSource
 from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.schema import (
     ALBEDO,
     ANISOTROPY,
     EMISSION_MODE,
+    EXPOSURE,
     EXTINCTION_PER_DENSITY,
+    LIGHTS,
     STAGE_UNITS,
 )
 from usdsmoke.usd.stage.fields import check_assets, field_source
@@ -37,7 +40,8 @@ class ComposedVolume:
     # Of the stage that the look was made for: its units in one stage unit. The emission is per unit
     # of that stage.
     rescale: float = 1.0
-    scattering: Scattering | None = None  # where its look was made for the stage's lights
+    scattering: Scattering | None = None  # where its look was made for lights
+    stops: float = 0.0  # exposure that the look was made for, usdSmoke:exposure
 
 
 def composed_volumes(
@@ -76,6 +80,7 @@ def composed_volumes(
                 str(_authored(prim, EMISSION_MODE, time_code) or ""),
                 rescale,
                 _scattering(prim, time_code),
+                float(_authored(prim, EXPOSURE, time_code) or 0),
             )
         )
     return composed
@@ -116,8 +121,24 @@ def _scattering(prim: Usd.Prim, time_code: float) -> Scattering | None:
             f"<{prim.GetPath()}> has {ALBEDO} {albedo:g} and {ANISOTROPY} {anisotropy:g}. Set an "
             "albedo from 0 to 1 and an anisotropy between -1 and 1."
         )
-    lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code) if albedo else ()
+    if not albedo:
+        return None
+    named = _authored(prim, LIGHTS, time_code)
+    if named:
+        lights = _recorded_lights(named)
+    else:
+        lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code)
     return Scattering(lights, albedo, anisotropy) if lights else None
+
+
+def _recorded_lights(named: Sequence[Sequence[float]]) -> tuple[LightSource, ...]:
+    """The lights that the look's settings named: direction and colour in turn."""
+    found = []
+    for way, colour in zip(named[::2], named[1::2], strict=False):
+        (x, y, z), (red, green, blue) = (map(float, triple) for triple in (way, colour))
+        towards = None if x == y == z == 0 else (x, y, z)
+        found.append(LightSource(LIGHTS, (red, green, blue), towards))
+    return tuple(found)
 
 
 def _extinction(prim: Usd.Prim, time_code: float) -> float | None:

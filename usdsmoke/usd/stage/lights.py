@@ -1,4 +1,4 @@
-"""A stage's lights at one timeCode: those that are far away, and domes without a texture."""
+"""Lights at one timeCode: a stage's distant ones and its domes without a texture, or settings'."""
 
 import math
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdLux
 
-from usdsmoke.base.errors import StageError
-from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.errors import ConfigError, count_text
+from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.base.volume import FrameSource, LightSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.values import authored_path
@@ -17,22 +17,19 @@ _DISTANT, _DOMES = "DistantLight", ("DomeLight", "DomeLight_1")
 _DIRECTION = Gf.Vec3d(0, 0, 1)  # to a distant light, in its own space
 
 
-def list_lights(stage: Usd.Stage) -> tuple[str, ...]:
-    """Paths of the prims that emit light, of any type, those inside instances included."""
-    return tuple(str(prim.GetPath()) for prim in _light_prims(stage))
-
-
 @readable_values()
-def lit_by(stage: Usd.Stage, source: StageSource, scatters: Sequence[bool]) -> StageSource:
+def lit_by(
+    stage: Usd.Stage, source: StageSource, optics: Sequence[OpticsConfig | None]
+) -> StageSource:
     """The same Volumes, with the lights that light them at every selected timeCode.
 
     Args:
-        scatters: for each Volume whether its smoke scatters light; others get none.
+        optics: of each Volume; None for one whose smoke scatters no light, which gets none.
 
     Raises:
-        StageError: a light has a value that is not finite or below 0.
+        ConfigError: ``optics.sun`` or ``optics.sky`` is no direction and no colour.
     """
-    prims = _light_prims(stage) if any(scatters) else []
+    prims = _light_prims(stage)
     known: dict[tuple[str, float], LightSource | str | None] = {}
     left_out: dict[str, str] = {}
 
@@ -49,21 +46,46 @@ def lit_by(stage: Usd.Stage, source: StageSource, scatters: Sequence[bool]) -> S
                 found.append(light)
         return tuple(found)
 
-    volumes = tuple(
-        replace(volume, frames=tuple(replace(f, lights=lights(volume, f)) for f in volume.frames))
-        if does
-        else volume
-        for volume, does in zip(source.volumes, scatters, strict=True)
-    )
-    return replace(source, volumes=volumes, lights=list_lights(stage), unused_lights=left_out)
+    volumes = []
+    for volume, own in zip(source.volumes, optics, strict=True):
+        if own is not None:
+            named = named_lights(own)
+            frames = tuple(replace(f, lights=named or lights(volume, f)) for f in volume.frames)
+            volume = replace(volume, frames=frames)
+        volumes.append(volume)
+    paths = tuple(str(prim.GetPath()) for prim in prims)
+    return replace(source, volumes=tuple(volumes), lights=paths, unused_lights=left_out)
+
+
+def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
+    """The lights that the settings name, by the names of the settings.
+
+    Raises:
+        ConfigError: see ``lit_by``.
+    """
+    found = []
+    if optics.sun:
+        x, y, z = _three("optics.sun", optics.sun)
+        length = math.hypot(x, y, z)
+        if not 0 < length < math.inf:
+            raise ConfigError(
+                f"optics.sun={optics.sun} has no direction. Give x, y and z towards the light."
+            )
+        colour = _three("optics.sun_colour", optics.sun_colour)
+        found.append(LightSource("optics.sun", colour, (x / length, y / length, z / length)))
+    if optics.sky:
+        found.append(LightSource("optics.sky", _three("optics.sky", optics.sky)))
+    return tuple(light for light in found if max(light.colour) > 0)
+
+
+def _three(name: str, numbers: Sequence[float]) -> tuple[float, float, float]:
+    if len(numbers) != 3:
+        raise ConfigError(f"{name} has {count_text(len(numbers), 'number')}. Give three.")
+    return numbers[0], numbers[1], numbers[2]
 
 
 def read_lights(stage: Usd.Stage, prim_path: str, time_code: float) -> tuple[LightSource, ...]:
-    """The lights that light a Volume at any timeCode; those that cannot be used are passed over.
-
-    Raises:
-        StageError: see ``lit_by``.
-    """
+    """The lights that light a Volume at any timeCode; those that cannot be used are passed over."""
     found = [_read_light(p, time_code) for p in _light_prims(stage) if _links(p, prim_path)]
     return tuple(light for light in found if isinstance(light, LightSource))
 
@@ -90,6 +112,9 @@ def _read_light(prim: Usd.Prim, time_code: float) -> LightSource | str | None:
     if texture and authored_path(texture):
         return "it has a texture (inputs:texture:file); domes of one colour are used"
     colour = _emission(prim, time_code)
+    if not (math.isfinite(sum(colour)) and min(colour) >= 0):
+        red, green, blue = colour
+        return f"it emits ({red:g}, {green:g}, {blue:g}), not finite numbers of 0 or more"
     if not max(colour) > 0:
         return None
     if kind in _DOMES:
@@ -99,10 +124,7 @@ def _read_light(prim: Usd.Prim, time_code: float) -> LightSource | str | None:
     towards = np.array(place.TransformDir(_DIRECTION))
     length = float(np.linalg.norm(towards))
     if not (math.isfinite(length) and length > 0):
-        raise StageError(
-            f"the light <{path}> at timeCode {format_time_code(time_code)} is placed by a matrix "
-            "that is singular or not finite. Correct the transforms of the light and its parents."
-        )
+        return "its transform is singular or not finite, so it has no direction"
     x, y, z = (towards / length).tolist()
     return LightSource(path, (red, green, blue), (x, y, z))
 
@@ -117,12 +139,6 @@ def _emission(prim: Usd.Prim, time_code: float) -> tuple[float, float, float]:
         colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(temperature), float)
     with np.errstate(over="ignore", invalid="ignore"):
         red, green, blue = (colour * numbers[0] * np.exp2(numbers[1])).tolist()
-    if not (math.isfinite(red + green + blue) and min(red, green, blue) >= 0):
-        raise StageError(
-            f"the light <{prim.GetPath()}> emits ({red:g}, {green:g}, {blue:g}) at timeCode "
-            f"{format_time_code(time_code)}. Set intensity, exposure and color so that it emits "
-            "finite numbers of 0 or more."
-        )
     return red, green, blue
 
 
