@@ -27,9 +27,11 @@ __all__ = [
     "assemble",
     "plan",
     "plan_request",
+    "prepare",
     "run_coarse",
     "run_window",
     "stylize",
+    "stylize_job",
     "told_plan",
 ]
 
@@ -105,11 +107,28 @@ def stylize(
         UsdSmokeError: see ``usdsmoke.base.errors``; nothing is left behind but finished windows.
         Interrupted: by Ctrl-C.
     """
-    clock, tell = PartClock(), progress or _tell_nobody
-    request = Request(stage, style, output, settings, force)
+    clock = PartClock()
     # Plan: the stage and the headers of VDB files; refusals come with numbers.
     with clock.part("preparing"):
-        job = _prepare(request, planned)
+        job = _prepare(Request(stage, style, output, settings, force), planned)
+    return stylize_job(job, progress, clock)
+
+
+def stylize_job(
+    job: Job, progress: RunProgressCallback | None = None, clock: PartClock | None = None
+) -> StylizeResult:
+    """``stylize`` behind its plan.
+
+    Args:
+        job: prepared for this machine.
+        progress: called often, with how far the run is.
+        clock: with the time of the preparation.
+
+    Raises:
+        UsdSmokeError: see ``stylize``.
+        Interrupted: by Ctrl-C.
+    """
+    clock, tell = clock or PartClock(), progress or _tell_nobody
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
         with clock.part("preparing"):  # loads torch
@@ -239,10 +258,19 @@ def _task_result(opened: OpenRun, window: int | None, was_done: bool) -> TaskRes
     return TaskResult(run.folder, run.manifest_path(window), was_done, opened.plan, notes)
 
 
+def prepare(request: Request) -> Job:
+    """The job of a run on this machine.
+
+    Raises:
+        UsdSmokeError: everything that can be known before voxels are read.
+    """
+    prepare_torch_environment()
+    return prepare_job(request)
+
+
 def _prepare(request: Request, planned: _Planned | None) -> Job:
     """The job; the plan is told."""
-    prepare_torch_environment()
-    job = prepare_job(request)
+    job = prepare(request)
     if planned is not None:
         planned(told_plan(job))
     return job

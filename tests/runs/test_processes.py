@@ -48,7 +48,9 @@ class StandIn:
 
 
 def start(monkeypatch, tasks: StandIn, jobs: int, told: list[float]) -> None:
-    monkeypatch.setattr(processes, "divide_run", lambda request: tasks)
+    monkeypatch.setattr(processes, "prepare", lambda request: tasks)  # its plan is read
+    monkeypatch.setattr(processes, "told_plan", lambda job: job.plan)
+    monkeypatch.setattr(processes, "divide_job", lambda job: tasks)
     monkeypatch.setattr(processes, "assemble", lambda *arguments: told.append(-1.0))
     request = Request("shot.usda", (), tasks.folder)
     processes.stylize_in_processes(jobs, request, lambda report: told.append(report.share))

@@ -14,9 +14,17 @@ from multiprocessing.context import SpawnProcess
 
 from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
 from usdsmoke.base.machine import available_memory_gib, limit_cpus, usable_cpus
-from usdsmoke.farm.tasks import Tasks, divide_run
-from usdsmoke.pipeline import Request, StylizeResult, assemble, stylize
+from usdsmoke.farm.tasks import Tasks, divide_job
+from usdsmoke.pipeline import (
+    Request,
+    StylizeResult,
+    assemble,
+    prepare,
+    stylize_job,
+    told_plan,
+)
 from usdsmoke.planning.plan import Plan
+from usdsmoke.runs.budget import PartClock
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 
 SHORT_S = 40.0  # estimated time of a run that one process does
@@ -66,16 +74,19 @@ def stylize_in_processes(
         UsdSmokeError: the errors of ``stylize``, also if they occur in a process.
         Interrupted: by Ctrl-C.
     """
-    tasks = divide_run(request) if jobs != 1 else None
-    n_processes = 0 if tasks is None else min(jobs or choose_jobs(tasks.plan), len(tasks.windows))
-    if tasks is None or n_processes < 2:
-        return stylize(
-            request.stage, request.style, request.output, request.settings,
-            force=request.force, progress=progress, planned=planned,
-        )  # fmt: skip
-    _check_memory(tasks.plan, n_processes)
+    clock = PartClock()
+    with clock.part("preparing"):
+        job = prepare(request)
+        found, n_processes = told_plan(job), jobs or choose_jobs(job.plan)
+    if n_processes > 1:
+        tasks = divide_job(job)
+        n_processes = min(n_processes, len(tasks.windows))
+    if n_processes > 1:
+        _check_memory(tasks.plan, n_processes)
     if planned is not None:
-        planned(with_jobs(tasks.plan, n_processes))
+        planned(with_jobs(found, n_processes))
+    if n_processes < 2:
+        return stylize_job(job, progress, clock)
     tell = progress or (lambda report: None)
     pool = _Pool(tasks, tell)
     try:

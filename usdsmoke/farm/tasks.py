@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from usdsmoke.pipeline import Request, run_coarse, run_window, told_plan
-from usdsmoke.planning.job import prepare_job
+from usdsmoke.planning.job import Job, prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.opening import frames_again, refuse_result
 from usdsmoke.runs.progress import RunProgressCallback
@@ -45,7 +45,7 @@ class Tasks:
 
 
 def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) -> Tasks:
-    """The tasks of a run that begins, goes on or repeats frames of a result.
+    """The tasks of a run that begins, goes on or repeats frames of a result, for other machines.
 
     Args:
         request: what is asked for.
@@ -55,13 +55,21 @@ def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) 
         OutputExists: a finished result is in the way.
     """
     job = prepare_job(request, fits=False)
-    found = told_plan(job)
     if planned is not None:
-        planned(found)
-    if not request.force and job.config.stage.frames:
+        planned(told_plan(job))
+    return divide_job(job)
+
+
+def divide_job(job: Job) -> Tasks:
+    """``divide_run`` behind its plan.
+
+    Raises:
+        OutputExists: a finished result is in the way.
+    """
+    if not job.request.force and job.config.stage.frames:
         repeated = frames_again(job)
         if repeated is not None:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
     refuse_result(job)
-    return Tasks(request.settled(), found)
+    return Tasks(job.request, job.plan)
