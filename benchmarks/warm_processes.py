@@ -78,7 +78,8 @@ class Process:
         self.log = log
         log.touch()  # it is read even if the fork is killed before it has opened it
         self.code: int | None = None
-        self.memory_mib = 0.0  # the most that it and its children had, once it has ended
+        self.memory_mib = 0.0  # the most that it or one of its children had, once it has ended
+        self.cpu_seconds = 0.0  # of it and its children, likewise
         self.pid = os.fork()
         if self.pid == 0:
             _be_child(action, log)
@@ -94,6 +95,7 @@ class Process:
             if pid:
                 self.code = os.waitstatus_to_exitcode(status)
                 self.memory_mib = usage.ru_maxrss / 1024
+                self.cpu_seconds = usage.ru_utime + usage.ru_stime
         return self.code
 
     def kill(self) -> None:

@@ -5,28 +5,41 @@
 
 A sound stage, VDB file, style, settings file, network, unfinished run or result is damaged in
 bytes, words or values, and one command reads it in a fork of a warm process. It must end by itself
-with exit code 0, 1 or 2, name what is wrong, leave its inputs as they are and nothing behind.
-Linux only; about 0.4 CPU seconds a case.
+with exit code 0, 1 or 2, name what is wrong, leave its inputs as they are and nothing behind. Most
+commands read and plan; a share of ``--runs`` stylizes or draws. Linux only; about 0.05 CPU seconds
+a case that reads and 1.5 for one that stylizes.
 """
 
 import argparse
+import gc
+import importlib
 import os
 import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.circumstances import circumstances
 from benchmarks.fuzz.case import Case, Outcome, faults, run_case
+from benchmarks.fuzz.forked_worker import fork_workers
 from benchmarks.fuzz.seeds import KINDS, make_seeds
 from benchmarks.warm_processes import call_apart
 
-CHUNK = 50  # cases that a process is given at a time
+CHUNK = 500  # cases between two reports
+_LOADED = (
+    "encodings.ascii", "prov.model", "prov.serializers.provjson",
+    "prov.serializers.provjsonld", "prov.serializers.provn", "pxr.UsdValidation",
+    "pydantic.dataclasses",
+    "usdsmoke.audit.prov", "usdsmoke.audit.verification", "usdsmoke.farm.openjd",
+    "usdsmoke.farm.processes", "usdsmoke.pipeline", "usdsmoke.ui.cli.main", "usdsmoke.usd.crates",
+    "usdsmoke.usd.gate", "usdsmoke.usd.inspect", "usdsmoke.usd.rules.validation",
+    "usdsmoke.usd.source_stage",
+)  # fmt: skip
 
 
 @dataclass
@@ -35,7 +48,7 @@ class Tally:
 
     exits: Counter[tuple[str, str]] = field(default_factory=Counter)  # by kind and exit code
     errors: Counter[tuple[str, str]] = field(default_factory=Counter)  # by kind and error type
-    slowest: tuple[float, int] = (0.0, 0)  # seconds, case
+    slowest: tuple[float, int] = (0.0, 0)  # CPU seconds, case
     largest: tuple[float, int] = (0.0, 0)  # MiB, case
     faults: dict[int, list[str]] = field(default_factory=dict)  # by case
 
@@ -44,7 +57,7 @@ class Tally:
         self.exits[case.kind, str(outcome.exit_code)] += 1
         if outcome.error:
             self.errors[case.kind, outcome.error] += 1
-        self.slowest = max(self.slowest, (outcome.seconds, case.number))
+        self.slowest = max(self.slowest, (outcome.cpu_seconds, case.number))
         self.largest = max(self.largest, (outcome.memory_mib, case.number))
         if found := faults(outcome):
             name = f"{case.kind}: {' '.join(outcome.command)}, {outcome.damaged}"
@@ -68,6 +81,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--runs", type=float, default=0.005, help="share that stylizes or draws")
     parser.add_argument("--minutes", type=float, help="stop after this time")
     parser.add_argument("--report", type=Path, metavar="FILE.md")
     parser.add_argument("--case", type=int, metavar="N", help="this case alone")
@@ -78,24 +92,27 @@ def main() -> int:
         seeds = Path(name) / "seeds"
         call_apart(make_seeds, seeds, scratch=Path(name))  # this process stays free of threads
         if options.case is not None:
-            return _one(Case.drawn(options.seed, options.case), seeds, options.keep or Path(name))
-        tally, n_cases, start = Tally(), 0, time.monotonic()
+            case = Case.drawn(options.seed, options.case, options.runs)
+            return _one(case, seeds, options.keep or Path(name))
+        tally, text, start = Tally(), "", time.monotonic()
         numbers = range(options.first, options.first + options.cases)
-        for part in _parts(numbers, options.seed, options.jobs, seeds):
+        cases = [Case.drawn(options.seed, number, options.runs) for number in numbers]
+        for part in _parts(cases, options.jobs, seeds):
             tally.merge(part)
+            seconds = time.monotonic() - start
+            text = _report(tally, seconds)
+            if options.report:
+                options.report.write_text(text, encoding="utf-8")
             n_cases = sum(tally.exits.values())
-            _show(tally, n_cases, time.monotonic() - start)
-            if options.minutes and time.monotonic() - start > 60 * options.minutes:
+            print(f"{n_cases} cases, {seconds:.0f} s, faults: {len(tally.faults)}", file=sys.stderr)
+            if options.minutes and seconds > 60 * options.minutes:
                 break
-    text = _report(tally, n_cases, time.monotonic() - start)
-    if options.report:
-        options.report.write_text(text, encoding="utf-8")
     print(text)
     return 1 if tally.faults else 0
 
 
 def _one(case: Case, seeds: Path, folder: Path) -> int:
-    _warm_up()
+    _warm_up(case.with_torch)
     outcome = run_case(case, seeds, folder / f"case{case.number}")
     print(case.kind, *outcome.command, f"[{outcome.damaged}]", f"exit {outcome.exit_code}")
     print(outcome.output)
@@ -103,49 +120,71 @@ def _one(case: Case, seeds: Path, folder: Path) -> int:
     return 1 if faults(outcome) else 0
 
 
-def _parts(numbers: range, seed: int, jobs: int, seeds: Path) -> Iterator[Tally]:
-    """Tallies of chunks of cases, as they come, in processes that have imported everything."""
-    chunks = [numbers[k : k + CHUNK] for k in range(0, len(numbers), CHUNK)]
-    with ProcessPoolExecutor(jobs, initializer=_warm_up, max_tasks_per_child=None) as pool:
-        try:
-            yield from pool.map(_chunk, chunks, [seed] * len(chunks), [seeds] * len(chunks))
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+def _parts(cases: Sequence[Case], jobs: int, seeds: Path) -> Iterator[Tally]:
+    """Tallies of chunks of cases, as they come.
+
+    They run in forks of processes that have imported everything; of those without torch where the
+    command needs none, as a fork of a process with torch takes thrice as long.
+    """
+    with (
+        ProcessPoolExecutor(jobs, initializer=_warm_up, initargs=(False,)) as light,
+        ProcessPoolExecutor(jobs, initializer=_warm_up, initargs=(True,)) as heavy,
+    ):
+        for k in range(0, len(cases), CHUNK):
+            tally = Tally()
+            for pool, with_torch in ((light, False), (heavy, True)):
+                chunk = [case for case in cases[k : k + CHUNK] if case.with_torch == with_torch]
+                shares = [chunk[n::jobs] for n in range(jobs)]
+                for part in pool.map(_run_cases, shares, [seeds] * jobs):
+                    tally.merge(part)
+            yield tally
 
 
-def _chunk(numbers: range, seed: int, seeds: Path) -> Tally:
+def _run_cases(cases: Sequence[Case], seeds: Path) -> Tally:
     tally = Tally()
     with tempfile.TemporaryDirectory(prefix="usdsmoke_fuzz_") as name:
-        for number in numbers:
-            case = Case.drawn(seed, number)
-            folder = Path(name) / f"case{number}"
+        for case in cases:
+            folder = Path(name) / f"case{case.number}"
             tally.add(case, run_case(case, seeds, folder))
             shutil.rmtree(folder, ignore_errors=True)
             shutil.rmtree(folder.with_name(folder.name + ".tmp"), ignore_errors=True)
     return tally
 
 
-def _warm_up() -> None:
+def _warm_up(with_torch: bool) -> None:
     """Import what a command needs. Nothing is computed: threads would not survive a fork."""
-    import torch
+    import pxr.Work
+    from PIL import Image
+    from pxr import Usd
 
-    import usdsmoke.core.sequence.stylize
-    import usdsmoke.core.views.march
-    import usdsmoke.pipeline
-    import usdsmoke.ui.cli.main  # noqa: F401
+    from usdsmoke.ui.cli.arguments import build_parser
+    from usdsmoke.vdb.binding import find_binding
 
-    torch.set_num_threads(1)
+    pxr.Work.SetConcurrencyLimit(1)  # USD starts no threads either
+    for name in _LOADED:
+        importlib.import_module(name)
+    Usd.Stage.CreateInMemory()  # plug-ins and schemas
+    Image.init()
+    build_parser()
+    find_binding()
+    fork_workers()
+    if with_torch:
+        import torch
+
+        import usdsmoke.core.sequence.stylize
+        import usdsmoke.core.style.vgg19
+        import usdsmoke.core.views.march  # noqa: F401
+
+        torch.set_num_threads(1)
+    gc.collect()
+    gc.freeze()  # a collection in a fork would copy every page
 
 
-def _show(tally: Tally, n_cases: int, seconds: float) -> None:
-    print(f"{n_cases} cases, {seconds:.0f} s, {len(tally.faults)} with faults", file=sys.stderr)
-
-
-def _report(tally: Tally, n_cases: int, seconds: float) -> str:
+def _report(tally: Tally, seconds: float) -> str:
     lines = ["# Damaged inputs", "", *circumstances([Path(sys.executable).name, *sys.argv]), ""]
     lines += [
-        f"{n_cases} cases in {seconds:.0f} s. Slowest {tally.slowest[0]:.1f} s (case "
-        f"{tally.slowest[1]}), largest process {tally.largest[0]:.0f} MiB (case "
+        f"{sum(tally.exits.values())} cases in {seconds:.0f} s. Slowest {tally.slowest[0]:.1f} CPU "
+        f"seconds (case {tally.slowest[1]}), largest process {tally.largest[0]:.0f} MiB (case "
         f"{tally.largest[1]}), cases with a fault: {len(tally.faults)}.",
         "",
         "| damaged | exit 0 | exit 1 | exit 2 | other | errors named |",

@@ -36,47 +36,86 @@ class Kind:
         pattern: of the files in it, one of which is damaged.
         damage: makes other bytes of a file's bytes.
         commands: argument lists, one of which is run in the copied folder.
+        runs: likewise, those that stylize or draw: they take seconds.
     """
 
     folder: str
     pattern: str
     damage: Callable[[bytes, np.random.Generator], bytes]
     commands: tuple[tuple[str, ...], ...]
+    runs: tuple[tuple[str, ...], ...] = ()
 
 
-def _reading(stage: str, *more: str) -> tuple[tuple[str, ...], ...]:
-    dry = ("stylize", stage, "--style", "in/style.png", "-o", "out", "--dry-run", *more)
-    draw = ("preview", stage, "-o", "picture.png", "--width", "16")
-    return ("inspect", stage), ("validate", stage), dry, draw
+READ_NETWORK = "read-network"  # no command: the reader of ``features.vgg19_file`` alone
+
+
+def _reading(stage: str) -> tuple[tuple[str, ...], ...]:
+    asked = ("stylize", stage, "-o", "out", "--dry-run")  # with the style that the prim names
+    mend = ("validate", stage, "--mend", "mended.usda")
+    return ("inspect", stage), ("validate", stage), mend, asked, (*asked, "--style", "in/style.png")
+
+
+def _drawing(stage: str) -> tuple[tuple[str, ...], ...]:
+    return (("preview", stage, "-o", "picture.png", "--width", "16"),)
+
+
+def _running(stage: str) -> tuple[tuple[str, ...], ...]:
+    return (("stylize", stage, "--style", "in/style.png", "-o", "out", *_QUICK), *_drawing(stage))
 
 
 _SHOT = ("stylize", "in/shot.usda", "-o", "out", "--style")
 _RUN = (*_SHOT, "in/style.png", *_QUICK)
 _RECORD = tuple((command, "out") for command in ("provenance", "verify"))
+_DRY = "--dry-run"
+_BARE = ("stage", "in/cache/smoke.####.vdb", "-o", "bare.usda", "--meters-per-unit", "1")
 
 KINDS: dict[str, Kind] = {
-    "usda": Kind("shot", "in/shot.usda", damage_text, _reading("in/shot.usda")),
-    "usdc": Kind("shot", "in/shot.usdc", damage_bytes, _reading("in/shot.usdc")),
-    "vdb": Kind("shot", "in/cache/*.vdb", damage_bytes, _reading("in/shot.usda")),
-    "png": Kind("shot", "in/style.png", damage_bytes, (_RUN,)),
-    "exr": Kind("shot", "in/style.exr", damage_bytes, ((*_SHOT, "in/style.exr", *_QUICK),)),
+    "usda": Kind(
+        "shot", "in/shot.usda", damage_text, _reading("in/shot.usda"), _running("in/shot.usda")
+    ),
+    "usdc": Kind(
+        "shot", "in/shot.usdc", damage_bytes, _reading("in/shot.usdc"), _running("in/shot.usdc")
+    ),
+    "vdb": Kind(
+        "shot",
+        "in/cache/*.vdb",
+        damage_bytes,
+        (*_reading("in/shot.usda"), _BARE),
+        _running("in/shot.usda"),
+    ),
+    "png": Kind("shot", "in/style.png", damage_bytes, ((*_SHOT, "in/style.png", _DRY),), (_RUN,)),
+    "exr": Kind(
+        "shot",
+        "in/style.exr",
+        damage_bytes,
+        ((*_SHOT, "in/style.exr", _DRY),),
+        ((*_SHOT, "in/style.exr", *_QUICK),),
+    ),
     "yaml": Kind(
         "shot",
         "in/config.yaml",
         damage_text,
         (
             ("inspect", "in/shot.usda", "--config", "in/config.yaml"),
-            (*_SHOT, "in/style.png", "--config", "in/config.yaml", "--dry-run"),
-            (*_SHOT, "in/style.png", "--overrides", "in/config.yaml", "--dry-run"),
+            (*_SHOT, "in/style.png", "--config", "in/config.yaml", _DRY),
+            (*_SHOT, "in/style.png", "--overrides", "in/config.yaml", _DRY),
+            ("submit", *_SHOT[1:], "in/style.png", "--overrides", "in/config.yaml"),
         ),
     ),
     "network": Kind(
         "network",
         "in/vgg19.pth",
         damage_bytes,
+        ((READ_NETWORK, "in/vgg19.pth"),),
         ((*_RUN, "--set", "features.network=vgg19", "--set", "features.vgg19_file=in/vgg19.pth"),),
     ),
-    "unfinished run": Kind("unfinished", "out/**/*", damage_json, (_RUN, ("assemble", "out"))),
+    "unfinished run": Kind(
+        "unfinished",
+        "out/**/*",
+        damage_json,
+        (("assemble", "out"), (*_RUN, _DRY), ("verify", "out")),
+        (_RUN,),
+    ),
     "result": Kind(
         "result",
         "out/**/*",
@@ -86,10 +125,9 @@ KINDS: dict[str, Kind] = {
             ("provenance", "out", "--prov"),
             ("validate", "out/look.usda"),
             ("inspect", "out/stylized.usda"),
-            ("preview", "out/stylized.usda", "-o", "picture.png", "--width", "16"),
-            _RUN,
-            ("rerun", "out", "-o", "again"),
+            (*_RUN, _DRY),
         ),
+        (*_drawing("out/stylized.usda"), _RUN, ("rerun", "out", "-o", "again")),
     ),
 }
 

@@ -15,7 +15,7 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.errors import OutputExists, StageError
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.gate import validate_look, write_mends
 from usdsmoke.usd.rules import Severity, validate
@@ -99,3 +99,17 @@ def test_where_nothing_can_be_mended_no_layer_is_written(shot: Shot, tmp_path: P
         main(["validate", str(tmp_path / "first.usda"), "--mend", str(tmp_path / "two.usda")]) == 0
     )
     assert not (tmp_path / "two.usda").exists()
+
+
+@needs_usd(26, 11)
+def test_a_stage_with_a_value_that_cannot_be_read_is_refused_and_no_layer_stays(
+    tmp_path: Path,
+) -> None:
+    stage_file, target = faulty(tmp_path), tmp_path / "mended.usda"
+    moved = 'token xformOp:translate = "far"\nuniform token[] xformOpOrder = ["xformOp:translate"]'
+    text = stage_file.read_text()
+    place = text.index("{", text.index("def Volume")) + 1
+    stage_file.write_text(text[:place] + moved + text[place:])
+    with pytest.raises(StageError, match="cannot be read"):
+        write_mends(stage_file, target)
+    assert not target.exists()

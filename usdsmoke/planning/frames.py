@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.errors import GridNotFound
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import GRID_SEPARATORS, FieldSource, FrameSource, VolumeSource
@@ -90,8 +90,8 @@ def find_frame_mask(
 
     Raises:
         GridNotFound: the named mask is neither; the message lists the relationships and grids.
-        UnsupportedGrid: no float grid, a level set, a transform that is not linear, or a transform
-            or xform of the field prim that cannot be inverted.
+        UnsupportedGrid: no float grid, a level set, or a transform that is not linear or cannot be
+            inverted.
     """
     name = config.stage.mask
     if not name:
@@ -105,11 +105,6 @@ def find_frame_mask(
         _check_has_mask(volume, header, name)
     grid = find_grid(header, request)
     check_readable(header, grid, request)
-    if not abs(np.linalg.det(field.field_to_stage[:3, :3])) > 0:  # nor with NaN
-        raise UnsupportedGrid(
-            f"the transform of the {request.where} has a scale of 0 or NaN, so the mask cannot be "
-            "sampled. Correct its scale."
-        )
     return MaskSource(field, grid)
 
 

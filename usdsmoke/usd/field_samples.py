@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pxr import Gf, Sdf, Usd
 
-from usdsmoke.usd.values import authored_path, value_at
+from usdsmoke.usd.values import authored_path, typed_value_at, value_at
 
 FIELD_PREFIX = "field:"
 
@@ -62,15 +62,15 @@ class FieldSamples:
     def at(self, time_code: float | None) -> FieldSample:
         """What is shown at any time; None asks for the default value."""
         code = usd_time(time_code)
-        asset = value_at(self._file, code)
+        asset = typed_value_at(self._file, code, Sdf.AssetPath)
         return FieldSample(
             time_code=time_code,
             authored_path=authored_path(asset) if asset else "",
             file_path=str(asset.resolvedPath) if asset else "",
             has_path=asset is not None,
             blocked=asset is None and self._file.HasAuthoredValue(),
-            grid_name=value_at(self._grid[0], code) or "",
-            grid_index=value_at(self._grid[1], code),
+            grid_name=typed_value_at(self._grid[0], code, str) or "",
+            grid_index=typed_value_at(self._grid[1], code, int),
         )
 
     def changes(self) -> list[float]:

@@ -11,6 +11,7 @@ from usdsmoke.base.errors import OutputExists, UsdSmokeError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.look.root import copy_stage_metadata
 from usdsmoke.usd.rules import Finding, Severity, mend, validate
@@ -39,6 +40,7 @@ def validate_look(
     return own, [finding for finding in findings if _what(finding) in known]
 
 
+@readable_values()
 def write_mends(stage_file: Path, target: Path) -> list[Finding]:
     """A new layer above a stage that mends what can be mended; not written if that is nothing.
 
@@ -46,7 +48,7 @@ def write_mends(stage_file: Path, target: Path) -> list[Finding]:
         The findings that are gone on the new layer's stage.
 
     Raises:
-        StageError: the stage cannot be opened, or OpenUSD has no fixers.
+        StageError: the stage cannot be opened or read, or OpenUSD has no fixers.
         OutputExists: there is such a file.
         WriteFailed: it cannot be written.
     """

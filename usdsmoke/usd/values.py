@@ -3,12 +3,14 @@
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pxr import Ar, Gf, Sdf, Usd, Vt
 
 from usdsmoke.base.naming import relative_asset_path
+
+_Value = TypeVar("_Value")
 
 
 def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
@@ -18,6 +20,17 @@ def value_at(attribute: Usd.Attribute, time_code: float | Usd.TimeCode) -> Any:
     """
     value = attribute.Get(time_code)
     return None if isinstance(value, Sdf.ValueBlock) else value
+
+
+def typed_value_at(
+    attribute: Usd.Attribute, time_code: float | Usd.TimeCode, kind: type[_Value]
+) -> _Value | None:
+    """An attribute's value; None where it has none, or one of another type than its schema says.
+
+    A layer may declare any type. OpenUSD's own validators name what differs from the schema.
+    """
+    value = value_at(attribute, time_code)
+    return value if isinstance(value, kind) else None
 
 
 def extent_value(low: np.ndarray, high: np.ndarray) -> Vt.Vec3fArray:

@@ -21,6 +21,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.usd.rules import validate
 from usdsmoke.usd.stage import find_volumes, open_stage
 
 DEFAULT = "asset filePath = @./cache/smoke.0001.vdb@"
@@ -267,3 +268,39 @@ def test_an_unreadable_stage_is_refused(tmp_path):
     stage_file.chmod(0)
     with pytest.raises(StageError, match=r"cannot be read: .*permissions"):
         open_stage(stage_file)
+
+
+@pytest.mark.parametrize("scale", ["(0, 1, 1)", "(1, inf, 1)", "(1, nan, 1)"])
+def test_a_place_without_size_is_refused_at_its_time_code_and_found_by_validate(tmp_path, scale):
+    write_sequence(tmp_path, (1, 2))
+    scales = sampled("float3 xformOp:scale", {1: "(1, 1, 1)", 2: scale})
+    body = scales + '\nuniform token[] xformOpOrder = ["xformOp:scale"]\n'
+    body = volume_prim(body + density_prim(sequence((1, 2))))
+    reason = "</World/smoke/density> at timeCode 2 has a scale of 0, NaN or infinity.*--frames"
+    refuse(tmp_path, body, StageError, reason)
+    stage = open_stage(tmp_path / "shot.usda")
+    assert len(find_volumes(stage, StageConfig(frames="1")).volumes[0].frames) == 1
+    found = [item for item in validate(stage) if item.rule == "FieldPlaceDiffers"]
+    assert [item.time_code for item in found] == ([] if "0" in scale else [2.0])
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ('token fieldName = "density"', "int fieldName = 3"),
+        ('token fieldName = "density"', 'smoke fieldName = "density"'),  # a type USD does not know
+        ('token fieldName = "density"', 'string fieldIndex = "a"'),
+        (DEFAULT, 'string filePath = "./cache/smoke.0001.vdb"'),
+    ],
+)
+def test_values_of_another_type_than_the_schemas_count_as_none(tmp_path, right, wrong):
+    write_sequence(tmp_path, (1,))
+    body = density_prim(DEFAULT).replace(right, wrong)
+    stage = open_stage(write_text(tmp_path / "shot.usda", world(volume_prim(body))))
+    if "filePath" in wrong:
+        with pytest.raises(AssetNotResolved, match="has no filePath at any timeCode"):
+            find_volumes(stage, StageConfig())
+    else:
+        (frame,) = find_volumes(stage, StageConfig()).volumes[0].frames
+        assert (frame.fields["density"].grid_name, frame.fields["density"].grid_index) == ("", None)
+    assert any("TypeMismatch" in finding.rule for finding in validate(stage))

@@ -191,6 +191,7 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     )
 
 
+@readable_values()
 def mend(stage: Usd.Stage) -> list[Finding]:
     """Apply the fixers of all findings of ours at a stage's edit target, whose layer is saved.
 
@@ -198,7 +199,7 @@ def mend(stage: Usd.Stage) -> list[Finding]:
         The findings that were mended.
 
     Raises:
-        StageError: OpenUSD is older than 26.11.
+        StageError: OpenUSD is older than 26.11, or a value cannot be read.
     """
     register_schema()
     register_validators()

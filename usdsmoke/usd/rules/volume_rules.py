@@ -108,15 +108,21 @@ def check_field_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Field prims stand where their Volume stands; programs place grids by the one or the other."""
     problems = []
     for field in collect_fields(volume, interval):
-        troubles = {}
+        troubles, nowhere = {}, {}
         for sample in field.samples:
             theirs, ours = (field_to_stage(p, sample.time_code) for p in (field.prim, volume))
-            if np.abs(theirs - ours).max() > _CLOSE * np.abs(ours).max():
+            if not np.isfinite(theirs).all():
+                nowhere[sample.time_code] = (
+                    "the transform holds NaN or infinity. Correct the xformOps of the prim or of "
+                    "those above it"
+                )
+            elif np.abs(theirs - ours).max() > _CLOSE * np.abs(ours).max():
                 troubles[sample.time_code] = (
                     f"the field prim stands elsewhere than its Volume <{volume.GetPath()}>. Storm "
                     "and Blender place grids by the Volume, USD by the field prim. Give both one "
                     "transform"
                 )
+        problems += grouped(Severity.ERROR, field.prim_path, nowhere)
         problems += grouped(Severity.WARN, field.prim_path, troubles)
     return problems
 

@@ -216,6 +216,27 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
     )
 
 
+def check_places(sources: Sequence[FieldSource]) -> None:
+    """Refuse a field prim whose transform leaves no smoke to be seen.
+
+    Raises:
+        StageError: it has a scale of 0, NaN or infinity; with every timeCode concerned.
+    """
+    lost = [source for source in sources if not _has_size(source.field_to_stage)]
+    if not lost:
+        return
+    raise StageError(
+        f"the transform of <{lost[0].prim_path}> at timeCode "
+        f"{format_time_code(lost[0].time_code)} has a scale of 0, NaN or infinity"
+        f"{_also(source.time_code for source in lost[1:])}. Correct the xformOps of the prim or of "
+        "those above it, or leave such timeCodes out with --frames."
+    )
+
+
+def _has_size(matrix: np.ndarray) -> bool:
+    return bool(np.isfinite(matrix).all() and abs(np.linalg.det(matrix[:3, :3])) > 0)
+
+
 def _authoring_layer(prim: Usd.Prim, time_code: float) -> str:
     """File name of the layer that supplies ``filePath`` at ``time_code``."""
     for spec in prim.GetAttribute("filePath").GetPropertyStack(Usd.TimeCode(time_code)):

@@ -40,6 +40,7 @@ from usdsmoke.usd.stage.choice import choose_volumes
 from usdsmoke.usd.stage.fields import (
     VolumeFields,
     check_assets,
+    check_places,
     field_source,
     find_fields,
 )
@@ -118,7 +119,7 @@ def find_volumes(
             )
         omitted[path] = f"none of its timeCodes {codes} is in {config.frames!r}"
     if not volumes:
-        reasons = "; ".join([*missing, *(problems or ())])
+        reasons = "; ".join(text.rstrip(".") for text in [*missing, *(problems or ())])
         raise StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
 
@@ -287,8 +288,10 @@ def _read_volume(
         _check_mask(outline, fields, time_code)
         frames.append(FrameSource(time_code, fields, control))
     for name, prim in outline.fields.prims.items():
-        check_assets(prim, [frame.fields[name] for frame in frames if name in frame.fields])
-    shown = [field for frame in frames for field in frame.fields.values()]
+        shown = [frame.fields[name] for frame in frames if name in frame.fields]
+        check_assets(prim, shown)
+        check_places(shown)
+    every = [field for frame in frames for field in frame.fields.values()]
     return VolumeSource(
         prim_path=str(outline.prim.GetPath()),
         frames=tuple(frames),
@@ -302,7 +305,7 @@ def _read_volume(
         request=request,
         materials=find_materials(outline.prim),
         variants=selected_variants(outline.prim, VARIANT_SET),
-        notes=place_notes(outline.prim, shown, find_instancers(outline.prim.GetStage())),
+        notes=place_notes(outline.prim, every, find_instancers(outline.prim.GetStage())),
     )
 
 
