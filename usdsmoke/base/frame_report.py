@@ -150,7 +150,7 @@ class FrameReport(JsonRecord):
     voxels_outside_camera: int | None = None  # of these; None where the camera does not matter
     warnings: tuple[str, ...] = ()
     left_out: str = ""  # why nothing is done; "" for a frame that is stylized
-    extinction: float | None = None  # 1/stage unit per density; None: the scene's
+    extinction: float = 0.0  # 1/stage unit per density
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step
     colour: StepReport | None = None

@@ -74,7 +74,6 @@ class _Versions:
     tail: WindowRecord
     head: WindowRecord
     weight: float  # of the tail
-    gamma_w: float  # the scene's, for frames that have no extinction of their own
 
     def part_of(self, window: WindowRecord) -> str:
         return part_file_name(window.window, self.frame.file_name)
@@ -230,11 +229,10 @@ def _versions(plan: Plan, run: Run, windows: Sequence[WindowRecord]) -> dict[str
     for task, _ in pairwise(plan.tasks):
         place, overlap = task.number, task.window.overlap
         own = len(task.window.time_codes)
-        gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
         weights = zip(task.frames[own:], tail_weights(len(overlap)), strict=True)
         for frame, weight in weights:
             tail, head = windows[place], windows[place + 1]
-            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight, gamma_w)
+            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight)
     return found
 
 
@@ -257,14 +255,12 @@ def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
         for name, one, other in zip(("density", "emission"), tail, head, strict=False)
     }
     blended = blend_frames(tail, head, pair.weight)
-    gamma_w = pair.reports[1].extinction
-    gamma_w = pair.gamma_w if gamma_w is None else gamma_w
     others = reader.read_others(volume, frame)
     if volume.moves_fields:
         others = blend_fields(versions[0][n:], versions[1][n:], pair.weight)
     copied, report = reader.read_velocity_copy(volume, frame), _blended_report(pair, difference)
     copied += others
-    fields, report = result_fields(blended, copied, report, gamma_w, config)
+    fields, report = result_fields(blended, copied, report, config)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
     metadata = frame_metadata(run, volume, frame, hashes)
     target = run.folder / frame.file_name

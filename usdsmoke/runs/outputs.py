@@ -37,7 +37,6 @@ def result_fields(
     fields: Sequence[DenseField],
     copied: Sequence[DenseField],
     report: FrameReport,
-    gamma_w: float,
     config: Config,
 ) -> tuple[list[DenseField], FrameReport]:
     """The grids of a result's file, and the frame's report with what is lost by storing them.
@@ -45,7 +44,6 @@ def result_fields(
     Args:
         fields: density and, after a colour step, emission.
         copied: grids that are written beside them as they are given.
-        gamma_w: extinction per density, 1/stage unit.
 
     Returns:
         Density and emission, pruned, and the other grids that are asked for; the report.
@@ -54,7 +52,7 @@ def result_fields(
     colours = [
         grid
         for emission in emissions
-        for grid in make_colour_grids(density, emission, gamma_w, config.layer)
+        for grid in make_colour_grids(density, emission, report.extinction, config.layer)
     ]
     lost = storage_errors(fields, config.grids, report.errors, kept)
     written = int(np.count_nonzero(density.values > 0))
@@ -95,11 +93,8 @@ def write_result(
     if is_part:
         fields += others
     else:
-        gamma_w = report.extinction
-        if gamma_w is None:  # then the scene's
-            gamma_w = float(run.scenes[task.volume_number]["gamma_w"])
         copied = [*opened.reader.read_velocity_copy(volume, frame), *others]
-        fields, report = result_fields(fields, copied, report, gamma_w, config)
+        fields, report = result_fields(fields, copied, report, config)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
     half = config.grids.half and not is_part
@@ -159,7 +154,6 @@ def collect_volume(
         WriteFailed: that file could not be written.
     """
     written, extinctions, config = [], {}, volume.config
-    extinction_per_density, stops = scene["gamma_w"], scene.get("stops", 0.0)
     for frame in volume.frames:
         record = run.frames[frame.file_name]
         written.append(
@@ -171,8 +165,7 @@ def collect_volume(
                 extent_max=_triple(record["extent_max"]),
             )
         )
-        extinction = record["report"].get("extinction", extinction_per_density)
-        extinctions[frame.source.time_code] = extinction
+        extinctions[frame.source.time_code] = record["report"].get("extinction", 0.0)
     grids = {volume.source.density: volume.source.density}
     if "colour" in config.optimize.steps:
         colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
@@ -186,7 +179,7 @@ def collect_volume(
     return StylizedVolume(
         source=volume.source,
         frames=written,
-        extinction_per_density=next(iter(extinctions.values()), extinction_per_density),
+        extinction_per_density=next(iter(extinctions.values())),
         extinction_samples=extinctions if len(set(extinctions.values())) > 1 else {},
         grids=grids,
         empty_file=empty_file,
@@ -195,7 +188,7 @@ def collect_volume(
         albedo=config.albedo if is_lit else 0.0,
         anisotropy=config.optics.anisotropy if is_lit else 0.0,
         named_lights=named_lights(config.optics) if is_lit else (),
-        stops=stops,
+        stops=scene.get("stops", 0.0),
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
         seed=config.optimize.seed,
     )

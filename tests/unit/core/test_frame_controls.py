@@ -186,9 +186,9 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
     gammas = [0.1, 0.2, None]
     scene = scene_of(frames, config, "Y")
     results = run_core(controlled(frames, gamma=gammas), config, scene)
-    assert [result.report.extinction for result in results] == [0.1, 0.2, None]
     lights = [result.emission.values for result in results]
     extinctions = [0.1, 0.2, scene.gamma_w]
+    assert [result.report.extinction for result in results] == extinctions
     for light, gamma_w in zip(lights, extinctions, strict=True):
         np.testing.assert_allclose(light / gamma_w, lights[0] / 0.1, rtol=1e-3, atol=1e-6)
 

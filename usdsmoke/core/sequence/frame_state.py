@@ -227,11 +227,9 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     _check_finite(frame)
     shared, n_styles = context.config, len(context.targets.images)
     config = frame_config(shared, frame.controls, frame.time_code, n_styles)
-    scene, targets, extinction = context.scene, context.targets, None
+    scene, targets = context.scene, context.targets
     if config is not shared:
         scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
-        extinction = scene.gamma_w
-
     check_half(frame.density, frame.time_code, scene.gamma_w, config)
 
     # find the smoke that is visible and not masked
@@ -244,7 +242,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
     warnings = _mask_warnings(frame, mask)
-    report = FrameReport(len(source.ijk), n_outside, warnings, left_out, extinction)
+    report = FrameReport(len(source.ijk), n_outside, warnings, left_out, scene.gamma_w)
     if visibility is not None and not left_out:
         source, smoke = visibility.padded(source), visibility.visible(source)
     return OpenedFrame(
