@@ -1,5 +1,6 @@
 """What a plan remarks on: nothing that is wrong, but what may surprise at the end of a run."""
 
+import math
 from collections.abc import Sequence
 
 from usdsmoke.base.errors import count_text
@@ -11,12 +12,19 @@ from usdsmoke.planning.plan import VolumePlan
 # times 21 % and 1000 times 134 %; the shape step's rate makes no difference (< 1 %).
 EXTREME_RATE = 10.0
 
+# Pixels of a picture for one voxel from which strokes look smeared: a dragon of 70 voxels is, with
+# 192 pixels, and a plume of 107 is not.
+_COARSE = 2.0
+_FEWEST = 16  # voxels: fewer have no shape that strokes could follow
+_MOST_REFINED = 4  # of the hint: 64 times the voxels
+
 
 def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     """Sentences about all Volumes, each once."""
     found: list[str] = []
     for volume in volumes:
-        found += [*_part(volume), *_rate(volume), *lights_remark(volume.config, volume)]
+        found += [*_part(volume), *_rate(volume), *_coarse(volume)]
+        found += lights_remark(volume.config, volume)
     return tuple(dict.fromkeys(found))
 
 
@@ -48,4 +56,21 @@ def _rate(volume: VolumePlan) -> list[str]:
     return [
         f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: a step goes from "
         f"one end of the range to the other. Set {usual:g}, or look closely at the result"
+    ]
+
+
+def _coarse(volume: VolumePlan) -> list[str]:
+    """Voxels that are larger than the strokes of a picture."""
+    config = volume.config
+    longest = max(
+        (max(frame.size.box) for frame in volume.frames if frame.size.computed), default=0
+    )
+    pixels = config.views.image_size
+    if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
+        return []
+    parts = min(math.ceil(pixels / longest), _MOST_REFINED)
+    return [
+        f"the voxels of <{volume.source.prim_path}> are coarse: {longest} along the longest side, "
+        f"in pictures of {pixels} pixels. For sharper strokes set grids.refine={parts}, which "
+        f"makes {parts**3} voxels of each"
     ]

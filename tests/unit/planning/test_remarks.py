@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
@@ -35,6 +37,29 @@ def test_a_part_of_a_shot_is_measured_on_that_part_and_the_plan_says_so(shot: Sh
     known = ("optics.gamma=1", "optics.gamma_shape=1")
     assert plan_of(shot, "stage.frames=1-2", *known).notes == ()
     assert plan_of(shot, "stage.frames=1-2", known[0]).notes
+
+
+@pytest.mark.parametrize(
+    ("longest", "settings", "refine"),
+    [
+        (70, (), 3),  # td.md D16: a dragon, smeared
+        (23, (), 4),
+        (107, (), None),  # the example plume, good
+        (222, (), None),  # cortex' smoke, good
+        (4, (), None),
+        (70, ("grids.refine=2",), None),
+        (70, ("views.image_size=128",), None),
+        (70, ("optimize.strength=0",), None),
+    ],
+)
+def test_d16_a_coarse_grid_is_told_with_the_setting_for_sharper_strokes(
+    tmp_path: Path, longest: int, settings: tuple[str, ...], refine: int | None
+) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    voxels = np.ones((longest, 6, 6), np.float32)
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(voxels))
+    notes = plan_of(shot, *settings).notes
+    assert [f"grids.refine={refine}" in note for note in notes] == [True] * (refine is not None)
 
 
 @pytest.mark.usefixtures("core")
