@@ -48,7 +48,8 @@ def test_d4_a_field_prim_that_stands_elsewhere_is_named_in_plan_inspect_and_vali
     assert "</World/caches/density> stands elsewhere than its Volume </World/smoke>" in note
     assert any("stands elsewhere" in item for item in inspect(shot.stage)["notes"])
     found = {finding.rule: finding for finding in validate(shot.stage)}
-    assert found["FieldPlaceDiffers"].prim_path == "/World/caches/density"
+    assert found["FieldPlaceDiffers"].prim_path == "/World/smoke"
+    assert "</World/caches/density>" in found["FieldPlaceDiffers"].message
     beside = shot_of(tmp_path / "beside", body + caches.replace("0, 9, 0", "0, 0, 0"))
     plan = make_plan(beside.stage, beside.style, beside.output)
     assert not any("stands elsewhere" in note for note in plan.notes)

@@ -325,7 +325,8 @@ def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
 def _omitted_inputs(config: Config, volumes: Volumes) -> list[Omission]:
     omitted, frames = [], _frames(volumes)
     if all(frame.velocity is None for frame in frames):
-        expected = len(frames) == 1 or config.windows.size == 1
+        is_still = all(len(volume.frames) == 1 for volume in volumes)
+        expected = is_still or config.windows.size == 1
         reason = _why_no_velocity(volumes, config)
         omitted.append(Omission("velocity grids", reason, expected))
     if all(frame.mask is None for frame in frames):

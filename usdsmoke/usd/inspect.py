@@ -6,7 +6,7 @@ from dataclasses import replace
 from os import PathLike
 from typing import Any
 
-from pxr import Usd
+from pxr import Usd, UsdGeom
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.base.resolve import Settings, Styles
@@ -57,7 +57,7 @@ def inspect(
     requests = describe_requests(stage, source, given)
     lit = lit_by(stage, source, [OpticsConfig()] * len(source.volumes))
     return {
-        "stage": _describe_stage(source),
+        "stage": _describe_stage(source) | {"not_authored": _not_authored(stage)},
         "volumes": [
             _describe_volume(volume, headers) | {"request": request}
             for volume, request in zip(lit.volumes, requests, strict=True)
@@ -115,6 +115,15 @@ def _describe_stage(source: StageSource) -> dict[str, Any]:
         "end_time_code": source.end_time_code,
         "default_prim": source.default_prim,
     }
+
+
+def _not_authored(stage: Usd.Stage) -> list[str]:
+    """Values that are USD's fallbacks: a length of smoke may be another one than was meant."""
+    authored = {
+        "up_axis": stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis),
+        "meters_per_unit": UsdGeom.StageHasAuthoredMetersPerUnit(stage),
+    }
+    return [name for name, is_there in authored.items() if not is_there]
 
 
 def _describe_volume(volume: VolumeSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:

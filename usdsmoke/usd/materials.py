@@ -8,6 +8,7 @@ from pxr import Usd, UsdShade
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import BoundMaterial
+from usdsmoke.usd.diagnostics import captured_diagnostics
 
 BINDING = "material:binding"
 _COLLECTION = f"{BINDING}:collection"
@@ -23,8 +24,9 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
     """
     binding = UsdShade.MaterialBindingAPI(volume)
     found: dict[str, BoundMaterial] = {}
-    for purpose in binding.GetMaterialPurposes():
-        material, relationship = binding.ComputeBoundMaterial(purpose)
+    with captured_diagnostics():  # a missing MaterialBindingAPI is said by a validator
+        bound = [binding.ComputeBoundMaterial(name) for name in binding.GetMaterialPurposes()]
+    for material, relationship in bound:
         if not material or not relationship or str(material.GetPath()) in found:
             continue
         shaders = list(_volume_shaders(material))

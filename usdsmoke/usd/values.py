@@ -98,10 +98,7 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
             "'usdsmoke stage' does."
         )
     if not file_path:
-        return (
-            "there is no such file. Check the path, and whether the files were copied too; "
-            "--allow-missing leaves such frames out."
-        )
+        return "there is no such file. Check the path, and whether the files were copied too."
     if os.path.isdir(file_path):
         return f"{file_path} is a folder. Author the path of a .vdb file."
     if not os.path.isfile(file_path):

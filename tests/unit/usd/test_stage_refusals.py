@@ -145,7 +145,7 @@ def test_an_instance_proxy_is_refused_with_its_source(tmp_path):
 @pytest.mark.parametrize(
     ("relations", "reason"),
     [
-        ("", r'no relationship "field:density" .*none.* stage\.density'),
+        ("", r'no relationship "field:density" .*none.*--prim'),
         (
             "rel field:temp = </World/smoke/t>",
             'no relationship "field:density" .*field:temp',

@@ -58,10 +58,11 @@ class PlannedVolume:
         linear = self.plan.config.shape.interpolation == "linear"
         return "shape.interpolation is linear, as in the optimiser" if linear else ""
 
-    @property
-    def no_pairs(self) -> str:
-        """Why no frame is compared with the one before."""
+    def no_chain(self, n: int) -> str:
+        """Why no frame is compared with the n-th before it."""
         windows = self.plan.windows
+        if n > 1 and len(self.plan.frames) <= n:
+            return f"there are no {n + 1} frames"
         if len(self.plan.frames) == 1:
             return "there is one frame only"
         if self.plan.config.windows.size == 1:
@@ -70,6 +71,8 @@ class PlannedVolume:
             return "there is a cut between any two frames"
         if all(len(window.time_codes) + len(window.overlap) == 1 for window in windows):
             return "no two frames share a window"
+        if n > 1 and all(len(w.time_codes) + len(w.overlap) <= n for w in windows):
+            return f"no window has {n + 1} frames"
         compared = any(report and report.temporal for report in self.reports)
         return "no two neighbouring frames " + (
             "have smoke in common" if compared else "are stylized"

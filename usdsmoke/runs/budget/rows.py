@@ -185,7 +185,7 @@ def _temporal(kind: str, step: str, setting: str, n: int) -> ErrorRow:
         relative_to="a pattern drawn anew",
         how=f"measured against {'the frame' if n == 1 else f'{n} frames'} before",
         of_frame=lambda report: _figure(report.temporal, field),
-        why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_pairs,
+        why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_chain(n),
         without=f"no chain of {n + 1} frames, or no {step} step",
         temporal=(field, step) if n == 1 else None,
         most=1.2,  # noise drawn anew: 1

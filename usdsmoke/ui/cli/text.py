@@ -131,9 +131,11 @@ def job_text(bundle: "JobBundle") -> str:
 def inspection_text(found: Mapping[str, Any]) -> str:
     """What ``inspect`` found, one line per field and timeCode."""
     stage = found["stage"]
+    unsaid = {name: " (not authored)" for name in stage["not_authored"]}
     lines = [
         f"{stage['file']}",
-        f"  {stage['up_axis']} up, {stage['meters_per_unit']:g} m per unit, "
+        f"  {stage['up_axis']} up{unsaid.get('up_axis', '')}, {stage['meters_per_unit']:g} m per "
+        f"unit{unsaid.get('meters_per_unit', '')}, "
         f"{stage['time_codes_per_second']:g} timeCodes per second, "
         f"{stage['frames_per_second']:g} frames per second",
     ]
@@ -219,8 +221,8 @@ def _window_lines(plan: "Plan") -> list[str]:
     lines = []
     for volume in plan.volumes:
         for window in volume.windows:
-            line = f"  window {window.index}: <{volume.source.prim_path}> timeCodes "
-            line += format_time_codes(window.time_codes)
+            line = f"  window {window.index}: <{volume.source.prim_path}> "
+            line += name_time_codes(window.time_codes)
             if window.overlap:
                 shared = format_time_codes(window.overlap)
                 line += f", and {shared} shared with window {window.index + 1}"
@@ -242,15 +244,9 @@ def _inspected_volume(volume: Mapping[str, Any]) -> str:
 def _inspected_field(
     frame: Mapping[str, Any], name: str, field: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    index = field["grid_index"] or 0
-    grid: Mapping[str, Any] = next(
-        (
-            grid
-            for grid in field.get("grids", ())
-            if grid["name"] == field["grid"] and grid["index"] == index
-        ),
-        {},
-    )
+    named = [grid for grid in field.get("grids", ()) if grid["name"] == field["grid"]]
+    index = (field["grid_index"] or 0) if len(named) > 1 else 0  # it tells equal names apart
+    grid: Mapping[str, Any] = next((grid for grid in named if grid["index"] == index), {})
     label = f"{field['grid']}[{index}]" if index else field["grid"]
     kind = f"{grid.get('type', '?')}{' (half)' if grid.get('half') else ''}"
     voxels = grid.get("active_voxels")
@@ -299,7 +295,10 @@ def budget_text(
         for estimate in sorted(budget.estimates, key=_least_urgent(budget))
     ]
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
-    left_out = [f"without {name}: {why}" for name, why in budget.left_out.items()]
+    reasons: dict[str, list[str]] = {}
+    for name, why in budget.left_out.items():
+        reasons.setdefault(why, []).append(name)
+    left_out = [f"without {'; '.join(names)}: {why}" for why, names in reasons.items()]
     parts = dict(seconds or budget.seconds)
     whole = parts.pop("all", None)
     took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())

@@ -48,7 +48,8 @@ def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             )
             troubles[code] = (
                 f"the fields come from {len(files)} files ({listed}), of which several programs "
-                "read only one. Keep a frame's grids in one file."
+                "read only one. Keep a frame's grids in one file; stylize does so with "
+                "layer.copy_fields=[all]."
             )
     first = dict(list(troubles.items())[:1])  # the file names differ at every timeCode
     problems = grouped(Severity.WARN, str(volume.GetPath()), first)
@@ -106,9 +107,9 @@ def check_one_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
 
 def check_field_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Field prims stand where their Volume stands; programs place grids by the one or the other."""
-    problems = []
+    problems, elsewhere = [], dict[float | None, list[str]]()
     for field in collect_fields(volume, interval):
-        troubles, nowhere = {}, {}
+        nowhere = {}
         for sample in field.samples:
             theirs, ours = (field_to_stage(p, sample.time_code) for p in (field.prim, volume))
             if not np.isfinite(theirs).all():
@@ -117,14 +118,15 @@ def check_field_place(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
                     "those above it"
                 )
             elif np.abs(theirs - ours).max() > _CLOSE * np.abs(ours).max():
-                troubles[sample.time_code] = (
-                    f"the field prim stands elsewhere than its Volume <{volume.GetPath()}>. Storm "
-                    "and Blender place grids by the Volume, USD by the field prim. Give both one "
-                    "transform"
-                )
+                elsewhere.setdefault(sample.time_code, []).append(f"<{field.prim_path}>")
         problems += grouped(Severity.ERROR, field.prim_path, nowhere)
-        problems += grouped(Severity.WARN, field.prim_path, troubles)
-    return problems
+    troubles = {
+        code: f"{', '.join(paths)} {'stands' if len(paths) == 1 else 'stand'} elsewhere than the "
+        "Volume. Storm and Blender place grids by the Volume, USD by the field prim. Give both one "
+        "transform."
+        for code, paths in elsewhere.items()
+    }
+    return [*problems, *grouped(Severity.WARN, str(volume.GetPath()), troubles)]
 
 
 def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
@@ -135,9 +137,12 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     material = hiding_material(volume, colours)
     if material is None:
         return []
+    advice = "Stylize with --set layer.material=replace, or let the material read it."
+    if not material.can_replace:
+        advice = "Its binding is stronger than any on the Volume: bind another material there."
     message = (
         f"the material <{material.prim_path}> reads no {' or '.join(colours)}, so renderers do not "
-        "show the look. Stylize with --set layer.material=replace, or let the material read it."
+        f"show the look. {advice}"
     )
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 

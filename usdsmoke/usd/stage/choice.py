@@ -47,8 +47,9 @@ def _why_not_chosen(prim: Usd.Prim) -> str:
     if prim.IsInstanceProxy():
         return describe_instance(prim)
     shown = UsdGeom.Imageable(prim)
-    if shown.ComputePurpose() == UsdGeom.Tokens.guide:
-        return "its purpose is guide, which renderers do not draw. Name it with --prim to use it."
+    purpose = shown.ComputePurpose()
+    if purpose in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
+        return f"its purpose is {purpose}, which is not rendered. Name it with --prim to use it."
     hidden = [part for part in ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
     if hidden:
         return f"<{hidden[0].GetPath()}> is invisible. Name the Volume with --prim to use it."

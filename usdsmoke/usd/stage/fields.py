@@ -74,7 +74,7 @@ def find_fields(
     if density not in relationships:
         raise FieldNotFound(
             f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}" '
-            f"(found: {_listed(relationships)}). Set stage.density to the density's name."
+            f"(found: {_listed(relationships)}). {_density_advice(relationships)}"
         )
     prims = {density: _density_prim(volume, density, relationships[density])}
     mask = mask if mask in relationships else ""
@@ -136,9 +136,13 @@ def _required_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.
     """The field prim of a relationship that has to lead to one."""
     prim = _openvdb_prim(volume, targets)
     if isinstance(prim, str):
-        raise FieldNotFound(
-            f"the {_where(volume, name)} {prim}. Correct its target: one OpenVDBAsset prim."
-        )
+        advice = "Correct its target: one OpenVDBAsset prim."
+        if prim.endswith("Asset"):  # another program's fields
+            advice = (
+                "usdsmoke reads OpenVDB files alone: convert the volume to .vdb, and show the file "
+                "by an OpenVDBAsset."
+            )
+        raise FieldNotFound(f"the {_where(volume, name)} {prim}. {advice}")
     return prim
 
 
@@ -159,6 +163,14 @@ def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
     if not prim:
         return f"leads to <{targets[0]}>, where there is no prim"
     return f"leads to <{targets[0]}>, which is of type {prim.GetTypeName() or 'none'}"
+
+
+def _density_advice(names: dict[str, list[Sdf.Path]]) -> str:
+    """What to do about a Volume without a field of the density's name."""
+    if not names:
+        return "Give it a field, or leave it out by naming the other Volumes with --prim."
+    name = next(iter(names)) if len(names) == 1 else "NAME"
+    return f"Say which one is the density: --set stage.density={name}."
 
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:

@@ -119,9 +119,15 @@ def find_volumes(
             )
         omitted[path] = f"none of its timeCodes {codes} is in {config.frames!r}"
     if not volumes:
-        reasons = "; ".join(text.rstrip(".") for text in [*missing, *(problems or ())])
-        raise StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
+        raise _nothing_left(missing, problems)
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
+
+
+def _nothing_left(missing: Sequence[str], problems: Sequence[str] | None) -> StageError:
+    reasons = "; ".join(text.rstrip(".") for text in [*missing, *(problems or ())])
+    if problems is not None:  # of a stage that is only looked at; they say what to do
+        return StageError(f"no smoke can be read: {reasons}.")
+    return StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
 
 
 def _outline_volumes(
@@ -257,8 +263,8 @@ def _split_by_file(
     sentence = f"<{outline.prim.GetPath()}> has no file at {name_time_codes(absent)}"
     if absent:
         sample = samples.at(absent[0])
-        reason = vdb_problem(sample.authored_path, sample.file_path).partition(". ")[0]
-        sentence += f" (@{sample.authored_path}@: {reason})"
+        reason = vdb_problem(sample.authored_path, sample.file_path).rstrip(".")
+        sentence += f", such as @{sample.authored_path}@: {reason}"
     return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
 
