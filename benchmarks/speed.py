@@ -21,6 +21,7 @@ from pxr import Usd
 
 from benchmarks.held_out import read_result
 from benchmarks.presets import unseen_loss
+from benchmarks.style_scores import RANGES
 from usdsmoke.pictures import read_style_image
 
 __all__ = ["main", "measure"]
@@ -59,7 +60,9 @@ def measure(tree: Path, stage: Path, style: Path, options: list[str]) -> dict[st
         (root_stage,) = out.glob("*_look.usda")
         opened = Usd.Stage.Open(str(root_stage))
         result = read_result(opened, time_code=opened.GetStartTimeCode())
-        found["unseen loss"] = unseen_loss(result, read_style_image(style).pixels)
+        pixels = read_style_image(style).pixels
+        found["unseen loss"] = unseen_loss(result, pixels)
+        found["unseen loss, front"] = unseen_loss(result, pixels, RANGES["front"])
         return found
 
 

@@ -1,9 +1,10 @@
 """Stages over real volumes that are not part of the repository.
 
-    python -m benchmarks.stages [--data ../shared/data] [--out out/bench]
+    python -m benchmarks.stages [--data ../shared/data] [--out out/bench] [--coarser 2]
 
 Writes a stage over the real plume (nothing of the data is copied, the stage refers to it by a
-relative path) and prints the path of every stage to measure on, one a line, with its name.
+relative path) and prints the path of every stage to measure on, one a line, with its name. With
+--coarser N it also writes the plume with voxels N times the size, and a stage over it.
 """
 
 import argparse
@@ -15,9 +16,13 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.header import GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.write import write_frame
 
-__all__ = ["author_plume_stage", "find_stages", "main"]
+__all__ = ["author_plume_stage", "find_stages", "main", "write_coarser"]
 
 PLUME_FILE = "cortex/smoke.vdb"
 HOUDINI_STAGE = "arnold-usd/test_2315.usda"
@@ -69,6 +74,23 @@ def author_plume_stage(vdb_file: Path, stage_file: Path) -> Path:
     return stage_file
 
 
+def write_coarser(vdb_file: Path, factor: int, out_folder: Path) -> Path:
+    """A stage over the means of ``factor``³ voxels each of a file's density."""
+    (density,) = read_grids(vdb_file, [GridRequest("density")], GridsConfig())
+    values = np.pad(density.values, [(0, -size % factor) for size in density.values.shape])
+    sizes = [size // factor for size in values.shape]
+    values = values.reshape([n for size in sizes for n in (size, factor)]).mean(axis=(1, 3, 5))
+    matrix = density.index_to_world.copy()
+    first = np.array(density.ijk_min) + (factor - 1) / 2  # the middle of the first block
+    matrix[3] = np.array([*first, 1.0]) @ matrix
+    matrix[:3] *= factor
+    field = DenseField("density", values.astype(np.float32), (0, 0, 0), matrix)
+    out_folder.mkdir(parents=True, exist_ok=True)
+    coarse_file = out_folder / f"plume_coarser_{factor}.vdb"
+    write_frame(coarse_file, [field], {}, half=False)
+    return author_plume_stage(coarse_file, coarse_file.with_suffix(".usda"))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -76,9 +98,13 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder to write into")
+    parser.add_argument("--coarser", type=int, metavar="N", help="times the voxels' size")
     options = parser.parse_args(arguments)
     try:
         stages = find_stages(options.data, options.out)
+        if options.coarser:
+            plume = options.data / PLUME_FILE
+            stages["coarser_plume"] = write_coarser(plume, options.coarser, options.out)
     except (FileNotFoundError, UsdSmokeError) as error:
         print(f"benchmarks.stages: {error}", file=sys.stderr)
         return 1

@@ -1,5 +1,6 @@
 """From stage to look layer: what is written, what is left out, what is told."""
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -7,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Usd, UsdVol
+from rich.console import Console
 
 import usdsmoke
 from tests.fixtures.counters import Reads
 from tests.fixtures.grids_fixtures import check_content
 from tests.fixtures.pipeline_fixtures import (
     FakeCore,
+    FakeScene,
     Shot,
     make_shot,
     make_style,
@@ -22,12 +25,14 @@ from tests.fixtures.pipeline_fixtures import (
 )
 from tests.fixtures.usd_fixtures import density_prim, file_hashes, world, write_text, write_vdb
 from usdsmoke.audit import provenance
+from usdsmoke.base.frame_report import StepReport
 from usdsmoke.base.record_format import Extinction
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import stylize
 from usdsmoke.runs.progress import RunProgress
+from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 
@@ -186,6 +191,33 @@ def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) 
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
     assert [r.frame for r in reports if r.step == "write"] == [0, 1, 2]
     assert all(r.n_frames == 3 for r in reports if r.step == "colour")
+
+
+def test_what_deserves_a_look_is_told_when_its_frame_is_written(shot: Shot, core: FakeCore) -> None:
+    core.steps = {"colour": StepReport(loss=(9.0,), remaining=9.0)}
+    reports: list[RunProgress] = []
+    result = run(shot, progress=reports.append)
+    steps = [(r.step, r.frame) for r in reports if r.step in ("write", "found")]
+    assert steps == [(step, frame) for frame in range(3) for step in ("write", "found")]
+    told = [finding for report in reports for finding in report.findings]
+    assert told == list(result.error_budget.findings)
+    stream = io.StringIO()
+    with ConsoleProgress(Console(file=stream)) as progress:
+        for report in reports:
+            progress(report)
+    (told_once,) = [line for line in stream.getvalue().splitlines() if line.startswith("note")]
+    assert progress.told == {told_once.removeprefix("note: ")}
+    assert "smoke.0001.vdb: optimiser, colour is 100.0%" in told_once
+
+
+def test_what_deserves_a_look_in_the_whole_shot_is_told_before_the_first_frame(
+    shot: Shot, core: FakeCore
+) -> None:
+    core.scene = FakeScene(thick_share=0.001)
+    reports: list[RunProgress] = []
+    run(shot, progress=reports.append)
+    steps = [report.step for report in reports]
+    assert steps.index("found") < steps.index("shape")
 
 
 @pytest.mark.usefixtures("core")

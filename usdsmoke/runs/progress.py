@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.runs.budget import Finding
 
 _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 
@@ -14,8 +15,8 @@ _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
 class RunProgress:
     """What is being done just now, and how much of the whole run is done."""
 
-    # "check", "shape", "colour", "write", "picture", ...; "window": a whole one; "wait": another
-    # process is at work in the output folder
+    # "check", "shape", "colour", "write", "picture", ...; "window": a whole one; "found": a frame
+    # or scene has findings; "wait": another process is at work in the output folder
     step: str
     time_code: float
     frame: int  # 0-based, among the frames to do; of a window, among those
@@ -24,6 +25,7 @@ class RunProgress:
     octave: int = 0  # 0-based, coarse to fine
     n_octaves: int = 0  # 0 for steps without iterations
     loss: float = 0.0
+    findings: tuple[Finding, ...] = ()  # of the frame that was just written, or of the scene
 
 
 RunProgressCallback = Callable[[RunProgress], None]

@@ -1,15 +1,18 @@
 """The work itself: every frame checked, every window stylized, every frame written."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.storage import check_half
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.planning.frame_reader import hash_sources
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
-from usdsmoke.runs.budget import PartClock, timed_items
+from usdsmoke.runs.budget import Finding, PartClock, timed_items
+from usdsmoke.runs.budget.findings import find_scene, find_written, frames_before
+from usdsmoke.runs.budget.planned import PlannedVolume
 from usdsmoke.runs.coarse import coarse_starts, read_scene
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
@@ -133,6 +136,15 @@ class _Counter:
         share = self.meter.share_before(frame + 1)
         self.tell(RunProgress("write", time_code, frame, self.n_frames, share))
 
+    def found(self, time_code: float, place: int, findings: Iterable[Finding]) -> None:
+        """Tell what deserves a look as soon as it is known, hours before the run ends."""
+        frame, findings = self.first + place, tuple(findings)
+        if findings:
+            share = self.meter.share_before(frame)
+            self.tell(
+                RunProgress("found", time_code, frame, self.n_frames, share, findings=findings)
+            )
+
     def translate(self) -> Callable[["Progress"], None]:
         def report(state: "Progress") -> None:
             frame = self.first + state.frame
@@ -163,6 +175,10 @@ def _stylize_window(
 
     job, run = opened.job, opened.run
     config, clock = task.volume.config, PartClock()
+    scene, before = run.scenes[task.volume_number], frames_before(task.volume)
+    progress.found(
+        task.frames[0].source.time_code, 0, find_scene(PlannedVolume(task.volume, (), scene))
+    )
     sources = (opened.reader.read(task.volume, frame) for frame in task.frames)
     results = stylize_window(
         timed_items(clock, "reading", sources),
@@ -173,13 +189,16 @@ def _stylize_window(
         job.plan.source.time_codes_per_second,
         coarse_starts(run, task.volume, task.frames),
     )
-    records = {}
+    records, reports = {}, dict[str, FrameReport]()
     for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
         progress.writing(frame.source.time_code, place)
         with clock.part("writing"):
             hashes = source_hashes[frame.file_name]
             name, record = write_result(opened, task, frame, stylized, hashes)
         records[name] = record
+        reports[frame.file_name] = FrameReport.from_json(record["report"])
+        told = find_written(frame.file_name, reports, before.get(frame.file_name))
+        progress.found(frame.source.time_code, place, told)
         give_back_memory()
     manifest = WindowRecord(
         run_id=run.run_id,

@@ -1,7 +1,7 @@
 """OpenUSD's own diagnostics, kept off the terminal and turned into messages."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
@@ -108,9 +108,14 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
 
 
 def _text(item: object) -> str:
-    """The words of a diagnostic. It may quote bytes of a damaged file, which are no UTF-8."""
+    """The words of a diagnostic."""
+    return decoded_text(lambda: str(getattr(item, "commentary", item)))
+
+
+def decoded_text(get: Callable[[], str]) -> str:
+    """A text from OpenUSD. It may quote bytes of a damaged file, which are no UTF-8."""
     try:
-        return str(getattr(item, "commentary", item))
+        return get()
     except UnicodeDecodeError as error:  # USD's bindings decode strictly
         return error.object.decode("utf-8", "replace")
 

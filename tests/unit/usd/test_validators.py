@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd
 
 import usdsmoke
 from tests.fixtures.usd_fixtures import (
@@ -374,3 +374,13 @@ print(json.dumps([len(found), loaded]))
     )  # fmt: skip
     assert json.loads(answer.stdout) == [0, []]
     assert answer.stderr == ""
+
+
+def test_a_finding_may_quote_bytes_that_are_no_utf8(tmp_path):
+    write_sequence(tmp_path, (1,))
+    body = volume_prim(density_prim(sequence((1,))).replace("token", "Zq9xJ", 1))  # a type's name
+    crate = tmp_path / "shot.usdc"
+    Sdf.Layer.FindOrOpen(str(write_text(tmp_path / "shot.usda", world(body)))).Export(str(crate))
+    assert b"Zq9xJ" in crate.read_bytes()
+    crate.write_bytes(crate.read_bytes().replace(b"Zq9xJ", b"Zq\xffxJ"))
+    assert any("Zq\ufffdxJ" in finding.message for finding in validate(crate))

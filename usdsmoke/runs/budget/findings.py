@@ -1,4 +1,4 @@
-"""What deserves a look in a finished run: found in the reports of its frames, after every frame.
+"""What deserves a look: in a scene as soon as it is measured, in a frame as soon as it is written.
 
 A finding names its place, the row of the error budget that it belongs to, the cause and the remedy.
 The table, the JSON, the record and the warnings at the end of a run show the same findings.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport, StepReport
-from usdsmoke.planning.plan import FramePlan
+from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER, MASS, MOTIONLESS, ROWS, SHAPE_OPTIMISER
 
@@ -36,6 +36,11 @@ class Finding:
     remedy: str
     setting: str = ""  # that the remedy changes; "" where input or result is to be looked at
 
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Findings of one kind are said once."""
+        return self.row, self.remedy
+
 
 def finding_texts(findings: Iterable[Finding]) -> tuple[str, ...]:
     """The findings as sentences; those of one row and remedy as one, with the first frame's cause.
@@ -45,7 +50,7 @@ def finding_texts(findings: Iterable[Finding]) -> tuple[str, ...]:
     """
     alike: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
-        alike.setdefault((finding.row, finding.remedy), []).append(finding)
+        alike.setdefault(finding.kind, []).append(finding)
     return tuple(
         f"{first.place}{f' and {len(others)} more' if others else ''}: {first.cause}. "
         f"{first.remedy}."
@@ -55,17 +60,39 @@ def finding_texts(findings: Iterable[Finding]) -> tuple[str, ...]:
 
 def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
     """The findings of a Volume: of its scene, then frame by frame."""
-    yield from _find_scene(volume)
-    before = {after.file_name: frame for frame, after in neighbours(volume.plan)}
+    yield from find_scene(volume)
+    before = frames_before(volume.plan)
     reports = {
         frame.file_name: report
         for frame, report in zip(volume.plan.frames, volume.reports, strict=True)
-        if report is not None and not report.left_out
+        if report is not None
     }
-    for name, report in reports.items():
-        yield from find_frame(name, report)
-        if (earlier := before.get(name)) is not None and earlier.file_name in reports:
-            yield from _find_pair((earlier, reports[earlier.file_name]), (name, report))
+    for name in reports:
+        yield from find_written(name, reports, before.get(name))
+
+
+def frames_before(plan: VolumePlan) -> dict[str, str]:
+    """By a frame's file name that of the frame before, where there is no cut between them."""
+    return {after.file_name: frame.file_name for frame, after in neighbours(plan)}
+
+
+def find_written(
+    name: str, reports: Mapping[str, FrameReport], before: str | None
+) -> Iterator[Finding]:
+    """What a frame tells by itself, and beside the frame before.
+
+    Args:
+        name: of its file.
+        reports: by file name, its own and that of the frame before, if there is one already.
+        before: file name of the frame before; None for none.
+    """
+    report = reports[name]
+    if report.left_out:
+        return
+    yield from find_frame(name, report)
+    earlier = reports.get(before) if before else None
+    if before and earlier is not None and not earlier.left_out:
+        yield from _find_pair((before, earlier), (name, report))
 
 
 def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
@@ -151,10 +178,10 @@ def _hardly_fallen(name: str, step: str, found: StepReport) -> Iterator[Finding]
 
 
 def _find_pair(
-    before: tuple[FramePlan, FrameReport], frame: tuple[str, FrameReport]
+    before: tuple[str, FrameReport], frame: tuple[str, FrameReport]
 ) -> Iterator[Finding]:
     """What two neighbouring frames tell: which of both ends much worse."""
-    sides = [(before[0].file_name, before[1]), frame]
+    sides = [before, frame]
     for step in _OPTIMISERS:
         ends = [_end(report, step) for _, report in sides]
         for mine, theirs in ((0, 1), (1, 0)):
@@ -176,7 +203,7 @@ def _end(report: FrameReport, step: str) -> float:
     return found.loss[-1] if found is not None and found.loss else math.nan
 
 
-def _find_scene(volume: PlannedVolume) -> Iterator[Finding]:
+def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
     """Whether the extinctions suit the smoke."""
     scene, optics, place = volume.scene, volume.plan.config.optics, volume.plan.source.prim_path
     share = scene.get("thick_share")

@@ -1,12 +1,13 @@
 """Progress on stderr: a bar on a terminal, a line every ten seconds in a log."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from usdsmoke.runs.budget.findings import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log
@@ -29,6 +30,7 @@ class ConsoleProgress:
         self._began: tuple[float, float] | None = None  # time and share at the first iteration
         self._last_line = clock()
         self._last_step = ""
+        self._told: dict[tuple[str, str], str] = {}  # findings by kind
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
@@ -57,6 +59,9 @@ class ConsoleProgress:
         if report.step == "wait":
             self.say("waiting for another usdsmoke process that writes to the output folder")
             return
+        if report.findings:
+            self._tell(report.findings)
+            return
         now = self._clock()
         noun = "" if report.step == "window" else " frame"
         where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
@@ -70,9 +75,21 @@ class ConsoleProgress:
             self._last_line, self._last_step = now, report.step
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
+    @property
+    def told(self) -> frozenset[str]:
+        """The findings that were said, as sentences."""
+        return frozenset(self._told.values())
+
     def say(self, message: str) -> None:
         """Write a message above the bar."""
         self._console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+    def _tell(self, findings: Iterable[Finding]) -> None:
+        """Say findings of a new kind: not each frame's again."""
+        for finding in findings:
+            if finding.kind not in self._told:
+                (self._told[finding.kind],) = finding_texts([finding])
+                self.say(f"note: {self._told[finding.kind]}")
 
     def _time_left(self, now: float, share: float) -> str:
         if self._began is None:

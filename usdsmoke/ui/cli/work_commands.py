@@ -123,7 +123,8 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
 
         result = call(arguments, progress, say_plan)
         for warning in getattr(result, "warnings", ()):
-            progress.say(f"note: {warning}")
+            if warning not in progress.told:  # when its frame ended, and of that frame alone
+                progress.say(f"note: {warning}")
     return result
 
 

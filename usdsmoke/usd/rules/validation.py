@@ -14,7 +14,12 @@ from pxr import Gf, Sdf, Usd
 
 from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.usd.diagnostics import captured_diagnostics, open_quietly, readable_values
+from usdsmoke.usd.diagnostics import (
+    captured_diagnostics,
+    decoded_text,
+    open_quietly,
+    readable_values,
+)
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
 from usdsmoke.usd.rules.facts import Finding, Problem, Severity
 from usdsmoke.usd.rules.fixers import fixers_of
@@ -281,7 +286,7 @@ def _severities() -> dict["UsdValidation.ValidationErrorType", Severity]:
 
 
 def _to_finding(error: "UsdValidation.ValidationError") -> Finding:
-    message = " ".join(error.GetMessage().split())
+    message = " ".join(decoded_text(error.GetMessage).split())
     match = _TIME.match(message)
     identifier = str(error.GetIdentifier())
     is_ours = identifier.startswith(PREFIX)

@@ -1,0 +1,76 @@
+"""How long this checkout takes to the unseen loss that another one ends with.
+
+    python -m benchmarks.time_to_loss STAGE STYLE --tree OTHER [--frames 7] [--report FILE.md]
+
+Runs the other checkout with its defaults, then this one with more and more of its own iterations,
+each a whole ``usdsmoke stylize`` from the start: preset ``draft``, shares of the default
+iterations, the defaults. The unseen loss (``benchmarks.presets``) is the mean over held-out views
+of the written file, within the default range (all round) and within the front that the other
+checkout was made for; this checkout measures it for both. One thread; CPU seconds depend little on
+other work, wall seconds are worth something on a quiet machine alone.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.circumstances import publish, table_page
+from benchmarks.speed import HERE, measure
+from usdsmoke.base.settings import Config
+
+__all__ = ["main"]
+
+SHARES = (0.05, 0.1, 0.2, 0.4)  # of the default iterations
+COLUMNS = ("CPU", "wall", "unseen loss", "unseen loss, front")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("stage", type=Path)
+    parser.add_argument("style", type=Path)
+    parser.add_argument("--tree", type=Path, required=True, help="the other checkout")
+    parser.add_argument("--frames", help="timeCodes; all without it")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser.add_argument("--report", type=Path, help="Markdown file for the table")
+    given = parser.parse_args(arguments)
+    options = [word for item in [*given.settings, "optimize.threads=1"] for word in ("--set", item)]
+    options += ["--frames", given.frames] if given.frames else []
+    runs = [("the other checkout", given.tree.resolve(), [])]
+    runs += [("preset draft", HERE, ["--preset", "draft"])]
+    runs += [(f"{share:g} of the iterations", HERE, _iterations(share)) for share in SHARES]
+    runs += [("the defaults", HERE, [])]
+    lines, first = [], {}
+    for name, tree, more in runs:
+        found = measure(tree, given.stage.resolve(), given.style.resolve(), [*options, *more])
+        first = first or found
+        cells = [f"{found[column]:.2f}" for column in COLUMNS]
+        cells += [f"{first[column] / found[column]:.2f}" for column in COLUMNS[:2]]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        print(lines[-1], file=sys.stderr, flush=True)
+    intro = [
+        "# Time to equal unseen loss",
+        "",
+        "Whole runs on one thread: seconds, and the style loss of held-out views all round and",
+        "from the front. *Times less*: the other checkout's seconds by the row's.",
+    ]
+    columns = ["run", "CPU s", "wall s", "unseen loss", "from the front"]
+    columns += ["times less CPU", "times less wall"]
+    command = ["python -m benchmarks.time_to_loss"]
+    command += arguments if arguments is not None else sys.argv[1:]
+    publish(table_page(intro, columns, lines, command), given.report)
+    return 0
+
+
+def _iterations(share: float) -> list[str]:
+    config, words = Config(), list[str]()
+    for step in ("shape", "colour"):
+        counts = [max(1, round(share * n)) for n in getattr(config, step).iterations]
+        words += ["--set", f"{step}.iterations={counts}"]
+    return words
+
+
+if __name__ == "__main__":
+    sys.exit(main())
