@@ -4,9 +4,10 @@
     BPY_PYTHON examples/blender/import_look.py look/shot_look.usda --render out.png --frame 3
 
 Blender's own importer brings the Volumes without a material. This script builds one for each Volume
-that has a look: absorption gamma_w * density, and emission. Cycles counts lengths in the Volume's
-own space, so both are multiplied by ``usdSmoke:stageUnitsPerUnit``. With ``--render`` one frame is
-drawn over black, square, through the stage's camera. Made for Blender 5.0, whose Python has pxr.
+that has a look: extinction gamma_w * density, of which the albedo scatters, and emission. Cycles
+counts lengths in the Volume's own space, so both are multiplied by ``usdSmoke:stageUnitsPerUnit``.
+With ``--render`` one frame is drawn over black, square, through the stage's camera. Made for
+Blender 5.0, whose Python has pxr.
 """
 
 import argparse
@@ -21,10 +22,14 @@ from pxr import Usd, UsdVol  # noqa: E402
 EXTINCTION = "usdSmoke:extinctionPerDensity"
 STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"
 EMISSION_MODE = "usdSmoke:emissionMode"
+ALBEDO, SCATTER_FIELD = "usdSmoke:albedo", "usdSmoke:scatterField"
+
+Look = tuple[float, float, bool, "float | str"]
 
 
-def read_looks(stage_file: str, frame: float) -> dict[str, tuple[float, float, bool]]:
-    """By Volume name: gamma_w, stage units in a unit of the Volume, emission per density or not."""
+def read_looks(stage_file: str, frame: float) -> dict[str, Look]:
+    """By Volume name: gamma_w, stage units in a unit of the Volume, emission per density or not,
+    and the albedo or the name of its field."""
     found = {}
     stage = Usd.Stage.Open(stage_file)
     for prim in stage.Traverse():
@@ -34,12 +39,24 @@ def read_looks(stage_file: str, frame: float) -> dict[str, tuple[float, float, b
                 float(prim.GetAttribute(EXTINCTION).Get(frame)),
                 1.0 if units is None else float(units),
                 prim.GetAttribute(EMISSION_MODE).Get() == "perDensity",
+                authored(prim, SCATTER_FIELD) or float(authored(prim, ALBEDO) or 0),
             )
     return found
 
 
-def make_material(gamma_w: float, units: float, per_density: bool) -> "bpy.types.Material":
-    """Absorption and emission as the look means them; nothing scatters."""
+def authored(prim: Usd.Prim, name: str) -> object:
+    """An attribute's value; None where there is none."""
+    attribute = prim.GetAttribute(name)
+    return attribute.Get() if attribute else None
+
+
+def make_material(
+    gamma_w: float, units: float, per_density: bool, albedo: "float | str"
+) -> "bpy.types.Material":
+    """Absorption, scattering and emission as the look means them.
+
+    Both of Cycles' shaders take the albedo as colour: one absorbs what it leaves, one scatters it.
+    """
     material = bpy.data.materials.new("usdsmoke_look")
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
@@ -60,10 +77,33 @@ def make_material(gamma_w: float, units: float, per_density: bool) -> "bpy.types
     else:
         strength.inputs[0].default_value = 1.0
     links.new(strength.outputs[0], light.inputs["Strength"])
-    links.new(absorption.outputs["Volume"], both.inputs[0])
+    links.new(_lit(material, absorption, extinction, albedo), both.inputs[0])
     links.new(light.outputs["Emission"], both.inputs[1])
     links.new(both.outputs[0], output.inputs["Volume"])
     return material
+
+
+def _lit(
+    material: "bpy.types.Material",
+    absorption: "bpy.types.Node",
+    extinction: "bpy.types.Node",
+    albedo: "float | str",
+) -> "bpy.types.NodeSocket":
+    """The absorption, and beside it scattering where there is an albedo (not yet run)."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    if not albedo:
+        return absorption.outputs["Volume"]
+    scatter, inside = nodes.new("ShaderNodeVolumeScatter"), nodes.new("ShaderNodeAddShader")
+    links.new(extinction.outputs[0], scatter.inputs["Density"])
+    for node in (absorption, scatter):
+        if isinstance(albedo, str):
+            colour = nodes.new("ShaderNodeAttribute")
+            colour.attribute_name = albedo
+            links.new(colour.outputs["Color"], node.inputs["Color"])
+        else:
+            node.inputs["Color"].default_value = (albedo, albedo, albedo, 1.0)
+        links.new(node.outputs["Volume"], inside.inputs[node == scatter])
+    return inside.outputs[0]
 
 
 def import_look(stage_file: str, frame: int) -> list[str]:

@@ -79,7 +79,9 @@ class LightReport:
 
     share: float  # of the pictures' light, that which lamps give
     outshone: float  # of the pixels with smoke, those where it is brighter than the style's white
-    advised: float  # optics.exposure at which smoke in the light is half as bright as that white
+    reach: float  # brightness of smoke in the light over the style's white; of white smoke where
+    # colours are albedos
+    advised: float  # optics.exposure at which that is a half, or 1 where colours are albedos
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from usdsmoke.base.errors import ConfigError, LayerError
 # Relationship, field prim and grid of one field have the same name: renderers differ in which of
 # them they look up.
 EMISSION = "emission"  # Storm's own shader reads this name
+SCATTERING = "scattering"  # in parts alone: sigma times the albedo, as the emission is sigma C
 SCATTER_COLOURS = ("Cd", "color")  # Houdini's, and Arnold's by custom; Blender's and Cycles'
 COLOUR_VECTORS = (EMISSION, *SCATTER_COLOURS)
 
@@ -40,7 +41,9 @@ def channel_names(name: str) -> tuple[str, str, str]:
 COLOUR_CHANNELS = tuple(part for name in COLOUR_VECTORS for part in channel_names(name))
 
 
-def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> tuple[str, ...]:
+def colour_names(
+    scatter_colours: Collection[str] = (), split: bool = False, emits: bool = True
+) -> tuple[str, ...]:
     """The colour grids of a result, in their order in its files.
 
     >>> colour_names(["Cd"])
@@ -50,8 +53,10 @@ def colour_names(scatter_colours: Collection[str] = (), split: bool = False) -> 
 
     Args:
         split: True if each colour has three grids of floats beside its grid of vectors.
+        emits: False without an emission.
     """
-    vectors = [name for name in COLOUR_VECTORS if name == EMISSION or name in scatter_colours]
+    wanted = {EMISSION, *scatter_colours} if emits else set(scatter_colours)
+    vectors = [name for name in COLOUR_VECTORS if name in wanted]
     if not split:
         return tuple(vectors)
     return tuple(name for vector in vectors for name in (vector, *channel_names(vector)))

@@ -139,14 +139,16 @@ class OpticsConfig(Section):
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
         None, "share of the light it takes away that smoke scatters, and the look's material with "
-        "it; unset: 0.5 where distant lights or domes light the smoke; 0: no light is read",
+        "it; unset: 0.5 where distant lights or domes light the smoke, 1 where colour.target "
+        "paints it; 0: no light is read",
         ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
         ge=-0.99, le=0.99)
     exposure: float | None = setting(
         None, "exposure at which the lit smoke shows the style; the emission is divided by it; "
-        "unset: 0", ge=-40, le=40, unit="stops")
+        "unset: 0, or, with colour.target=albedo, chosen so that white smoke in the light is white",
+        ge=-40, le=40, unit="stops")
     sun: list[float] = setting(
         [], "direction from the smoke to a distant light, x y z of the stage, which takes the "
         "place of the stage's lights; empty: the stage's lights")
@@ -241,6 +243,10 @@ class ShapeConfig(Section):
 class ColourConfig(Section):
     """The colour step, which finds RGB on fixed density."""
 
+    target: Literal["emission", "albedo", "both"] = setting(
+        "emission", "what the colours are: light that the smoke emits (emission), the share of the "
+        "lights' light that it scatters (albedo), or that share and an emission for what it cannot "
+        "give (both)")
     init: Literal["noise", "density"] = setting(
         "noise", "first colours: density times white noise, or plain density", request="colourInit")
     learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)

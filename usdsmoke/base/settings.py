@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError, count_text
+from usdsmoke.base.naming import EMISSION, SCATTER_COLOURS, SCATTERING, colour_names
 from usdsmoke.base.sections import (
     ColourConfig,
     FeaturesConfig,
@@ -85,7 +86,29 @@ class Config(BaseModel):
     @property
     def albedo(self) -> float:
         """The share of light that lit smoke scatters: ``optics.albedo``, or what stands for it."""
-        return LIT_ALBEDO if self.optics.albedo is None else self.optics.albedo
+        if self.optics.albedo is not None:
+            return self.optics.albedo
+        return LIT_ALBEDO if self.colour.target == "emission" else 1.0
+
+    @property
+    def painted(self) -> tuple[str, ...]:
+        """What the colour step makes: ``naming.EMISSION``, ``naming.SCATTERING``, both or none."""
+        if "colour" not in self.optimize.steps:
+            return ()
+        kinds = {"emission": (EMISSION,), "albedo": (SCATTERING,)}
+        return kinds.get(self.colour.target, (EMISSION, SCATTERING))
+
+    @property
+    def scatter_colours(self) -> tuple[str, ...]:
+        """The grids of scattering colours: those that are asked for, Cd where it is painted."""
+        names = tuple(self.layer.scatter_colour)
+        return names or (SCATTER_COLOURS[:1] if SCATTERING in self.painted else ())
+
+    @property
+    def colour_grids(self) -> tuple[str, ...]:
+        """The names of a result's colour grids after a colour step, in their order."""
+        emits = self.colour.target != "albedo"
+        return colour_names(self.scatter_colours, self.layer.split_rgb, emits)
 
     @property
     def lit_optics(self) -> OpticsConfig | None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Usd
@@ -124,56 +124,61 @@ class Smoke:
 
         media = []
         for volume in shown:
-            density, light = self._fields(volume)
+            density, light, colour = self._fields(volume)
             light = None if light is None else self._absolute(volume, density, light)
             if density.is_empty:
                 continue
             if light is not None and volume.rescale != 1:
                 light = replace(light, values=light.values * np.float32(volume.rescale))
-            lit = light is not None and bool(light.values.any())
-            gamma_w = self._extinction(volume, lit)
-            if light is not None and volume.scattering is not None:
-                light = self._with_scattered(volume, density, light, gamma_w, view)
-                lit = True
+            shines = any(f is not None and bool(f.values.any()) for f in (light, colour))
+            gamma_w = self._extinction(volume, shines)
+            if volume.scattering is not None and (light is not None or colour is not None):
+                light = self._with_scattered(volume, density, (light, colour), gamma_w, view)
+                shines = True
             if light is not None and exposed and volume.stops:
                 light = replace(light, values=light.values * np.float32(2.0**volume.stops))
-            place = None if volume.emission is None else volume.emission.field_to_stage
+            source = volume.emission or volume.density
+            place = source.field_to_stage
             media += make_media(
                 density,
-                light if lit else None,
+                light if shines else None,
                 volume.density.field_to_stage,
-                place if lit else None,
+                place if shines and light is not None else None,
                 gamma_w,
                 GREY,
             )
         return media
 
     def _with_light(self, volume: ComposedVolume) -> ComposedVolume:
-        """Without an emission that is no colour; the density has to be usable."""
+        """Without an emission or a scattering colour that is none; density has to be usable."""
         _grid(volume.density, 1)
-        if volume.emission is None:
-            return volume
-        grid = _grid(volume.emission, None)
-        if grid.value_type == "vec3s":
-            return volume
-        self.notes[
-            f"the emission of <{volume.prim_path}> holds {grid.value_type} values and no colours. "
-            "It is left out."
-        ] = None
-        return replace(volume, emission=None)
+        found: dict[str, Any] = {}
+        for name in ("emission", "colour"):
+            source: FieldSource | None = getattr(volume, name)
+            if source is None or (grid := _grid(source, None)).value_type == "vec3s":
+                continue
+            self.notes[
+                f"the {name} of <{volume.prim_path}> holds {grid.value_type} values and no "
+                "colours. It is left out."
+            ] = None
+            found[name] = None
+        return replace(volume, **found)
 
-    def _fields(self, volume: ComposedVolume) -> tuple[DenseField, DenseField | None]:
-        density = _request(volume.density, 1)
-        if volume.emission is None:
-            return read_grids(volume.density.file_path, [density], self.config.grids)[0], None
-        light = _request(volume.emission, 3)
-        if volume.emission.file_path == volume.density.file_path:
-            both = read_grids(volume.density.file_path, [density, light], self.config.grids)
-            return both[0], both[1]
-        return (
-            read_grids(volume.density.file_path, [density], self.config.grids)[0],
-            read_grids(volume.emission.file_path, [light], self.config.grids)[0],
-        )
+    def _fields(
+        self, volume: ComposedVolume
+    ) -> tuple[DenseField, DenseField | None, DenseField | None]:
+        """Density, emission, and scattering colour; each file is read once."""
+        sources = {"density": volume.density, "emission": volume.emission, "colour": volume.colour}
+        found: dict[str, DenseField] = {}
+        for file_path in {source.file_path for source in sources.values() if source is not None}:
+            wanted = {
+                name: _request(source, 1 if name == "density" else 3)
+                for name, source in sources.items()
+                if source is not None and source.file_path == file_path
+            }
+            fields = read_grids(file_path, list(wanted.values()), self.config.grids)
+            found |= dict(zip(wanted, fields, strict=True))
+        return found["density"], found.get("emission"), found.get("colour")
 
     def _absolute(
         self, volume: ComposedVolume, density: DenseField, light: DenseField
@@ -181,7 +186,7 @@ class Smoke:
         """Absolute emission; the file may store it divided by the density."""
         if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
             return light
-        if _share_lattice(volume, density, light):
+        if _share_lattice(volume, density, light, volume.emission):
             return absolute_emission(density, light, volume.emission_mode)
         self.notes[
             f"the emission of <{volume.prim_path}> is stored per density and has other voxels than "
@@ -193,23 +198,25 @@ class Smoke:
         self,
         volume: ComposedVolume,
         density: DenseField,
-        light: DenseField,
+        fields: tuple[DenseField | None, DenseField | None],
         gamma_w: float,
         view: "View",
-    ) -> DenseField:
-        """The emission and the stage's light that a look's smoke scatters."""
+    ) -> DenseField | None:
+        """The emission, and the light of lamps that a look's smoke scatters."""
         from usdsmoke.core.views.lighting import lit_emission
 
         if volume.scattering is None:
-            return light
-        if not _share_lattice(volume, density, light):
-            self.notes[
-                f"the emission of <{volume.prim_path}> has other voxels than the density. Light "
-                "that the smoke scatters is left out."
-            ] = None
-            return light
+            return fields[0]
+        sources = (volume.emission, volume.colour)
+        for item, source in zip(fields, sources, strict=True):
+            if item is not None and not _share_lattice(volume, density, item, source):
+                self.notes[
+                    f"{item.name} of <{volume.prim_path}> has other voxels than the density. "
+                    "Light that the smoke scatters is left out."
+                ] = None
+                return fields[0]
         place = volume.density.field_to_stage
-        return lit_emission(density, light, place, gamma_w, volume.scattering, view)
+        return lit_emission(density, fields, place, gamma_w, volume.scattering, view)
 
     def _extinction(self, volume: ComposedVolume, lit: bool) -> float:
         """From the look, or else as a run would choose it for the shot."""
@@ -268,11 +275,14 @@ def is_uneven(shown: Iterable[ComposedVolume]) -> bool:
     return any(volume.scattering is not None and volume.scattering.is_uneven for volume in shown)
 
 
-def _share_lattice(volume: ComposedVolume, density: DenseField, light: DenseField) -> bool:
-    if volume.emission is None:
+def _share_lattice(
+    volume: ComposedVolume, density: DenseField, other: DenseField, source: FieldSource | None
+) -> bool:
+    """Whether a field of the Volume has the density's voxels."""
+    if source is None:
         return False
-    pairs = ((density, volume.density), (light, volume.emission))
-    places = [field.index_to_world @ source.field_to_stage for field, source in pairs]
+    pairs = ((density, volume.density), (other, source))
+    places = [field.index_to_world @ place.field_to_stage for field, place in pairs]
     return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdsmoke.base.errors import ConfigError, GridError
-from usdsmoke.base.naming import colour_names
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource
 from usdsmoke.planning.frames import VelocitySource, field_place
@@ -66,7 +65,7 @@ def find_copies(
     if not wanted:
         return [() for _ in volume.frames], {}
     found, reasons = [], dict[str, str]()
-    ours = {volume.density, *colour_names(config.layer.scatter_colour, config.layer.split_rgb)}
+    ours = {volume.density, *config.colour_grids}
     for frame, velocity in zip(volume.frames, velocities, strict=True):
         taken = ours | ({grid.name for grid in velocity.grids} if velocity else set())
         taken |= set(volume.velocity) if velocity else set()

@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from usdsmoke.base.machine import GIB, usable_cpus
-from usdsmoke.base.naming import COLOUR_CHANNELS, colour_names
+from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
@@ -240,5 +240,5 @@ def _colour_values(config: Config) -> int:
     """Numbers that a voxel has in all colour grids of a file."""
     if "colour" not in config.optimize.steps:
         return 0
-    names = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
+    names = config.colour_grids
     return sum(1 if name in COLOUR_CHANNELS else 3 for name in names)

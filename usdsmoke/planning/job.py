@@ -11,7 +11,7 @@ import numpy as np
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
-from usdsmoke.base.naming import colour_names, relative_asset_path, run_record_files
+from usdsmoke.base.naming import SCATTERING, relative_asset_path, run_record_files
 from usdsmoke.base.resolve import (
     FilePath,
     Settings,
@@ -22,6 +22,7 @@ from usdsmoke.base.resolve import (
     style_paths,
 )
 from usdsmoke.base.settings import Config, style_shares
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.features import check_features
@@ -157,6 +158,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     source = lit_by(stage, source, [own.config.lit_optics for own in resolved.volumes])
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
+        _check_lights(volume, own.config)
         check_features(own.config.features, fits)
     styles = tuple(read_style_image(image) for image in resolved.style_files)
     if config.layer.mode == "reference":
@@ -231,13 +233,33 @@ def _check_names(volume: VolumeSource, config: Config) -> None:
         return
     uses = {volume.density: "density", volume.mask: "mask"}
     uses |= dict.fromkeys(volume.velocity, "velocity")
-    for name in colour_names(config.layer.scatter_colour, config.layer.split_rgb):
+    for name in config.colour_grids:
         if name in uses:
             raise ConfigError(
                 f"the colour field {name} would have the same name as the {uses[name]} of "
                 f"<{volume.prim_path}>. Rename the field on the stage, or change optimize.steps, "
-                "layer.scatter_colour or layer.split_rgb."
+                "colour.target, layer.scatter_colour or layer.split_rgb."
             )
+
+
+def _check_lights(volume: VolumeSource, config: Config) -> None:
+    """Refuse to paint an albedo that no light shows."""
+    target = config.colour.target
+    if SCATTERING not in config.painted:
+        return
+    if target == "both" and config.optics.anisotropy:
+        raise ConfigError(
+            f"optics.anisotropy={config.optics.anisotropy:g} makes the light depend on the view, "
+            "and colour.target=both splits colours into albedo and emission for all views alike. "
+            "Set optics.anisotropy=0, or another colour.target."
+        )
+    dark = [frame.time_code for frame in volume.frames if not frame.lights]
+    if dark or config.albedo == 0:
+        found = "optics.albedo=0" if config.albedo == 0 else f"no light at {name_time_codes(dark)}"
+        raise ConfigError(
+            f"colour.target={target} paints what lit smoke scatters, but <{volume.prim_path}> has "
+            f"{found}. Name a light with optics.sun or optics.sky, or set colour.target=emission."
+        )
 
 
 def _read_files(

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from usdsmoke.base.naming import colour_names
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
@@ -23,8 +22,7 @@ def hidden_look(volume: VolumePlan) -> list[Omission]:
     """The look, where a bound material does not read it; empty where it is seen."""
     if not _has_colour(volume) or _binds(volume):
         return []
-    layer = volume.config.layer
-    colours = colour_names(layer.scatter_colour, layer.split_rgb)
+    colours = volume.config.colour_grids
     hiding = [material for material in volume.source.materials if material.hides(colours)]
     if not hiding:
         return []

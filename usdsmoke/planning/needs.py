@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.naming import colour_names
+from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
@@ -192,17 +192,19 @@ def _animated_settings(volumes: Volumes) -> list[str]:
 
 def _step_text(step: str, config: Config) -> str:
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-    return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine"
+    kinds = {"albedo": ", which paints the albedo", "both": ", which paints albedo and emission"}
+    what = kinds.get(config.colour.target, "") if step == "colour" else ""
+    return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine{what}"
 
 
 def _grids_text(config: Config) -> str:
     """The grids of a result's file, as the end of a sentence."""
     if "colour" not in config.optimize.steps:
         return "density"
-    emission, *others = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
-    if config.layer.emission_mode == "perDensity":
-        emission += " per density"
-    names = ["density", emission, *others]
+    colours = list(config.colour_grids)
+    if config.layer.emission_mode == "perDensity" and colours[0] == EMISSION:
+        colours[0] += " per density"
+    names = ["density", *colours]
     return f"{', '.join(names[:-1])} and {names[-1]}"
 
 

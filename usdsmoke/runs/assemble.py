@@ -9,7 +9,6 @@ from typing import Any
 from usdsmoke.base.errors import LayerError, UsdSmokeError, count_text
 from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
@@ -74,6 +73,7 @@ class _Versions:
     tail: WindowRecord
     head: WindowRecord
     weight: float  # of the tail
+    stops: float  # exposure of the scene
 
     def part_of(self, window: WindowRecord) -> str:
         return part_file_name(window.window, self.frame.file_name)
@@ -229,10 +229,11 @@ def _versions(plan: Plan, run: Run, windows: Sequence[WindowRecord]) -> dict[str
     for task, _ in pairwise(plan.tasks):
         place, overlap = task.number, task.window.overlap
         own = len(task.window.time_codes)
+        stops = run.scenes[task.volume_number].get("stops", 0.0)
         weights = zip(task.frames[own:], tail_weights(len(overlap)), strict=True)
         for frame, weight in weights:
             tail, head = windows[place], windows[place + 1]
-            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight)
+            found[frame.file_name] = _Versions(task.volume, frame, tail, head, weight, stops)
     return found
 
 
@@ -260,7 +261,7 @@ def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
         others = blend_fields(versions[0][n:], versions[1][n:], pair.weight)
     copied, report = reader.read_velocity_copy(volume, frame), _blended_report(pair, difference)
     copied += others
-    fields, report = result_fields(blended, copied, report, config)
+    fields, report = result_fields(blended, copied, report, config, pair.stops)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
     metadata = frame_metadata(run, volume, frame, hashes)
     target = run.folder / frame.file_name
@@ -281,9 +282,8 @@ def _blended_report(pair: _Versions, difference: Mapping[str, float]) -> FrameRe
 
 
 def _smoke_names(volume: VolumePlan) -> list[str]:
-    """The grids of density and, after a colour step, emission."""
-    has_colour = "colour" in volume.config.optimize.steps
-    return [volume.source.density, *([EMISSION] if has_colour else [])]
+    """The grids of density and of what is painted."""
+    return [volume.source.density, *volume.config.painted]
 
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
@@ -327,6 +327,12 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         _measured(scene, volume)
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if measured_on_part(volume)
+    ]
+    found += [
+        f"<{volume.source.prim_path}>: white smoke in its light is white at "
+        f"optics.exposure={scene['stops']:.4g}. Expose the shot alike"
+        for volume, scene in zip(plan.volumes, run.scenes, strict=True)
+        if volume.config.optics.exposure is None and scene.get("stops")
     ]
     found += hidden_look_warnings(plan.volumes)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]

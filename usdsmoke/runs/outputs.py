@@ -8,7 +8,7 @@ import numpy as np
 
 from usdsmoke import __version__
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.naming import EMISSION, colour_names
+from usdsmoke.base.naming import SCATTERING
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
@@ -38,22 +38,22 @@ def result_fields(
     copied: Sequence[DenseField],
     report: FrameReport,
     config: Config,
+    stops: float,
 ) -> tuple[list[DenseField], FrameReport]:
     """The grids of a result's file, and the frame's report with what is lost by storing them.
 
     Args:
-        fields: density and, after a colour step, emission.
+        fields: density and, after a colour step, what ``Config.painted`` names.
         copied: grids that are written beside them as they are given.
+        stops: exposure, see ``Scene``.
 
     Returns:
-        Density and emission, pruned, and the other grids that are asked for; the report.
+        Density and colours, pruned, and the other grids that are asked for; the report.
     """
-    density, *emissions = kept = prune_fields(fields, config.grids.prune)
-    colours = [
-        grid
-        for emission in emissions
-        for grid in make_colour_grids(density, emission, report.extinction, config.layer)
-    ]
+    density, *painted = kept = prune_fields(fields, config.grids.prune)
+    colours = []
+    if painted:
+        colours = make_colour_grids(density, painted, report.extinction, config, stops)
     lost = storage_errors(fields, config.grids, report.errors, kept)
     written = int(np.count_nonzero(density.values > 0))
     report = dataclasses.replace(report, errors=lost, voxels_written=written)
@@ -85,16 +85,16 @@ def write_result(
     is_part, report = task.is_part(frame), stylized.report
     name = part_file_name(task.number, frame.file_name) if is_part else frame.file_name
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
-    if stylized.emission is not None:
-        fields.append(dataclasses.replace(stylized.emission, name=EMISSION))
+    fields += stylized.painted
     others = []
     if volume.moves_fields or not is_part:
         others = _moved(opened.reader.read_others(volume, frame), volume, frame, stylized)
     if is_part:
         fields += others
     else:
+        stops = run.scenes[task.volume_number].get("stops", 0.0)
         copied = [*opened.reader.read_velocity_copy(volume, frame), *others]
-        fields, report = result_fields(fields, copied, report, config)
+        fields, report = result_fields(fields, copied, report, config, stops)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
     half = config.grids.half and not is_part
@@ -168,12 +168,11 @@ def collect_volume(
         extinctions[frame.source.time_code] = record["report"].get("extinction", 0.0)
     grids = {volume.source.density: volume.source.density}
     if "colour" in config.optimize.steps:
-        colours = colour_names(config.layer.scatter_colour, config.layer.split_rgb)
-        grids |= {name: name for name in colours}
+        grids |= {name: name for name in config.colour_grids}
     grids |= _copied_velocity(volume)
     grids |= {grid.name: grid.name for grid in volume.frames[0].others if grid.is_field}
     empty_file, empty_hash = ("", "")
-    if EMISSION in grids:
+    if "colour" in config.optimize.steps:
         empty_file, empty_hash = _write_empty(run, volume, config)
     is_lit = any(frame.source.lights for frame in volume.frames)
     return StylizedVolume(
@@ -189,6 +188,7 @@ def collect_volume(
         anisotropy=config.optics.anisotropy if is_lit else 0.0,
         named_lights=named_lights(config.optics) if is_lit else (),
         stops=scene.get("stops", 0.0),
+        scatter_field=config.scatter_colours[0] if SCATTERING in config.painted else "",
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),
         seed=config.optimize.seed,
     )
@@ -213,7 +213,7 @@ def _write_empty(run: Run, volume: VolumePlan, config: Config) -> tuple[str, str
         return "", ""
     name = result_file_names(volume.source, volume.stem)[rest[0]]
     matrix = volume.frames[0].grid.index_to_world
-    colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config.layer)
+    colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config)
     metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
     half = config.grids.half
     content_hash = write_frame(run.folder / name, colours, metadata, half, config.grids)

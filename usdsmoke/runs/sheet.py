@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.base.naming import EMISSION
+from usdsmoke.base.naming import EMISSION, SCATTERING
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, FrameSource, Scattering
@@ -112,44 +112,43 @@ class _Shown:
     def scattering(self) -> Scattering:
         """Exposed; without lights where the stage has none."""
         config, lights = self.volume.config, self.frame.source.lights
-        scattering = Scattering(lights, config.albedo, config.optics.anisotropy)
+        albedo = 1.0 if SCATTERING in config.painted else config.albedo  # else of the colour
+        scattering = Scattering(lights, albedo, config.optics.anisotropy)
         return scattering.exposed(self.stops)
 
     def source(self, reader: FrameReader, view: "View") -> np.ndarray:
         density = reader.read(self.volume, self.frame).density
-        return _draw(self._media(density, None, view), view)
+        return _draw(self._media(density, (None, None), view), view)
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
         """By name of the view."""
         from usdsmoke.core.smoke.tasks import run_tasks
 
-        fields = _read_result(self.volume, folder / self.frame.file_name)
-        emission = _times(fields[1], 2.0**self.stops) if len(fields) > 1 else None
+        density, emission, colour = _read_result(self.volume, folder / self.frame.file_name)
         sides = list(views.values())
         lit_from = sides if self.scattering.is_uneven else sides[:1]
-        media = [self._media(fields[0], emission, view) for view in lit_from]
-        del fields, emission
+        if emission is not None:
+            emission = _times(emission, 2.0**self.stops)
+        media = [self._media(density, (emission, colour), view) for view in lit_from]
+        del density, emission, colour
         pairs = zip(media * (len(sides) // len(media)), sides, strict=True)
         return dict(zip(views, run_tasks([partial(_draw, *pair) for pair in pairs]), strict=True))
 
     def _media(
-        self, density: DenseField, emission: DenseField | None, view: "View"
+        self,
+        density: DenseField,
+        painted: tuple[DenseField | None, DenseField | None],
+        view: "View",
     ) -> list["Medium"]:
+        from usdsmoke.core.views.lighting import lit_emission
         from usdsmoke.core.views.media import make_media
 
-        to_stage, is_lit = _to_stage(self.volume, self.frame), emission is not None
-        place = to_stage if is_lit else None
-        if emission is not None and self.scattering.lights:
-            emission = self._with_scattered(density, emission, view)
-        return make_media(density, emission, to_stage, place, self.extinctions[is_lit], GREY)
-
-    def _with_scattered(
-        self, density: DenseField, emission: DenseField, view: "View"
-    ) -> DenseField:
-        from usdsmoke.core.views.lighting import lit_emission
-
-        place, gamma_w = _to_stage(self.volume, self.frame), self.extinctions[1]
-        return lit_emission(density, emission, place, gamma_w, self.scattering, view)
+        to_stage, emission = _to_stage(self.volume, self.frame), painted[0]
+        gamma_w = self.extinctions[painted != (None, None)]
+        if painted != (None, None) and self.scattering.lights:
+            emission = lit_emission(density, painted, to_stage, gamma_w, self.scattering, view)
+        place = None if emission is None else to_stage
+        return make_media(density, emission, to_stage, place, gamma_w, GREY)
 
 
 def _times(field: DenseField, factor: float) -> DenseField:
@@ -205,14 +204,21 @@ def _index_to_stage(volume: VolumePlan, frame: FramePlan, grid: GridHeader) -> n
     return grid.index_to_world @ _to_stage(volume, frame)
 
 
-def _read_result(volume: VolumePlan, file_path: Path) -> list[DenseField]:
-    """Density and, after a colour step, emission; absolute, whatever the file holds."""
-    config, names = volume.config, [volume.source.density]
-    if "colour" in config.optimize.steps:
-        names.append(EMISSION)
-    fields = read_grids(file_path, [GridRequest(name) for name in names], config.grids)
-    mode = config.layer.emission_mode
-    return [fields[0], *(absolute_emission(fields[0], emission, mode) for emission in fields[1:])]
+def _read_result(
+    volume: VolumePlan, file_path: Path
+) -> tuple[DenseField, DenseField | None, DenseField | None]:
+    """Density, emission, absolute whatever the file holds, and a painted scattering colour."""
+    config = volume.config
+    names = {EMISSION: EMISSION}
+    if SCATTERING in config.painted:
+        names[SCATTERING] = config.scatter_colours[0]
+    wanted = [volume.source.density, *(names[kind] for kind in config.painted)]
+    density, *painted = read_grids(file_path, [GridRequest(name) for name in wanted], config.grids)
+    found = dict(zip(config.painted, painted, strict=True))
+    emission = found.get(EMISSION)
+    if emission is not None:
+        emission = absolute_emission(density, emission, config.layer.emission_mode)
+    return density, emission, found.get(SCATTERING)
 
 
 def _extinctions(

@@ -18,6 +18,7 @@ STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"  # float, of that stage in one unit o
 ALBEDO = "usdSmoke:albedo"  # float, of a look that lights of the stage light
 ANISOTROPY = "usdSmoke:anisotropy"  # float, likewise
 LIGHTS = "usdSmoke:lights"  # float3[], direction and colour in turn, of lights that settings name
+SCATTER_FIELD = "usdSmoke:scatterField"  # token, relationship of the field that holds the albedo
 EXPOSURE = "usdSmoke:exposure"  # float, stops
 EMISSION_MODE = "usdSmoke:emissionMode"  # token
 COLOR_SPACE = "usdSmoke:colorSpace"  # token

@@ -6,16 +6,24 @@ With density d, extinction per density gamma_w and emission E = C gamma_w d, a p
     perDensity  E / d = C gamma_w   for renderers that multiply emission by density
     Cd, color   E / (gamma_w d) = C albedo of the light that is scattered, never above 1
 
-All are 0 where d is 0. A strength or a mask below 1 is part of C here: where nothing was painted a
-scattering colour is black.
+Where the albedo is painted (``colour.target``), Cd and color are S / (gamma_w d), with the
+scattering S = gamma_w d times the albedo. All are 0 where d is 0. A strength or a mask below 1 is
+part of C here: where nothing was painted a scattering colour is black.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.base.naming import COLOUR_CHANNELS, SCATTER_COLOURS, channel_names, colour_names
-from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.naming import (
+    COLOUR_CHANNELS,
+    EMISSION,
+    SCATTER_COLOURS,
+    channel_names,
+    colour_names,
+)
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.boxes import values_in_box
 
@@ -23,26 +31,31 @@ _PER_DENSITY = "perDensity"
 
 
 def make_colour_grids(
-    density: DenseField, emission: DenseField, gamma_w: float, config: LayerConfig
+    density: DenseField, painted: Sequence[DenseField], gamma_w: float, config: Config, stops: float
 ) -> list[DenseField]:
-    """The colour grids of one file, in the order of ``naming.colour_names``.
+    """The colour grids of one file, in the order of ``Config.colour_grids``.
 
     Args:
         density: [i j k].
-        emission: [i j k 3] on the density's lattice, absolute, scene-linear; its box may differ.
+        painted: by ``Config.painted``, [i j k 3] on the density's lattice, 1/stage unit,
+            scene-linear; the box may differ. The emission is absolute.
         gamma_w: extinction per density, 1/stage unit.
+        stops: exposure, which the emission is divided by.
     """
+    emission, scattering = painted[0], painted[-1]
+    if scattering.name == EMISSION:  # of the colours C, which it is not divided by
+        scattering, gamma_w = emission, gamma_w * 2.0**-stops
     grids = []
-    for name in colour_names(config.scatter_colour):
+    for name in colour_names(config.scatter_colours, emits=emission.name == EMISSION):
         if name in SCATTER_COLOURS:
-            colour = _divided(density, emission, gamma_w)
+            colour = _divided(density, scattering, gamma_w)
             np.minimum(colour.values, 1, out=colour.values)
-        elif config.emission_mode == _PER_DENSITY:
+        elif config.layer.emission_mode == _PER_DENSITY:
             colour = _divided(density, emission)
         else:
             colour = emission
         colour = dataclasses.replace(colour, name=name)
-        grids += [colour, *(_split(colour) if config.split_rgb else ())]
+        grids += [colour, *(_split(colour) if config.layer.split_rgb else ())]
     return grids
 
 
@@ -63,10 +76,10 @@ def absolute_emission(density: DenseField, emission: DenseField, mode: str) -> D
     return dataclasses.replace(emission, values=values)
 
 
-def empty_colour_grids(index_to_world: np.ndarray, config: LayerConfig) -> list[DenseField]:
+def empty_colour_grids(index_to_world: np.ndarray, config: Config) -> list[DenseField]:
     """The same grids without a voxel, for a file that shows no colour."""
     grids = []
-    for name in colour_names(config.scatter_colour, config.split_rgb):
+    for name in config.colour_grids:
         is_float = name in COLOUR_CHANNELS
         grids.append(
             DenseField(

@@ -119,7 +119,7 @@ class _Shot:
         for number, frame in enumerate(self.frames):
             smoke = self.smokes[number]
             result: Any = found[number].density
-            if found[number].emission is not None:
+            if found[number].painted:
                 result = _painted(self.case, frame, found[number])[1]
             outcome = Outcome(smoke, result, ("frame", frame.time_code))
             loss = reference.trial.unseen.loss(outcome) * reference.start / self.starts[number]
@@ -262,11 +262,12 @@ def _painted(
     from usdsmoke.core.smoke.active import activate
     from usdsmoke.core.smoke.srgb import encode_srgb
 
-    density = found.density if found.emission is not None else _union(source, found)
+    density = found.density if found.painted else _union(source, found)
     smoke = activate(density, source.density_to_stage, case.device)
     place = tuple((smoke.ijk.cpu().numpy() - np.asarray(density.ijk_min)).T)
-    if found.emission is not None:
-        light = torch.from_numpy(found.emission.values[place]).to(smoke.density)
+    if found.painted:
+        values = np.sum([field.values[place] for field in found.painted], axis=0)
+        light = torch.from_numpy(values).to(smoke.density)
         linear = light / (case.small_scene.gamma_w * smoke.density)[:, None]
         return smoke, encode_srgb(linear).clamp(0, 1)
     before, after = (_values_at(field, smoke) for field in (source.density, found.density))

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.volume import CameraSource, LightSource, VolumeFrame
+from usdsmoke.base.volume import CameraSource, DenseField, LightSource, Scattering, VolumeFrame
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.views.lighting import light_smoke
 from usdsmoke.runs.budget.findings import find_frame
 
 SUN = LightSource("/sun", (9.0, 9.0, 9.0), (0.0, 0.6, 0.8))
@@ -76,6 +77,50 @@ def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
     mended = stylized(in_light(brightness), exposure=found.light.advised).report
     assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended))
     assert 0.02 < mended.light.share < 1 and mended.light.outshone < 0.02
+
+
+SKY = LightSource("/sky", (1.5, 1.5, 1.5))
+
+
+def targeted(target: str, *lights: LightSource, style: np.ndarray = STYLE) -> StylizedFrame:
+    frame = replace(frame_of(puff(12)), lights=lights)
+    config = quick_config(**{**COLOUR, "colour": {**COLOUR["colour"], "target": target}})
+    (result,) = run_core([frame], config, styles=[style], scene=scene_of([frame], config))
+    return result
+
+
+def per_extinction(result: StylizedFrame, field: DenseField) -> np.ndarray:
+    smoke = result.density.values > 0
+    gamma_w = scene_of([frame_of(puff(12))], quick_config()).gamma_w
+    return field.values[smoke] / (gamma_w * result.density.values[smoke])[:, None]
+
+
+def test_a_painted_albedo_is_a_share_and_takes_the_colour_of_the_style() -> None:
+    red = np.broadcast_to(np.float32([0.7, 0.2, 0.2]), (24, 24, 3)).copy()
+    found = targeted("albedo", SKY, style=red)
+    assert found.emission is None
+    albedo = per_extinction(found, found.scattering)
+    assert albedo.min() >= 0 and albedo.max() <= 1 + 1e-6
+    assert albedo[:, 0].mean() > 2 * albedo[:, 1:].mean()
+    assert found.report.light.share == 1 and found.report.light.outshone == 0
+
+
+def test_with_both_what_light_cannot_give_is_emitted_and_the_picture_needs_no_light() -> None:
+    found, plain = targeted("both", SKY, SUN), targeted("emission")
+    colours = per_extinction(plain, plain.emission)
+    emitted, albedo = (per_extinction(found, f) for f in (found.emission, found.scattering))
+    assert 0 <= albedo.min() and albedo.max() <= 1 + 1e-6
+    assert (emitted >= 0).all() and (emitted <= colours + 1e-6).all()
+    assert emitted.sum() < 0.9 * colours.sum()
+    glows = emitted > 1e-4
+    assert np.allclose(albedo[glows], 1, atol=1e-5)  # all of the light is scattered first
+    smoke = smoke_of(puff(12))
+    scene = scene_of([frame_of(puff(12))], quick_config())
+    lighting = light_smoke(smoke, scene.gamma_w, Scattering((SKY, SUN), 1.0))
+    light = lighting.on(smoke.positions).scattered(np.array([0.0, 0.0, -1.0])).numpy()
+    place = np.argwhere(found.density.values > 0)
+    assert (place == smoke.ijk.numpy()).all()
+    assert np.allclose(emitted + albedo * light, colours, atol=1e-5)
 
 
 @pytest.mark.parametrize("hidden", [False, True])

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.pipeline import plan
 from usdsmoke.planning.plan import Plan
 
@@ -73,3 +74,23 @@ def test_without_lights_the_plan_does_not_speak_of_them(shot: Shot) -> None:
     made = plan_of(shot, "")
     told = (*made.needed, *made.notes, *(item.what for item in made.omitted))
     assert not any("light" in text for text in told)
+
+
+@pytest.mark.parametrize("target", ["albedo", "both"])
+def test_an_albedo_is_painted_where_light_shows_it_and_refused_where_none_does(
+    shot: Shot, target: str
+) -> None:
+    setting = f"colour.target={target}"
+    with pytest.raises(ConfigError, match=r"optics\.sun"):
+        plan(shot.stage, shot.style, shot.output, [setting])
+    made = plan(shot.stage, shot.style, shot.output, [setting, "optics.sun=[1,0,0]"])
+    assert any("100%" in text and "optics.sun" in text for text in made.needed)
+    assert any("paints" in text and "albedo" in text for text in made.needed)
+    (written,) = (text for text in made.needed if text.startswith("one VDB file"))
+    assert "Cd" in written and ("emission" in written) is (target == "both")
+    uneven = [setting, "optics.sun=[1,0,0]", "optics.anisotropy=0.5"]
+    if target == "both":
+        with pytest.raises(ConfigError, match="anisotropy"):
+            plan(shot.stage, shot.style, shot.output, uneven)
+    else:
+        plan(shot.stage, shot.style, shot.output, uneven)

@@ -184,3 +184,55 @@ def test_a_lit_look_says_so_and_its_material_scatters_as_much(tmp_path, albedo):
         assert shown.scattering.is_uneven
     else:
         assert shown.scattering is None
+
+
+@needs_usd(26, 3)
+@pytest.mark.parametrize("emits", [False, True])
+def test_a_field_of_albedos_is_connected_in_every_renderer(tmp_path, emits):
+    stage = open_stage(shot(tmp_path, SUN % "bool inputs:normalize = 1"))
+    source = find_volumes(stage, StageConfig())
+    names = ("density", "emission", "Cd") if emits else ("density", "Cd")
+    frame = finish_frame(tmp_path / "out/vdb/smoke.0002.vdb", 2.0, False, names)
+    result = StylizedVolume(
+        source.volumes[0],
+        [frame],
+        0.5,
+        {name: name for name in names},
+        albedo=0.9,
+        scatter_field="Cd",
+    )
+    config = LayerConfig(material_targets=["glslfx", "mtlx", "arnold", "karma", "renderman"])
+    files = author_look(stage, source, [result], tmp_path / "out", config, RECORD)
+    root = open_stage(files.root_stage)
+    material = root.GetPrimAtPath("/World/smoke/look_material")
+    found = {child.GetName(): child for child in material.GetChildren()}
+
+    def behind(name, attribute):
+        """The shader that an input comes from."""
+        (path,) = found[name].GetAttribute(f"inputs:{attribute}").GetConnections()
+        return root.GetPrimAtPath(path.GetPrimPath())
+
+    assert found["glslfx_volume"].GetAttribute("inputs:albedo").Get(2) == 1  # of the field's colour
+    assert behind("glslfx_volume", "scatter").GetAttribute("inputs:fieldname").Get() == "Cd"
+    assert found["arnold_volume"].GetAttribute("inputs:scatter_color_channel").Get() == "Cd"
+    for context in ("mtlx", "kma"):
+        volume = "mtlx_vdf" if context == "mtlx" else "kma_volume"
+        rate = behind(volume, "scattering")
+        assert rate.GetAttribute("info:id").Get() == "ND_multiply_vector3FA"
+        rest = behind(volume, "absorption")
+        assert rest.GetAttribute("info:id").Get() == "ND_subtract_vector3"
+        assert behind(rest.GetName(), "in2") == rate
+        colour = behind(behind(rate.GetName(), "in1").GetName(), "in")
+        assert colour.GetAttribute("inputs:geomprop").Get() == "Cd"
+    diffuse = behind("ri_volume", "diffuseColor")
+    assert behind(diffuse.GetName(), "inputRGB").GetAttribute("inputs:varname").Get() == "Cd"
+    glows = [
+        found["mtlx_volume"].GetAttribute("inputs:edf"),
+        found["kma_volume"].GetAttribute("inputs:emission"),
+        found["arnold_volume"].GetAttribute("inputs:emission_channel"),
+        found["ri_volume"].GetAttribute("inputs:emitColor"),
+        found["glslfx_volume"].GetAttribute("inputs:emission"),
+    ]
+    assert [bool(attribute) for attribute in glows] == [emits] * 5
+    (shown,) = composed_volumes(root, source, 2)
+    assert shown.colour is not None and shown.scattering.albedo == 1

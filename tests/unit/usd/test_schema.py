@@ -38,6 +38,7 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.ANISOTROPY: ("float", 0.0),
     schema.LIGHTS: ("float3[]", []),
     schema.EXPOSURE: ("float", 0.0),
+    schema.SCATTER_FIELD: ("token", ""),
 }
 
 REQUESTED = (STYLE_IMAGES, CAMERA, MASK, *(row.name for row in REQUEST_ATTRIBUTES))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from usdsmoke.base.naming import channel_names, colour_names
 from usdsmoke.base.sections import LayerConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.colour_grids import absolute_emission, empty_colour_grids, make_colour_grids
 
@@ -47,9 +48,14 @@ def painted(seed: int) -> tuple[DenseField, DenseField, np.ndarray]:
 
 
 def made(
-    density: DenseField, emission: DenseField, config: LayerConfig, gamma_w: float = GAMMA_W
+    density: DenseField,
+    emission: DenseField,
+    layer: LayerConfig,
+    gamma_w: float = GAMMA_W,
+    stops: float = 0.0,
 ) -> dict[str, DenseField]:
-    return {field.name: field for field in make_colour_grids(density, emission, gamma_w, config)}
+    grids = make_colour_grids(density, [emission], gamma_w, Config(layer=layer), stops)
+    return {field.name: field for field in grids}
 
 
 ALL = LayerConfig(emission_mode="perDensity", scatter_colour=["Cd", "color"], split_rgb=True)
@@ -91,7 +97,7 @@ def test_every_grid_follows_from_density_and_emission(seed: int, config: LayerCo
 
 def test_without_the_options_the_emission_is_handed_on_as_it_is() -> None:
     density, emission, _ = painted(1)
-    (only,) = make_colour_grids(density, emission, GAMMA_W, LayerConfig())
+    (only,) = make_colour_grids(density, [emission], GAMMA_W, Config(), 0.0)
     assert only == emission
     assert only.values is emission.values
 
@@ -148,8 +154,9 @@ def test_no_extinction_gives_no_albedo() -> None:
 def test_the_file_without_colour_has_the_same_grids() -> None:
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
     density, emission, _ = painted(4)
-    for config in (LayerConfig(), ALL, LayerConfig(split_rgb=True)):
-        full = make_colour_grids(density, emission, GAMMA_W, config)
+    for layer in (LayerConfig(), ALL, LayerConfig(split_rgb=True)):
+        config = Config(layer=layer)
+        full = make_colour_grids(density, [emission], GAMMA_W, config, 0.0)
         empty = empty_colour_grids(matrix, config)
         for one, other in zip(full, empty, strict=True):
             assert (one.name, one.grid_class, one.background) == (
@@ -164,3 +171,25 @@ def test_names_are_names_of_usd() -> None:
 
     for name in colour_names(["Cd", "color"], split=True):
         assert Sdf.Path.IsValidIdentifier(name)
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["albedo", "both"]))
+def test_a_painted_albedo_is_the_scattering_over_the_extinction(seed: int, target: str) -> None:
+    density, emission, colour = painted(seed)
+    scattering = dataclasses.replace(emission, name="scattering", values=emission.values / 2)
+    fields = [scattering] if target == "albedo" else [emission, scattering]
+    config = Config(colour={"target": target})
+    assert config.painted == tuple(field.name for field in fields)
+    grids = {g.name: g for g in make_colour_grids(density, fields, GAMMA_W, config, 3.0)}
+    assert tuple(grids) == config.colour_grids == (("emission", "Cd")[target == "albedo" :])
+    smoke = density.values > 0
+    np.testing.assert_allclose(grids["Cd"].values[smoke], colour[smoke] / 2, rtol=3e-7)
+    assert "emission" not in grids or grids["emission"] == emission
+
+
+def test_a_scattering_colour_beside_the_emission_knows_the_exposure() -> None:
+    density, emission, colour = painted(5)
+    dimmed = dataclasses.replace(emission, values=emission.values / 8)
+    found = made(density, dimmed, LayerConfig(scatter_colour=["Cd"]), stops=3.0)["Cd"]
+    smoke = density.values > 0
+    np.testing.assert_allclose(found.values[smoke], colour[smoke], rtol=3e-7)

@@ -46,9 +46,9 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     optimize = frame.config.optimize
     if not (frame.in_effect and optimize.error_budget) or len(frame.smoke.ijk) == 0:
         return FrameErrors()
-    painted = painted_frame(frame)
     quadrature = unseen = None
     view = fit_blocks(_views(frame, 1, optimize.seed)[0])
+    painted = painted_frame(frame, view)
     gamma_w, step = frame.scene.gamma_w, frame.smoke.voxel_size
     if frame.paint is None:
         gamma_w = frame.scene.gamma_w_shape
@@ -85,8 +85,12 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
-def painted_frame(frame: PaintedFrame) -> Painted:
-    """The frame as it is written: colours times strength and mask; grey without any."""
+def painted_frame(frame: PaintedFrame, view: View) -> Painted:
+    """The frame as it is written: colours times strength and mask; grey without any.
+
+    Args:
+        view: that the light of lamps goes to, where colours are albedos.
+    """
     smoke, paint = frame.smoke, frame.paint
     if paint is None:
         return Painted(smoke, None)
@@ -94,6 +98,8 @@ def painted_frame(frame: PaintedFrame) -> Painted:
     here = slice(None) if share is None else share > 0
     part = 1.0 if share is None else share[share > 0, None]
     light[here] = decode_srgb(paint[1]) * (frame.config.optimize.strength * part)
+    if (lighting := frame.lighting()) is not None and lighting.is_painted:
+        light *= lighting.on(smoke.positions).scattered(view.forward)
     return Painted(smoke, light)
 
 

@@ -110,6 +110,14 @@ class OpenedFrame:
         return self.coarse is not None and self.coarse.displacement is not None
 
     def lighting(self) -> Lighting | None:
+        """Light that the pictures show beside the colours, or that the colours weigh; exposed.
+
+        None without lights, and where the emission makes up for what the light cannot give: such
+        pictures do not depend on it.
+        """
+        return None if self.config.colour.target == "both" else self.all_light()
+
+    def all_light(self) -> Lighting | None:
         """Light in the smoke, all of it: what the camera does not see casts shadows too."""
         lights, config = self.frame.lights, self.config
         if not lights or config.albedo == 0:
@@ -118,7 +126,9 @@ class OpenedFrame:
         if self.visibility is not None:
             smoke = activate(self.density, self.frame.density_to_stage, smoke.ijk.device)
         scattering = Scattering(lights, config.albedo, config.optics.anisotropy)
-        return light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
+        found = light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
+        is_painted = config.colour.target == "albedo"
+        return None if found is None else replace(found, is_painted=is_painted)
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""

@@ -4,9 +4,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import FrameReport, ProgressCallback
+from usdsmoke.base.naming import EMISSION, SCATTERING
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
@@ -18,6 +20,8 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.views.scene import Scene
 
+FORWARD = np.array([0.0, 0.0, -1.0])  # any: smoke that scatters to all sides looks alike from all
+
 
 @dataclass(frozen=True)
 class StylizedFrame:
@@ -25,8 +29,21 @@ class StylizedFrame:
 
     time_code: float
     density: DenseField
-    emission: DenseField | None  # None without a colour step
+    # Of the colour step, by ``Config.painted``, [i j k 3] in 1/stage unit: emission and scattering;
+    # that is the extinction times the albedo.
+    painted: tuple[DenseField, ...] = ()
     report: FrameReport = field(default_factory=FrameReport)
+
+    @property
+    def emission(self) -> DenseField | None:
+        """None without a colour step, or where it paints the albedo alone."""
+        return next((field for field in self.painted if field.name == EMISSION), None)
+
+    @property
+    def scattering(self) -> DenseField | None:
+        """None where the colour step does not paint the albedo."""
+        return next((field for field in self.painted if field.name == SCATTERING), None)
+
     moved_by: Displacement | None = None  # what moved the density; None where it stays
 
 
@@ -71,22 +88,42 @@ def stylize_window(
 
 def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame:
     """What is written of a finished frame, with its errors in the report."""
-    emission = None
-    if "colour" in context.config.optimize.steps:
-        emission = _empty_emission(frame.density)
-        if frame.painted is not None and frame.colours is not None:
-            strength: float | Tensor = frame.config.optimize.strength
-            if frame.mask is not None:
-                strength = strength * frame.mask.at(frame.painted.positions)
-            _emit(emission, frame.painted, frame.colours, frame.scene, strength)
+    painted = tuple(_empty(frame.density, name) for name in context.config.painted)
+    if painted and frame.painted is not None and frame.colours is not None:
+        strength: float | Tensor = frame.config.optimize.strength
+        if frame.mask is not None:
+            strength = strength * frame.mask.at(frame.painted.positions)
+        extinction = frame.scene.gamma_w * strength * frame.painted.density
+        for field in painted:
+            _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
     report = replace(frame.report, errors=frame_errors(frame))
-    return StylizedFrame(frame.time_code, frame.density, emission, report, frame.moved_by)
+    return StylizedFrame(frame.time_code, frame.density, painted, report)
 
 
-def _empty_emission(density: DenseField) -> DenseField:
+def _per_extinction(frame: PaintedFrame, name: str) -> Tensor:
+    """Linear colours or albedos [N 3] of the painted voxels; with both, the colours are split.
+
+    As much of a colour as the light can give is given by the light, the rest is emitted.
+    """
+    if frame.painted is None or frame.colours is None:
+        raise ValueError("a frame without colours")
+    linear, config = decode_srgb(frame.colours), frame.config
+    given = torch.zeros_like(linear)
+    if config.colour.target == "albedo":
+        return config.albedo * linear
+    if config.colour.target == "both" and (lighting := frame.all_light()) is not None:
+        light = lighting.on(frame.painted.positions).scattered(FORWARD)
+        given = torch.minimum(linear, light)
+        if name == SCATTERING:
+            tiny = torch.finfo(light.dtype).tiny
+            return config.albedo * given / light.clamp_min(tiny)
+    return (linear - given) * 2.0**-frame.scene.stops if name == EMISSION else given
+
+
+def _empty(density: DenseField, name: str) -> DenseField:
     values = np.zeros((*density.values.shape, 3), np.float32)
     return DenseField(
-        "emission",
+        name,
         values,
         density.ijk_min,
         density.index_to_world,
@@ -96,19 +133,11 @@ def _empty_emission(density: DenseField) -> DenseField:
     )
 
 
-def _emit(
-    emission: DenseField,
-    painted: ActiveSmoke,
-    colours: Tensor,
-    scene: Scene,
-    strength: float | Tensor,
-) -> None:
-    """Fill in C x sigma / 2^stops in 1/stage unit, scene-linear; it stays zero without paint.
+def _fill(field: DenseField, painted: ActiveSmoke, linear: Tensor, extinction: Tensor) -> None:
+    """Fill in linear x sigma in 1/stage unit; it stays zero where there is no paint.
 
     So the guidance mask is applied to the result too, as in the paper: nothing is left of what the
-    network saw beyond the smoke. ``strength`` may be one number for each voxel.
+    network saw beyond the smoke.
     """
-    brightness = scene.gamma_w * 2.0**-scene.stops * strength * painted.density
-    light = decode_srgb(colours) * brightness[:, None]
-    index = painted.ijk.cpu().numpy() - np.asarray(emission.ijk_min)
-    emission.values[tuple(index.T)] = light.cpu().numpy()
+    index = painted.ijk.cpu().numpy() - np.asarray(field.ijk_min)
+    field.values[tuple(index.T)] = (linear * extinction[:, None]).cpu().numpy()

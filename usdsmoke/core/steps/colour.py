@@ -1,8 +1,9 @@
 r"""The colour step: RGB on fixed density. [Christen2020, eq. 6 and section 3.1]
 
-Unknowns are the display-encoded colours of the active voxels, clipped to [0, 1]. Octaves go coarse
-to fine; a finer one starts from the interpolated colours of the one before. The first one starts
-from white noise, which density multiplies in the picture, as the paper does.
+Unknowns are the display-encoded colours of the active voxels, clipped to [0, 1]: what they emit, or
+the albedo that weighs the light in them (``colour.target``), which is fixed with the density.
+Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
+first one starts from white noise, which density multiplies in the picture, as the paper does.
 
 At the end of an octave, voxels that hardly any light of the pictures comes from take the colours of
 the smoke around them: what no view sees would keep the noise that it starts with. Not so in a warm
@@ -187,14 +188,20 @@ def _seen(
 
     About the transmittance in front of it; 1 is a voxel by itself with nothing in front.
     """
-    light = views[0].image.weight.sum(dim=1)
+    light = _reaching(views[0])
     for view in views[1:]:
-        light = torch.maximum(light, view.image.weight.sum(dim=1))
+        light = torch.maximum(light, _reaching(view))
     face = painted.voxel_size**2
     depth = painted.density * (scene.gamma_w * painted.voxel_volume / face)
     alone = opacity(depth) * (face / (factor * scene.pixel_size) ** 2)
     alone = alone if share is None else alone * share
     return light / alone.clamp_min(torch.finfo(light.dtype).tiny)
+
+
+def _reaching(view: ColourView) -> Tensor:
+    """How much of each voxel's colour reaches a picture, [N]; in the dark an albedo hardly does."""
+    weight = view.image.weight.sum(dim=1)
+    return weight if view.light is None else weight * view.light.mean(dim=1).clamp(max=1)
 
 
 def _content_picture(

@@ -1,17 +1,22 @@
 """How much of a painted frame's light comes from lamps, and whether it outshines the style."""
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import LightReport
-from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import Scattering, VolumeFrame
+from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.pictures import ColourView, prepare_views
 from usdsmoke.core.steps.targets import StepProblem
-from usdsmoke.core.views.scene import frame_views
+from usdsmoke.core.views.lighting import Lighting, light_smoke
+from usdsmoke.core.views.scene import Scene, frame_views
 
 N_VIEWS = 4
 FACTOR = 2  # voxels and pixels are this many times as large: shares need no detail
@@ -21,54 +26,84 @@ _WEIGHTS = (0.2126, 0.7152, 0.0722)  # luminance of linear Rec.709
 
 
 def light_report(problem: StepProblem, painted: ActiveSmoke, colours: Tensor) -> LightReport | None:
-    """Measured on a few views of a coarser copy; None where no light is scattered.
+    """Measured on a few views of a coarser copy; None where the pictures show no light of lamps.
 
     Args:
         problem: of the colour step.
         painted: the voxels that have colours.
         colours: display-encoded [N 3].
     """
-    if problem.lighting is None or len(painted.ijk) == 0:
+    lighting, scene = problem.lighting, problem.scene
+    if lighting is None or len(painted.ijk) == 0:
         return None
-    scene, config = problem.scene, problem.config
     octave = coarsen(bounded(problem.smoke))
     share = None if problem.mask is None else problem.mask.at(octave.positions)
     here = octave if share is None else octave.take(share > 0)
     if len(here.ijk) == 0:
         return None
     linear = decode_srgb(sample_colours(painted, colours, here.positions)[0])
-    directions = frame_views(
-        octave, config.views.replace(pool=N_VIEWS), scene, config.optimize.seed, FACTOR
-    )
-    views = prepare_views(
-        octave, directions, scene.gamma_w, scene.exposure, share, problem.lighting
-    )
+    views = _views(octave, scene, problem.config, lighting, share)
     with torch.no_grad():
-        return _report(list(views), linear, problem.targets.white, scene.stops)
-
-
-def _report(
-    views: list[ColourView], linear: Tensor, white: float, stops: float
-) -> LightReport | None:
-    scattered = torch.cat([_pixels(view.scattered) for view in views])
-    emitted = torch.cat([_pixels(view.image.apply(linear)) for view in views])
-    alpha = torch.cat([view.alpha.reshape(-1).double() for view in views])
-    total = float((scattered + emitted).sum())
-    smoke = alpha > 0.5 * float(alpha.max())
-    if not total > 0 or not bool(smoke.any()):
+        shown = _all_pixels([view.shown(linear) for view in views])
+        lamps = shown
+        if not lighting.is_painted:
+            lamps = _all_pixels([view.shown(torch.zeros_like(linear)) for view in views])
+        total, brightness = float(shown.sum()), _brightness(views, here)
+    if not total > 0 or len(brightness) == 0:
         return None
-    weights = scattered.new_tensor(_WEIGHTS)
-    brightness = (scattered @ weights)[smoke] / alpha[smoke] / max(white, 1e-3)
-    lit = float(torch.quantile(brightness, LIT))
+    brightness = brightness / max(problem.targets.white, 1e-3)
+    lit, wanted = float(brightness.quantile(LIT)), 1.0 if lighting.is_painted else ADVISED
     return LightReport(
-        share=float(scattered.sum()) / total,
-        outshone=float((brightness > 1).double().mean()),
-        advised=round(stops + math.log2(ADVISED / lit), 1) if lit > 0 else stops,
+        share=float(lamps.sum()) / total,
+        outshone=0.0 if lighting.is_painted else float((brightness > 1).double().mean()),
+        reach=lit,
+        advised=round(scene.stops + math.log2(wanted / lit), 1) if lit > 0 else scene.stops,
     )
 
 
-def _pixels(picture: Tensor | None) -> Tensor:
+def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) -> float:
+    """The exposure in stops at which white smoke in the light is white; 0 without light.
+
+    Args:
+        frames: the same that the scene is measured on; empty frames are skipped.
+        scene: measured.
+    """
+    found = []
+    for frame in frames:
+        smoke = activate(frame.density, frame.density_to_stage, torch.device("cpu"))
+        scattering = Scattering(frame.lights, config.albedo, config.optics.anisotropy)
+        lighting = light_smoke(smoke, scene.gamma_w, scattering)
+        if lighting is None:
+            continue
+        octave = coarsen(bounded(smoke))
+        views = _views(octave, scene, config, lighting, None)
+        brightness = _brightness(views, octave)
+        if len(brightness) and (lit := float(brightness.quantile(LIT))) > 0:
+            found.append(-math.log2(lit))
+    return float(np.median(found)) if found else 0.0
+
+
+def _views(
+    octave: ActiveSmoke, scene: Scene, config: Config, lighting: Lighting, share: Tensor | None
+) -> list[ColourView]:
+    pool, seed = config.views.replace(pool=N_VIEWS), config.optimize.seed
+    directions = frame_views(octave, pool, scene, seed, FACTOR)
+    made = prepare_views(octave, directions, scene.gamma_w, scene.exposure, share, lighting)
+    return list(made)
+
+
+def _brightness(views: Sequence[ColourView], painted: ActiveSmoke) -> Tensor:
+    """Luminance that lamps give the pixels with smoke, white where colours weigh it, [P]."""
+    found = []
+    for view in views:
+        colours = painted.positions.new_zeros(len(painted.ijk), 3).to(view.alpha)
+        picture = view.shown(colours if view.light is None else colours + 1)
+        smoke = view.alpha > 0.5 * view.alpha.max()
+        light = picture[smoke].double() @ picture.new_tensor(_WEIGHTS, dtype=torch.float64)
+        found.append(light / view.alpha[smoke])
+    return torch.cat(found)
+
+
+def _all_pixels(pictures: Sequence[Tensor]) -> Tensor:
     """[P 3] in double precision."""
-    if picture is None:
-        raise ValueError("a view without scattered light")
-    return picture.reshape(-1, 3).double()
+    return torch.cat([picture.reshape(-1, 3).double() for picture in pictures])

@@ -122,6 +122,8 @@ class ColourView:
     thin: float = THIN  # opacity at which the guidance mask is one half
     content: Content | None = None
     scattered: Tensor | None = None  # [H W 3], light of the stage in the picture; None: none
+    # [N 3], light of the stage that white voxels scatter to the eye; None: the colours are emitted.
+    light: Tensor | None = None
 
     @property
     def guide(self) -> Tensor:
@@ -138,10 +140,13 @@ class ColourView:
         """
         alpha = self.alpha[..., None]
         behind = BACKDROP * self.thin
-        light = self.image.apply(colours) + behind * background
-        if self.scattered is not None:
-            light = light + self.scattered
+        light = self.shown(colours) + behind * background
         return encode_srgb(light / (alpha + behind))
+
+    def shown(self, colours: Tensor) -> Tensor:
+        """Light of the painted smoke in the picture, [H W 3]."""
+        light = self.image.apply(colours if self.light is None else colours * self.light)
+        return light if self.scattered is None else light + self.scattered
 
 
 def prepare_views(
@@ -172,6 +177,8 @@ def prepare_views(
         if lit is None:
             return ColourView(image, alpha, THIN / exposure)
         light = lit.scattered(views[number].forward)
+        if lighting is not None and lighting.is_painted:
+            return ColourView(image, alpha, THIN / exposure, light=light)
         return ColourView(image, alpha, THIN / exposure, scattered=image.apply(light))
 
     return LazyList(len(views), make)

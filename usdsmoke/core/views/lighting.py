@@ -11,6 +11,7 @@ that is scattered more than once is not in the model, as in renderers without vo
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,7 @@ class Lighting:
     smoke: ActiveSmoke  # all of it
     gamma_w: float  # extinction per density, 1/stage unit
     scattering: Scattering
+    is_painted: bool = False  # colours weigh this light; else they are emitted beside it
 
     def on(self, positions: Tensor) -> "LitPoints":
         """The light at points.
@@ -140,7 +142,7 @@ def sky_directions() -> np.ndarray:
 
 def lit_emission(
     density: DenseField,
-    emission: DenseField,
+    fields: Sequence[DenseField | None],
     to_stage: np.ndarray,
     gamma_w: float,
     scattering: Scattering,
@@ -150,12 +152,17 @@ def lit_emission(
 
     Args:
         density: [i j k].
-        emission: [i j k 3] on the density's lattice; its box may differ.
+        fields: the emission, [i j k 3], and the scattering colour, which the albedo is multiplied
+            by, each on the density's lattice or None; boxes may differ.
         to_stage: [4 4], the density's grid world to stage space.
         gamma_w: extinction per density, 1/stage unit.
         scattering: see ``light_smoke``.
         view: orthographic or perspective.
     """
+    emission, colour = fields
+    if emission is None:
+        values = np.zeros((*density.values.shape, 3), np.float32)
+        emission = replace(density, values=values, background=(0.0, 0.0, 0.0))
     smoke = activate(density, to_stage, torch.device("cpu"))
     lighting = light_smoke(smoke, gamma_w, scattering)
     if lighting is None:
@@ -165,6 +172,8 @@ def lit_emission(
         forward = positions.numpy() - view.centre
         forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
     light = lighting.on(positions).scattered(forward) * (gamma_w * smoke.density)[:, None]
+    if colour is not None:
+        light = light * torch.from_numpy(_values_at(colour, smoke.ijk.numpy()))
     low = np.minimum(density.ijk_min, emission.ijk_min)
     high = np.maximum(*(np.add(f.ijk_min, f.values.shape[:3]) for f in (density, emission)))
     values = np.zeros((*(high - low), 3), np.float32)
@@ -173,3 +182,12 @@ def lit_emission(
     values[there] = emission.values
     values[tuple((smoke.ijk.numpy() - low).T)] += light.numpy()
     return replace(emission, values=values, ijk_min=tuple(low.tolist()))
+
+
+def _values_at(field: DenseField, ijk: np.ndarray) -> np.ndarray:
+    """[N 3] at indices [N 3]; 0 outside."""
+    index = ijk - np.asarray(field.ijk_min)
+    inside = ((index >= 0) & (index < field.values.shape[:3])).all(axis=1)
+    values = np.zeros((len(index), 3), np.float32)
+    values[inside] = field.values[tuple(index[inside].T)]
+    return values

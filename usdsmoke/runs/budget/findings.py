@@ -22,6 +22,7 @@ FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma 
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
+DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
@@ -141,6 +142,8 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     if light.share < DIM:
         cause = f"only {light.share:.2%} of the smoke's light comes from lamps, which is not seen"
         advice += ", or optics.albedo=0, which leaves them out"
+    elif light.share > 1 - DIM and light.reach < DARK:
+        cause = f"even white smoke in the light is only {light.reach:.0%} as bright as the style"
     elif light.outshone > OUTSHONE:
         cause = (
             f"the light of lamps alone is brighter than the style's white on {light.outshone:.0%} "

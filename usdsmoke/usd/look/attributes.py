@@ -86,6 +86,8 @@ def _light_attributes(volume: StylizedVolume) -> dict[str, Any]:
             for part in (light.towards or (0.0, 0.0, 0.0), light.colour)
         ]
         look[schema.LIGHTS] = (_TYPES.Float3Array, Vt.Vec3fArray(triples))
+    if volume.scatter_field:
+        look[schema.SCATTER_FIELD] = (_TYPES.Token, volume.scatter_field)
     if volume.stops:
         look[schema.EXPOSURE] = (_TYPES.Float, volume.stops)
     return look

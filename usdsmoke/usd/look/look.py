@@ -7,7 +7,7 @@ from pathlib import Path
 from pxr import Sdf, Tf, Usd
 
 from usdsmoke.base.errors import LayerError, WriteFailed
-from usdsmoke.base.naming import EMISSION, ORIGINAL, VARIANT_SET
+from usdsmoke.base.naming import COLOUR_VECTORS, EMISSION, ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.sections import LayerConfig
@@ -27,7 +27,7 @@ from usdsmoke.usd.look.fields import (
 from usdsmoke.usd.look.material import author_material, keep_binding
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files, shader_name
 from usdsmoke.usd.look.root import author_asset, author_root, copy_stage_metadata
-from usdsmoke.usd.look.storm_shader import STORM_SHADER
+from usdsmoke.usd.look.storm_shader import storm_shader
 from usdsmoke.usd.materials import binds_material
 
 
@@ -67,7 +67,9 @@ def author_look(
     look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())
     if "glslfx" in config.material_targets and any(_binds(volume, config) for volume in volumes):
         files = replace(files, shader=folder / shader_name(config))
-        publish_file(folder / shader_name(config), STORM_SHADER)
+        emits = any(EMISSION in volume.grids for volume in volumes)
+        scatters = any(volume.scatter_field for volume in volumes)
+        publish_file(folder / shader_name(config), storm_shader(emits, scatters))
     _publish(look, files.look_layer)
     if files.root_stage is not None:
         if config.mode == "reference":
@@ -119,7 +121,11 @@ def _author_look_layer(
 
 
 def _binds(volume: StylizedVolume, config: LayerConfig) -> bool:
-    return binds_material(config, EMISSION in volume.grids, volume.source.materials)
+    return binds_material(config, _has_colour(volume), volume.source.materials)
+
+
+def _has_colour(volume: StylizedVolume) -> bool:
+    return not set(COLOUR_VECTORS).isdisjoint(volume.grids)
 
 
 def _check_volumes(volumes: Sequence[StylizedVolume]) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 from pxr import Sdf, Usd, UsdGeom
 
+from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.usd.look.networks import Input, Network, Node, Smoke, Varying, network
 from usdsmoke.usd.look.records import StylizedVolume, shader_name
@@ -77,16 +78,19 @@ def _smoke(prim: Usd.Prim, volume: StylizedVolume) -> Smoke:
         else _FALLBACK_EXTINCTION
         for code in codes
     }
-    albedos = {code: volume.albedo if ours[code] else _FALLBACK_ALBEDO for code in codes}
+    albedo = 1.0 if volume.scatter_field else volume.albedo  # of the field's colour
+    albedos = {code: albedo if ours[code] else _FALLBACK_ALBEDO for code in codes}
     first = volume.first_frame.time_code
     return Smoke(
         density=volume.source.density,
         extinction=_varying(volume.extinction_per_density, extinctions),
-        albedo=_varying(volume.albedo, albedos),
+        albedo=_varying(albedo, albedos),
         anisotropy=volume.anisotropy,
         stage_units=Varying(*stage_units_over_time(prim, first, codes)),
         meters_per_unit=UsdGeom.GetStageMetersPerUnit(prim.GetStage()),
         is_per_density=volume.emission_mode == "perDensity",
+        emits=EMISSION in volume.grids,
+        scatter=volume.scatter_field,
     )
 
 

@@ -1,7 +1,9 @@
 """The shaders of a look's material for each renderer, as plain data.
 
-All of them extinguish gamma_w * density, add ``emission`` as it is, and scatter ``albedo`` of the
-light that they take away: in a look's own frames none, unless it is made for the stage's lights.
+All of them extinguish gamma_w * density, add ``emission`` as it is where there is one, and scatter
+``albedo`` of the light that they take away, times the colour of the field ``scatter`` where there
+is one: in a look's own frames none, unless it is made for lights. Storm scatters the luminance of
+that colour: its shaders scatter one number.
 
 Sources: OpenUSD's tests of Storm's volumes; MaterialX 1.39 ``stdlib_defs`` and ``pbrlib_defs``;
 Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``; Pixar's of ``PxrVolume``,
@@ -65,6 +67,8 @@ class Smoke:
     stage_units: Varying  # in one unit of the Volume's own space
     meters_per_unit: float
     is_per_density: bool  # the emission is divided by density
+    emits: bool = True  # whether there is an emission
+    scatter: str = ""  # field of the scattering colour; "": white
 
 
 @dataclass(frozen=True)
@@ -81,13 +85,16 @@ def network(target: str, smoke: Smoke) -> Network:
 
 
 def _storm(smoke: Smoke) -> tuple[Node, ...]:
-    readers = [
-        _reader("density", "HwFieldReader_float", "fieldname", smoke.density, "result"),
-        _reader("emission", "HwFieldReader_float3", "fieldname", EMISSION, "result"),
-    ]
-    volume = {
-        storm_shader.DENSITY: Input(_TYPES.Float, source="density.result"),
-        storm_shader.EMISSION: Input(_TYPES.Float3, source="emission.result"),
+    names = {storm_shader.DENSITY: smoke.density}
+    names |= {storm_shader.EMISSION: EMISSION} if smoke.emits else {}
+    names |= {storm_shader.SCATTER: smoke.scatter} if smoke.scatter else {}
+    readers: list[Node] = []
+    volume: dict[str, Input] = {}
+    for name, grid in names.items():
+        kind, type_name = ("3", _TYPES.Float3) if len(readers) else ("", _TYPES.Float)
+        readers.append(_reader(name, f"HwFieldReader_float{kind}", "fieldname", grid, "result"))
+        volume[name] = Input(type_name, source=f"{name}.result")
+    volume |= {
         storm_shader.EXTINCTION: Input(_TYPES.Float, smoke.extinction),
         storm_shader.ALBEDO: Input(_TYPES.Float, smoke.albedo),
         storm_shader.STAGE_UNITS: Input(_TYPES.Float, smoke.stage_units),
@@ -98,23 +105,26 @@ def _storm(smoke: Smoke) -> tuple[Node, ...]:
 
 def _materialx(smoke: Smoke) -> tuple[Node, ...]:
     rates, ends = _materialx_rates(smoke)
-    edf = {"color": Input(_TYPES.Color3f, source=ends.pop("emission"))}
+    found = list(rates)
+    parts = {"vdf": Input(_TYPES.Token, source="vdf.out")}
+    if "emission" in ends:
+        edf = {"color": Input(_TYPES.Color3f, source=ends.pop("emission"))}
+        found.append(Node("edf", "ND_uniform_edf", edf, ("out", _TYPES.Token)))
+        parts["edf"] = Input(_TYPES.Token, source="edf.out")
     vdf = {name: Input(_TYPES.Float3, source=end) for name, end in ends.items()}
     vdf |= _uneven(smoke, "anisotropy")
     kind = "ND_anisotropic_vdf" if "scattering" in vdf else "ND_absorption_vdf"
-    parts = {name: Input(_TYPES.Token, source=f"{name}.out") for name in ("vdf", "edf")}
-    return (
-        *rates,
-        Node("vdf", kind, vdf, ("out", _TYPES.Token)),
-        Node("edf", "ND_uniform_edf", edf, ("out", _TYPES.Token)),
-        Node("volume", "ND_volume", parts, ("out", _TYPES.Token)),
-    )
+    found.insert(len(rates), Node("vdf", kind, vdf, ("out", _TYPES.Token)))
+    return (*found, Node("volume", "ND_volume", parts, ("out", _TYPES.Token)))
 
 
 def _karma(smoke: Smoke) -> tuple[Node, ...]:
     rates, ends = _materialx_rates(smoke)
-    inputs = {"emission": Input(_TYPES.Color3f, source=ends.pop("emission"))}
-    inputs |= {name: Input(_TYPES.Float3, source=end) for name, end in ends.items()}
+    types = {"emission": _TYPES.Color3f}
+    inputs = {
+        name: Input(types.get(name, _TYPES.Float3), source=ends[name])
+        for name in sorted(ends, key=lambda name: name != "emission")
+    }
     inputs |= _uneven(smoke, "anisotropy")
     return (*rates, Node("volume", "kma_volume", inputs, ("out", _TYPES.Token)))
 
@@ -124,10 +134,16 @@ def _arnold(smoke: Smoke) -> tuple[Node, ...]:
         "density": Input(_TYPES.Float, smoke.extinction),
         "density_channel": Input(_TYPES.String, smoke.density),
         "scatter": Input(_TYPES.Float, smoke.albedo),
-        "emission_mode": Input(_TYPES.String, "density" if smoke.is_per_density else "channel"),
-        "emission": Input(_TYPES.Float, 1.0),
-        "emission_channel": Input(_TYPES.String, EMISSION),
     } | _uneven(smoke, "scatter_anisotropy")
+    if smoke.scatter:
+        inputs["scatter_color_channel"] = Input(_TYPES.String, smoke.scatter)
+    if smoke.emits:
+        mode = "density" if smoke.is_per_density else "channel"
+        inputs |= {
+            "emission_mode": Input(_TYPES.String, mode),
+            "emission": Input(_TYPES.Float, 1.0),
+            "emission_channel": Input(_TYPES.String, EMISSION),
+        }
     return (Node("volume", "arnold:standard_volume", inputs, ("out", _TYPES.Token)),)
 
 
@@ -139,20 +155,26 @@ def _renderman(smoke: Smoke) -> tuple[Node, ...]:
         "clampInput": Input(_TYPES.Int, 0),
         "outputMax": Input(_TYPES.Float, smoke.extinction),
     }
-    grey = {
+    grey: dict[str, Input] = {
         "inputRGB": Input(_TYPES.Color3f, (1.0, 1.0, 1.0)),
         "outputMax": Input(_TYPES.Float, smoke.albedo),
     }
     volume = {
         "densityFloat": Input(_TYPES.Float, source="extinction.resultR"),
-        "emitColor": Input(_TYPES.Color3f, source="emission.resultRGB"),
         "diffuseColor": Input(_TYPES.Color3f, source="albedo.resultRGB"),
     }
     rgb = ("resultRGB", _TYPES.Color3f)
     number = {"input": Input(_TYPES.Float, source="density.resultF")}
+    colours = []
+    if smoke.emits:
+        colours.append(_primvar("emission", EMISSION, "color", rgb))
+        volume["emitColor"] = Input(_TYPES.Color3f, source="emission.resultRGB")
+    if smoke.scatter:
+        colours.append(_primvar("scatter", smoke.scatter, "color", rgb))
+        grey["inputRGB"] = Input(_TYPES.Color3f, source="scatter.resultRGB")
     return (
         _primvar("density", smoke.density, "float", ("resultF", _TYPES.Float)),
-        _primvar("emission", EMISSION, "color", rgb),
+        *colours,
         Node("grey", "PxrToFloat3", number, rgb),
         Node("extinction", "PxrRemap", remap, ("resultR", _TYPES.Float)),
         Node("albedo", "PxrRemap", grey, rgb),
@@ -177,24 +199,18 @@ def _materialx_rates(smoke: Smoke) -> tuple[list[Node], dict[str, str]]:
     Returns:
         The nodes, and for each of the three the output that carries it.
     """
-    nodes = [
-        _reader("density", "ND_geompropvalue_float", "geomprop", smoke.density, "out"),
-        _reader("emission", "ND_geompropvalue_color3", "geomprop", EMISSION, "out"),
-    ]
+    nodes = [_reader("density", "ND_geompropvalue_float", "geomprop", smoke.density, "out")]
+    if smoke.emits:
+        nodes.append(_reader("emission", "ND_geompropvalue_color3", "geomprop", EMISSION, "out"))
     per_metre = 1 / smoke.meters_per_unit
     extinction = smoke.extinction.scaled(per_metre)
-    scattering = _product(extinction, smoke.albedo)
-    rates = {"absorption": _difference(extinction, scattering)}
-    if scattering != Varying(0.0):
-        rates["scattering"] = scattering
-    ends = {}
-    for name, rate in rates.items():
-        vector = {"in": Input(_TYPES.Float, source=f"{name}_rate.out")}
-        nodes += [
-            _times_density(f"{name}_rate", rate),
-            Node(name, "ND_convert_float_vector3", vector, ("out", _TYPES.Float3)),
-        ]
-        ends[name] = f"{name}.out"
+    if smoke.scatter:
+        found, ends = _coloured_rates(smoke, extinction)
+    else:
+        found, ends = _even_rates(smoke, extinction)
+    nodes += found
+    if not smoke.emits:
+        return nodes, ends
     light = {"in1": Input(_TYPES.Color3f, source="emission.out")}
     if smoke.is_per_density:
         nodes.append(_times_density("emission_rate", Varying(per_metre)))
@@ -203,6 +219,47 @@ def _materialx_rates(smoke: Smoke) -> tuple[list[Node], dict[str, str]]:
         light["in2"] = Input(_TYPES.Float, per_metre)
     nodes.append(Node("light", "ND_multiply_color3FA", light, ("out", _TYPES.Color3f)))
     return nodes, ends | {"emission": "light.out"}
+
+
+def _even_rates(smoke: Smoke, extinction: Varying) -> tuple[list[Node], dict[str, str]]:
+    """Absorption and scattering (where there is any) by one number a voxel."""
+    scattering = _product(extinction, smoke.albedo)
+    rates = {"absorption": _difference(extinction, scattering)}
+    if scattering != Varying(0.0):
+        rates["scattering"] = scattering
+    nodes, ends = [], {}
+    for name, rate in rates.items():
+        vector = {"in": Input(_TYPES.Float, source=f"{name}_rate.out")}
+        nodes += [
+            _times_density(f"{name}_rate", rate),
+            Node(name, "ND_convert_float_vector3", vector, ("out", _TYPES.Float3)),
+        ]
+        ends[name] = f"{name}.out"
+    return nodes, ends
+
+
+def _coloured_rates(smoke: Smoke, extinction: Varying) -> tuple[list[Node], dict[str, str]]:
+    """Scattering by the field's colour, and what is left of the extinction as absorption."""
+    vector = ("out", _TYPES.Float3)
+    colour = {"in": Input(_TYPES.Color3f, source="scatter.out")}
+    whole = {"in": Input(_TYPES.Float, source="extinction_rate.out")}
+    share = {
+        "in1": Input(_TYPES.Float3, source="albedo.out"),
+        "in2": Input(_TYPES.Float, source="extinction_rate.out"),
+    }
+    rest = {
+        "in1": Input(_TYPES.Float3, source="extinction.out"),
+        "in2": Input(_TYPES.Float3, source="scattering.out"),
+    }
+    nodes = [
+        _reader("scatter", "ND_geompropvalue_color3", "geomprop", smoke.scatter, "out"),
+        _times_density("extinction_rate", extinction),
+        Node("extinction", "ND_convert_float_vector3", whole, vector),
+        Node("albedo", "ND_convert_color3_vector3", colour, vector),
+        Node("scattering", "ND_multiply_vector3FA", share, vector),
+        Node("absorption", "ND_subtract_vector3", rest, vector),
+    ]
+    return nodes, {"absorption": "absorption.out", "scattering": "scattering.out"}
 
 
 def _times_density(name: str, factor: Varying) -> Node:

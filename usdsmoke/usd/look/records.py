@@ -37,6 +37,7 @@ class StylizedVolume:
     anisotropy: float = 0.0
     named_lights: tuple[LightSource, ...] = ()  # in place of the stage's own
     stops: float = 0.0  # exposure at which the look shows its style
+    scatter_field: str = ""  # its colour is the albedo of each voxel; "": the albedo is even
     # By timeCode, where the extinction changes in time; empty where it does not.
     extinction_samples: Mapping[float, float] = field(default_factory=dict)
 

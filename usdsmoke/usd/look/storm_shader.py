@@ -15,9 +15,34 @@ EXTINCTION = "extinctionPerDensity"
 ALBEDO = "albedo"
 STAGE_UNITS = "stageUnitsPerUnit"
 PER_DENSITY = "emissionIsPerDensity"
-DENSITY, EMISSION = "density", "emission"
+DENSITY, EMISSION, SCATTER = "density", "emission", "scatter"
 
-STORM_SHADER = """\
+_PARAMETERS = {
+    EMISSION: '"emission": { "type": "vec3", "default": [0.0, 0.0, 0.0] },\n        ',
+    SCATTER: '"scatter": { "type": "vec3", "default": [0.0, 0.0, 0.0] },\n        ',
+}
+_EMITTED = {True: "vec3(HdGet_emission(p).xyz)", False: "vec3(0.0)"}
+_SCATTERED = {True: "dot(vec3(HdGet_scatter(p).xyz), vec3(0.2126, 0.7152, 0.0722))", False: "1.0"}
+
+
+def storm_shader(emits: bool, scatters_colour: bool) -> str:
+    """The file's text.
+
+    Args:
+        emits: whether the look has an emission.
+        scatters_colour: whether a field holds its scattering colour, of which Storm draws the
+            luminance.
+    """
+    wanted = {EMISSION: emits, SCATTER: scatters_colour}
+    parameters = "".join(text for name, text in _PARAMETERS.items() if wanted[name])
+    return (
+        _SHADER.replace("PARAMETERS", parameters)
+        .replace("EMITTED", _EMITTED[emits])
+        .replace("SCATTERED", _SCATTERED[scatters_colour])
+    )
+
+
+_SHADER = """\
 -- glslfx version 0.1
 
 // The volume shader of a look by usdsmoke, for Hydra Storm.
@@ -31,8 +56,7 @@ STORM_SHADER = """\
     },
     "parameters": {
         "density": { "type": "float", "default": 0.0 },
-        "emission": { "type": "vec3", "default": [0.0, 0.0, 0.0] },
-        "extinctionPerDensity": { "type": "float", "default": 1.0 },
+        PARAMETERS"extinctionPerDensity": { "type": "float", "default": 1.0 },
         "albedo": { "type": "float", "default": 0.0 },
         "stageUnitsPerUnit": { "type": "float", "default": 1.0 },
         "emissionIsPerDensity": { "type": "float", "default": 0.0 }
@@ -68,7 +92,7 @@ extinctionFunction(vec3 p)
 float
 scatteringFunction(vec3 p)
 {
-    return HdGet_albedo() * extinctionFunction(p);
+    return HdGet_albedo() * SCATTERED * extinctionFunction(p);
 }
 
 // What is left of a step's emission on its way through the step.
@@ -91,7 +115,7 @@ emissionFunction(vec3 p)
     const float density = usdsmokeDensity(p);
     const float scale = HdGet_emissionIsPerDensity() > 0.5 ? density : 1.0;
     return usdsmokeStageUnits() * scale * usdsmokeAttenuation(density)
-        * vec3(HdGet_emission(p).xyz);
+        * EMITTED;
 }
 
 float

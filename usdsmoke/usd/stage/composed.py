@@ -18,6 +18,7 @@ from usdsmoke.usd.schema import (
     EXPOSURE,
     EXTINCTION_PER_DENSITY,
     LIGHTS,
+    SCATTER_FIELD,
     STAGE_UNITS,
 )
 from usdsmoke.usd.stage.fields import check_assets, field_source
@@ -42,6 +43,7 @@ class ComposedVolume:
     rescale: float = 1.0
     scattering: Scattering | None = None  # where its look was made for lights
     stops: float = 0.0  # exposure that the look was made for, usdSmoke:exposure
+    colour: FieldSource | None = None  # its scattering colour; None: every voxel scatters alike
 
 
 def composed_volumes(
@@ -70,6 +72,7 @@ def composed_volumes(
         if density is None:
             continue
         light = _composed_field(prim, emission, time_code, xforms)
+        colour = str(_authored(prim, SCATTER_FIELD, time_code) or "")
         extinction, rescale = _extinction(prim, time_code), _rescale(prim, time_code)
         composed.append(
             ComposedVolume(
@@ -81,6 +84,7 @@ def composed_volumes(
                 rescale,
                 _scattering(prim, time_code),
                 float(_authored(prim, EXPOSURE, time_code) or 0),
+                None if not colour else _composed_field(prim, colour, time_code, xforms),
             )
         )
     return composed
@@ -128,6 +132,8 @@ def _scattering(prim: Usd.Prim, time_code: float) -> Scattering | None:
         lights = _recorded_lights(named)
     else:
         lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code)
+    if _authored(prim, SCATTER_FIELD, time_code):
+        albedo = 1.0  # the field's colours are the albedo
     return Scattering(lights, albedo, anisotropy) if lights else None
 
 
