@@ -192,8 +192,7 @@ def _animated_settings(volumes: Volumes) -> list[str]:
 
 def _step_text(step: str, config: Config) -> str:
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-    kinds = {"albedo": ", which paints the albedo", "both": ", which paints albedo and emission"}
-    what = kinds.get(config.colour.target, "") if step == "colour" else ""
+    what = f", which paints {' and '.join(config.painted)}" if step == "colour" else ""
     return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine{what}"
 
 

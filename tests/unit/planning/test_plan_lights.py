@@ -85,7 +85,7 @@ def test_an_albedo_is_painted_where_light_shows_it_and_refused_where_none_does(
         plan(shot.stage, shot.style, shot.output, [setting])
     made = plan(shot.stage, shot.style, shot.output, [setting, "optics.sun=[1,0,0]"])
     assert any("100%" in text and "optics.sun" in text for text in made.needed)
-    assert any("paints" in text and "albedo" in text for text in made.needed)
+    assert any("paints" in text and "scattering" in text for text in made.needed)
     (written,) = (text for text in made.needed if text.startswith("one VDB file"))
     assert "Cd" in written and ("emission" in written) is (target == "both")
     uneven = [setting, "optics.sun=[1,0,0]", "optics.anisotropy=0.5"]
