@@ -13,6 +13,7 @@ from PIL import Image
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from usdsmoke.base.errors import ImageError
+from usdsmoke.pictures import compose_sheet
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.vdb.read import read_grids
 
@@ -24,6 +25,7 @@ class Drawn:
         self.views: list[Any] = []
         self.opacity: list[float] = []
         self.held: list[tuple[str, ...]] = []
+        self.sizes: set[tuple[int, ...]] = set()  # of the pictures on the sheet
         self._given: list[tuple[str, weakref.ref[Any]]] = []
         monkeypatch.setattr(sys.modules["usdsmoke.core.views.march"], "march", self._march)
         read = FrameReader.read
@@ -38,6 +40,11 @@ class Drawn:
             self._given += [("result", weakref.ref(field)) for field in found]
             return found
 
+        def compose(title: str, rows: Any, styles: Any) -> Any:
+            self.sizes |= {picture.shape[:2] for row in rows for _, picture in row}
+            return compose_sheet(title, rows, styles)
+
+        monkeypatch.setattr("usdsmoke.runs.sheet.compose_sheet", compose)
         monkeypatch.setattr(FrameReader, "read", read_source)
         monkeypatch.setattr("usdsmoke.runs.sheet.read_grids", read_result)
 
@@ -82,13 +89,14 @@ def test_what_is_shown_was_written(shot: Shot, drawn: Drawn) -> None:
 def test_pictures_have_the_height_that_is_set_and_at_most_four_pixels_a_voxel(
     height: int, expected: int | None, shot: Shot, drawn: Drawn
 ) -> None:
-    run(shot, f"layer.contact_sheet={height}")
+    (sheet,) = run(shot, f"layer.contact_sheet={height}").contact_sheets
     view = drawn.views[0]
-    assert view.pixel_size >= 0.5 / 4 * 0.95  # a voxel is half a stage unit; whole pixels
-    if expected:
-        assert view.height == expected
-    else:
-        assert view.pixel_size <= 0.5 / 4 * 1.05
+    # a voxel is half a stage unit; 1.5 pixels of it are drawn at most, and enlarged
+    assert view.pixel_size >= 0.5 / 1.5 * 0.9
+    (made,) = drawn.sizes
+    assert made[0] == (expected or pytest.approx(4 / 1.5 * view.height, abs=3))
+    with Image.open(sheet) as image:
+        assert image.height > 3 * made[0]
 
 
 def test_only_one_frames_fields_are_held_at_a_time(shot: Shot, drawn: Drawn) -> None:

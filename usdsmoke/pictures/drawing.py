@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.pictures.png import encode_srgb
@@ -85,6 +86,15 @@ def fit_views(
     views = [frame_points(direction, points, height, width) for direction in directions]
     pixel_size = max(view.pixel_size for view in views)
     return [replace(view, pixel_size=pixel_size) for view in views]
+
+
+def enlarged(picture: np.ndarray, height: int, width: int) -> np.ndarray:
+    """A picture [H W 3] in [0, 1] with other numbers of pixels, interpolated."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    bands = [Image.fromarray(np.ascontiguousarray(band)) for band in np.moveaxis(picture, -1, 0)]
+    made = [band.resize((width, height), Image.Resampling.BICUBIC) for band in bands]
+    return np.clip(np.stack([np.asarray(band) for band in made], axis=-1), 0.0, 1.0)
 
 
 def display_picture(rgba: np.ndarray, background: float = BACKGROUND) -> np.ndarray:

@@ -21,6 +21,7 @@ from usdsmoke.pictures.drawing import (
     box_around,
     box_corners,
     display_picture,
+    enlarged,
     fit_views,
     fitted_size,
     front_view,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 # Where the smoke is seen from, degrees around the up axis; the first is the front.
 _TURN = {0.0: "front", 30.0: "30 degrees", 90.0: "side", 180.0: "back"}
 _PIXELS_PER_VOXEL = 4  # at most: smaller pixels show no more
+_DRAWN_PER_VOXEL = 1.5  # of those; the others are interpolated, as the smoke itself is
 _WIDEST = 2  # times the height of a picture
 
 _Labelled = tuple[str, np.ndarray]  # a picture and its name
@@ -81,10 +83,10 @@ def write_contact_sheet(
     sources: list[_Labelled] = []
     results: list[_Labelled] = []
     turn: list[_Labelled] = []
-    views = _views(volume, frames, folder, scene["up_axis"]) if frames else {}
+    views, size = _views(volume, frames, folder, scene["up_axis"]) if frames else ({}, (1, 1))
     for number, frame in enumerate(frames if views else []):
         extinctions = _extinctions(scene, volume.config, frame.source)
-        shown = _Shown(volume, frame, extinctions, scene.get("stops", 0.0))
+        shown = _Shown(volume, frame, extinctions, scene.get("stops", 0.0), size)
         name = f"timeCode {format_time_code(frame.source.time_code)}"
         sources.append((f"source, {name}", shown.source(reader, views["front"])))
         give_back_memory()
@@ -107,6 +109,7 @@ class _Shown:
     frame: FramePlan
     extinctions: tuple[float, float]  # of grey and of coloured smoke, per density, 1/stage unit
     stops: float  # exposure of the result's pictures
+    size: tuple[int, int]  # height and width of a picture; fewer pixels may be drawn
 
     @property
     def scattering(self) -> Scattering:
@@ -118,7 +121,7 @@ class _Shown:
 
     def source(self, reader: FrameReader, view: "View") -> np.ndarray:
         density = reader.read(self.volume, self.frame).density
-        return _draw(self._media(density, (None, None), view), view)
+        return self._draw(self._media(density, (None, None), view), view)
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
         """By name of the view."""
@@ -132,7 +135,14 @@ class _Shown:
         media = [self._media(density, (emission, colour), view) for view in lit_from]
         del density, emission, colour
         pairs = zip(media * (len(sides) // len(media)), sides, strict=True)
-        return dict(zip(views, run_tasks([partial(_draw, *pair) for pair in pairs]), strict=True))
+        return dict(
+            zip(views, run_tasks([partial(self._draw, *pair) for pair in pairs]), strict=True)
+        )
+
+    def _draw(self, media: Sequence["Medium"], view: "View") -> np.ndarray:
+        from usdsmoke.core.views.march import march
+
+        return enlarged(display_picture(march(media, view).rgba), *self.size)
 
     def _media(
         self,
@@ -157,16 +167,11 @@ def _times(field: DenseField, factor: float) -> DenseField:
     return dataclasses.replace(field, values=field.values * np.float32(factor))
 
 
-def _draw(media: Sequence["Medium"], view: "View") -> np.ndarray:
-    from usdsmoke.core.views.march import march
-
-    return display_picture(march(media, view).rgba)
-
-
 def _views(
     volume: VolumePlan, frames: Sequence[FramePlan], folder: Path, up_axis: str
-) -> dict[str, "View"]:
-    """By name; those of the front alone where the smoke has no third dimension.
+) -> tuple[dict[str, "View"], tuple[int, int]]:
+    """By name, and height and width of a picture; those of the front alone where the smoke has no
+    third dimension.
 
     They hold the smoke of all frames, source and result, as far as headers tell where it is; none
     where no header tells.
@@ -183,15 +188,17 @@ def _views(
             finest = min(finest, float(np.linalg.norm(place[:3, :3], axis=1).min()))
             is_flat |= 1 in (grid.box_shape or ())
     if not corners:
-        return {}
+        return {}, (1, 1)
     turn = {0.0: _TURN[0.0]} if is_flat else _TURN
     directions = [front_view(up_axis, volume.config.views, angle) for angle in turn]
     points = box_around(np.concatenate(corners))
     tall, wide = fitted_size(directions, points)
     size = volume.config.layer.contact_sheet
     scale = min(size / tall, _WIDEST * size / wide, _PIXELS_PER_VOXEL / finest)
-    height, width = (max(1, round(side * scale)) for side in (tall, wide))
-    return dict(zip(turn.values(), fit_views(directions, points, height, width), strict=True))
+    drawn = min(scale, _DRAWN_PER_VOXEL / finest)
+    height, width = (max(1, round(side * drawn)) for side in (tall, wide))
+    views = dict(zip(turn.values(), fit_views(directions, points, height, width), strict=True))
+    return views, (max(1, round(tall * scale)), max(1, round(wide * scale)))
 
 
 def _to_stage(volume: VolumePlan, frame: FramePlan) -> np.ndarray:

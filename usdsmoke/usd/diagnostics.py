@@ -36,10 +36,17 @@ def readable_values() -> Iterator[None]:
     """Values that OpenUSD cannot read inside are an error of the stage; also a decorator.
 
     Raises:
-        StageError: a layer is damaged, or a value has a type that does not fit its attribute.
+        StageError: a layer is damaged, or a value has a type that does not fit its attribute, or
+            is a text that is no UTF-8.
     """
     try:
         yield
+    except UnicodeDecodeError as error:
+        text = error.object.decode("utf-8", "replace")[:_LONGEST_REASON]
+        raise StageError(
+            f"the stage has a value that cannot be read: the text {text!r} is no UTF-8. Repair the "
+            "value, or export the layer again."
+        ) from None
     except Tf.ErrorException as error:
         raise StageError(
             f"the stage has a value that cannot be read: {short_reason(error)}. "

@@ -4,7 +4,7 @@ import os
 import zipfile
 
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from tests.fixtures.usd_fixtures import (
     HEADER,
@@ -85,6 +85,18 @@ def test_a_value_that_usd_cannot_read_is_a_problem_of_the_stage(tmp_path):
     moved = 'token xformOp:translate = "far"\nuniform token[] xformOpOrder = ["xformOp:translate"]'
     body = volume_prim(moved + density_prim(sequence([1])))
     refuse(tmp_path, body, StageError, "a value that cannot be read.*Repair")
+
+
+def test_a_text_that_is_no_utf8_is_a_problem_of_the_stage(tmp_path):
+    write_sequence(tmp_path, [1])
+    asked = 'uniform token[] usdSmoke:request:steps = ["Zq9xJ"]\n'
+    body = volume_prim(asked + density_prim(sequence([1])))
+    body = body.replace('"smoke"', '"smoke" (prepend apiSchemas = ["UsdSmokeStyleAPI"])', 1)
+    crate = tmp_path / "shot.usdc"
+    Sdf.Layer.FindOrOpen(str(write_text(tmp_path / "shot.usda", world(body)))).Export(str(crate))
+    crate.write_bytes(crate.read_bytes().replace(b"Zq9xJ", b"Zq\xffxJ"))
+    with pytest.raises(StageError, match=r"a value that cannot be read: .*Zq\ufffdxJ.*no UTF-8"):
+        find_volumes(open_stage(crate), StageConfig())
 
 
 def test_a_stage_without_volumes_is_refused(tmp_path):
