@@ -182,3 +182,31 @@ def test_d20_a_search_path_outside_the_range_stays_as_it_is(
         result = run(shot, "stage.frames=1-2")
     text = result.look_layer.read_text()
     assert "@cache/smoke.0003.vdb@" in text and "@./vdb/" in text
+
+
+def test_a_compact_velocity_is_where_the_smoke_is_and_half_as_large(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=1)
+    density = np.zeros((40, 8, 8), np.float32)
+    density[30:34, 2:5, 2:5] = 1
+    wind = np.full((20, 4, 4, 3), 0.3, np.float32)  # voxels of twice the size
+    file_path = shot.stage.parent / "cache/smoke.0001.vdb"
+    grids = [openvdb().FloatGrid(), openvdb().Vec3SGrid()]
+    for grid, values, name, size in zip(
+        grids, (density, wind), ("density", "vel"), (0.5, 1.0), strict=True
+    ):
+        grid.copyFromArray(values)
+        grid.transform = openvdb().createLinearTransform(voxelSize=size)
+        grid.name = name
+        grid.gridClass = "fog volume" if name == "density" else "unknown"
+    openvdb().write(str(file_path), grids=grids)
+    settings = ("layer.copy_velocity=true", "optimize.steps=[colour]")
+    whole = run(replace(shot, output=shot.folder / "whole"), *settings)
+    compact = run(shot, *settings, "layer.compact_velocity=true")
+    (vel,) = read_grids(compact.frames[0], [GridRequest("vel")], GridsConfig())
+    (as_it_is,) = read_grids(whole.frames[0], [GridRequest("vel")], GridsConfig())
+    assert vel.half and not as_it_is.half
+    assert as_it_is.values.shape[:3] == (20, 4, 4)
+    assert vel.ijk_min[0] == 15 - 2 and vel.ijk_min[0] + vel.values.shape[0] == 17 + 2
+    np.testing.assert_allclose(vel.values, 0.3, rtol=1e-3)
+    (smoke,) = read_grids(compact.frames[0], [GridRequest("density")], GridsConfig())
+    assert not smoke.half

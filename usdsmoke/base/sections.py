@@ -310,6 +310,8 @@ class LayerConfig(Section):
     copy_velocity: bool | None = setting(
         None, "write the velocity into the result's files; unset: only if the Volume has a "
         "velocity field")
+    compact_velocity: bool = setting(
+        False, "write the copied velocity only where the result has smoke, and in 16-bit floats")
     copy_fields: list[str] = setting(
         [], "other fields of the Volume, and grids beside its density, that are written into the "
         "result's files: their names, or all; empty: none", distinct=True)

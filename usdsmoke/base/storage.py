@@ -35,6 +35,36 @@ def prune_fields(fields: Sequence[DenseField], prune: float) -> list[DenseField]
     return found
 
 
+def clip_to_smoke(field: DenseField, density: DenseField) -> DenseField:
+    """The field with its background farther than two voxels from all smoke.
+
+    A voxel is as wide as the wider one of both grids: readers interpolate between voxels, and
+    renderers sample what moves beside where it is.
+
+    Args:
+        field: on voxels of its own, in the density's place.
+        density: smoke is where it differs from its background.
+    """
+    if field.is_empty or density.is_empty:
+        return dataclasses.replace(field, values=field.values[:0, :0, :0])
+    smoke = np.argwhere(density.values != density.background) + density.ijk_min
+    to_field = density.index_to_world @ np.linalg.inv(field.index_to_world)
+    places = smoke @ to_field[:3, :3] + to_field[3, :3] - field.ijk_min
+    margin = np.ceil(2 * np.maximum(np.abs(to_field[:3, :3]).sum(axis=0), 1)).astype(int)
+    shape = np.array(field.values.shape[:3])
+    near = np.zeros(shape + 2 * margin, bool)
+    nearest = np.round(places).astype(int) + margin
+    inside = ((nearest >= 0) & (nearest < near.shape)).all(axis=1)
+    near[tuple(nearest[inside].T)] = True
+    for axis, reach in enumerate(margin):
+        shifted = [np.roll(near, step, axis) for step in range(-reach, reach + 1)]
+        near = np.logical_or.reduce(shifted)
+    near = near[tuple(slice(m, m + n) for m, n in zip(margin, shape, strict=True))]
+    mask = near[..., None] if field.values.ndim == 4 else near
+    background = np.asarray(field.background, np.float32)
+    return dataclasses.replace(field, values=np.where(mask, field.values, background))
+
+
 def check_half(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
     """Refuse 16-bit floats that cannot hold what a frame will have.
 

@@ -29,6 +29,7 @@ from usdsmoke.runs.outputs import (
     collect_volume,
     manifest_entry,
     result_fields,
+    stored_half,
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.provenance_record import frame_metadata, keep_record, make_record
@@ -256,16 +257,17 @@ def _blend(run: Run, pair: _Versions, reader: FrameReader) -> dict[str, Any]:
         for name, one, other in zip(("density", "emission"), tail, head, strict=False)
     }
     blended = blend_frames(tail, head, pair.weight)
-    others = reader.read_others(volume, frame)
     if volume.moves_fields:
         others = blend_fields(versions[0][n:], versions[1][n:], pair.weight)
-    copied, report = reader.read_velocity_copy(volume, frame), _blended_report(pair, difference)
-    copied += others
-    fields, report = result_fields(blended, copied, report, config, pair.stops)
+    else:
+        others = reader.read_others(volume, frame)
+    velocity, report = reader.read_velocity_copy(volume, frame), _blended_report(pair, difference)
+    fields, report = result_fields(blended, velocity, others, report, config, pair.stops)
     hashes = pair.head.frames[pair.part_of(pair.head)]["source_hashes"]
     metadata = frame_metadata(run, volume, frame, hashes)
     target = run.folder / frame.file_name
-    content_hash = write_frame(target, fields, metadata, config.grids.half, config.grids)
+    half = stored_half(config, velocity)
+    content_hash = write_frame(target, fields, metadata, half, config.grids)
     record = manifest_entry(volume, frame, fields[0], content_hash, hashes)
     return {**record, "part": False, "parts": pair.digests, "report": report.to_json()}
 

@@ -12,7 +12,7 @@ from usdsmoke.base.naming import SCATTERING
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.storage import prune_fields
+from usdsmoke.base.storage import clip_to_smoke, prune_fields
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.pictures import StyleImage
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 def result_fields(
     fields: Sequence[DenseField],
-    copied: Sequence[DenseField],
+    velocity: Sequence[DenseField],
+    others: Sequence[DenseField],
     report: FrameReport,
     config: Config,
     stops: float,
@@ -44,7 +45,8 @@ def result_fields(
 
     Args:
         fields: density and, after a colour step, what ``Config.painted`` names.
-        copied: grids that are written beside them as they are given.
+        velocity: grids that are written beside them, clipped to the smoke if that is asked for.
+        others: grids that are written beside them as they are given.
         stops: exposure, see ``Scene``.
 
     Returns:
@@ -57,7 +59,16 @@ def result_fields(
     lost = storage_errors(fields, config.grids, report.errors, kept)
     written = int(np.count_nonzero(density.values > 0))
     report = dataclasses.replace(report, errors=lost, voxels_written=written)
-    return [density, *colours, *copied], report
+    if config.layer.compact_velocity:
+        velocity = [clip_to_smoke(grid, density) for grid in velocity]
+    return [density, *colours, *velocity, *others], report
+
+
+def stored_half(config: Config, velocity: Sequence[DenseField]) -> bool | list[str]:
+    """Which grids of a result's file are 16-bit floats, as ``write_frame`` takes it."""
+    if config.grids.half or not config.layer.compact_velocity:
+        return config.grids.half
+    return [grid.name for grid in velocity]
 
 
 def write_result(
@@ -86,18 +97,19 @@ def write_result(
     name = part_file_name(task.number, frame.file_name) if is_part else frame.file_name
     fields = [dataclasses.replace(stylized.density, name=volume.source.density)]
     fields += stylized.painted
-    others = []
+    others: list[DenseField] = []
+    half: bool | list[str] = False
     if volume.moves_fields or not is_part:
         others = _moved(opened.reader.read_others(volume, frame), volume, frame, stylized)
     if is_part:
         fields += others
     else:
         stops = run.scenes[task.volume_number].get("stops", 0.0)
-        copied = [*opened.reader.read_velocity_copy(volume, frame), *others]
-        fields, report = result_fields(fields, copied, report, config, stops)
+        velocity = opened.reader.read_velocity_copy(volume, frame)
+        fields, report = result_fields(fields, velocity, others, report, config, stops)
+        half = stored_half(config, velocity)
     make_folders((run.folder / name).parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
-    half = config.grids.half and not is_part
     content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
     record = manifest_entry(volume, frame, fields[0], content_hash, source_hashes)
     digest = hash_file(run.folder / name)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ def write_frame(
     file_path: str | os.PathLike[str],
     fields: Sequence[DenseField],
     file_metadata: Mapping[str, Any],
-    half: bool,
+    half: bool | Collection[str],
     config: GridsConfig | None = None,
 ) -> str:
     """Write all grids of one frame into one VDB file and verify it.
@@ -56,7 +56,8 @@ def write_frame(
             one that is all background, becomes an empty grid. ``DenseField.half`` is ignored.
         file_metadata: strings, numbers, booleans and triples of numbers; others are left out.
             The content hash is added as ``usdsmoke:content_sha256``.
-        half: store 16-bit floats; values are rounded to them.
+        half: store 16-bit floats, in all grids or in those of these names; values are rounded to
+            them.
 
     Returns:
         The content hash, see ``content_hash.hash_fields``, of what the file holds.
@@ -70,7 +71,8 @@ def write_frame(
     config = (config or GridsConfig()).replace(repair_nan=None)
     target = Path(os.path.abspath(file_path))
     _check_names(target, fields)
-    stored = [crop_to_active(_as_stored(target, field, half)) for field in fields]
+    halves = half if not isinstance(half, bool) else [f.name for f in fields] if half else ()
+    stored = [crop_to_active(_as_stored(target, f, f.name in halves)) for f in fields]
     content = hash_fields(stored)
     request = {
         "action": "write",
