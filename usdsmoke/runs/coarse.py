@@ -42,7 +42,6 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     from usdsmoke.core.smoke.device import describe_machine
-    from usdsmoke.core.steps.light_share import white_exposure
     from usdsmoke.core.views.scene import measure_scene
 
     describe_machine(plan.config.optimize)  # and use its threads
@@ -54,6 +53,8 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
             frames, config.views, config.optics, plan.source.up_axis, config.grids.refine
         )
         if config.colour.target == "albedo" and config.optics.exposure is None:
+            from usdsmoke.core.steps.light_share import white_exposure
+
             scene = dataclasses.replace(scene, stops=white_exposure(frames, config, scene))
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
