@@ -150,12 +150,13 @@ class _Shown:
         painted: tuple[DenseField | None, DenseField | None],
         view: "View",
     ) -> list["Medium"]:
-        from usdsmoke.core.views.lighting import lit_emission
         from usdsmoke.core.views.media import make_media
 
         to_stage, emission = _to_stage(self.volume, self.frame), painted[0]
         gamma_w = self.extinctions[painted != (None, None)]
         if painted != (None, None) and self.scattering.lights:
+            from usdsmoke.core.views.lighting import lit_emission
+
             emission = lit_emission(density, painted, to_stage, gamma_w, self.scattering, view)
         place = None if emission is None else to_stage
         return make_media(density, emission, to_stage, place, gamma_w, GREY)
