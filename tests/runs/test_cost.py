@@ -170,11 +170,22 @@ def reasons(shot: Shot, *settings: str) -> dict[str, str]:
     return {item.what: item.reason for item in result.plan.omitted}
 
 
+@pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("settings", [(), ("windows.size=2", "windows.overlap=1")])
 def test_each_grid_of_a_source_file_is_read_once(
-    settings: tuple[str, ...], tmp_path: Path, core: FakeCore, monkeypatch: pytest.MonkeyPatch
+    settings: tuple[str, ...],
+    named: bool,
+    tmp_path: Path,
+    core: FakeCore,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Also the velocity, which is read as vectors and copied as it is."""
     shot, reads = make_shot(tmp_path, names=("density", "vel")), Reads(monkeypatch)
+    if named:
+        relations = "rel field:density = </World/smoke/density>\nrel field:vel = </World/smoke/vel>"
+        files = sequence((1, 2, 3))
+        body = density_prim(files) + density_prim(files, "vel", grid='token fieldName = "vel"')
+        write_text(shot.stage, world(volume_prim(body, relations=relations)))
     run(shot, *settings)
     names = [f"cache/smoke.{number:04d}.vdb" for number in (1, 2, 3)]
     assert set(reads.sources) == {(name, grid) for name in names for grid in ("density", "vel")}

@@ -72,8 +72,9 @@ class GridStore:
             GridError, NonFiniteError: see ``read_grids``.
         """
         key = _key(file_path, requests, config)
-        if key is not None and key in self._kept:
-            return [kept.mapped() for kept in self._kept[key]]
+        kept = self._kept.get(key, []) if key is not None else []
+        if kept and all(map(_fits, kept, requests)):
+            return [field.mapped() for field in kept]
         fields = read_grids(file_path, requests, config)
         if key is not None and _key(file_path, requests, config) == key:  # not changed meanwhile
             self._keep(key, fields)
@@ -107,6 +108,11 @@ class GridStore:
         return self._files[-1]
 
 
+def _fits(kept: _Kept, request: GridRequest) -> bool:
+    """Whether the field has as many components as are asked for; else ``read_grids`` says so."""
+    return request.components in (None, 3 if len(kept.shape) == 4 else 1)
+
+
 def _write(file: IO[bytes], field: DenseField) -> _Kept:
     start = -(-file.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
     file.seek(start)
@@ -128,7 +134,8 @@ def _key(
         status = os.stat(file_path)
     except OSError:
         return None  # ``read_grids`` reports the error
-    grids = tuple((request.name, request.index, request.components) for request in requests)
+    # a name alone means its first grid
+    grids = tuple((r.name, r.index or 0 if r.name else r.index) for r in requests)
     identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     return (os.path.abspath(file_path), identity, grids, config.repair_nan)
 
