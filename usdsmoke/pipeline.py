@@ -27,12 +27,12 @@ __all__ = [
     "assemble",
     "plan",
     "plan_request",
+    "plan_with_notes",
     "prepare",
     "run_coarse",
     "run_window",
     "stylize",
     "stylize_job",
-    "told_plan",
 ]
 
 _Planned = Callable[[Plan], None]
@@ -71,7 +71,7 @@ def plan(
 
 def plan_request(request: Request, fits: bool = True) -> Plan:
     """``plan`` of a request."""
-    return told_plan(prepare_job(request, fits))
+    return plan_with_notes(prepare_job(request, fits))
 
 
 def stylize(
@@ -128,7 +128,7 @@ def stylize_job(
         UsdSmokeError: see ``stylize``.
         Interrupted: by Ctrl-C.
     """
-    clock, tell = clock or PartClock(), progress or _tell_nobody
+    clock, tell = clock or PartClock(), progress or _ignore_progress
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
         with clock.part("preparing"):  # loads torch
@@ -167,7 +167,7 @@ def run_coarse(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = _prepare(request, planned), progress or _tell_nobody
+    job, tell = _prepare(request, planned), progress or _ignore_progress
     with join_run(job, tell) as opened:
         opened.check_disk(())
         had_scenes = bool(opened.run.scenes)
@@ -205,8 +205,11 @@ def run_window(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = _prepare(request, planned), progress or _tell_nobody
-    with join_run(job, tell, job.plan.task(window)) as opened:
+    job, tell = prepare(request), progress or _ignore_progress
+    task = job.plan.task(window)  # refused before the plan is shown
+    if planned is not None:
+        planned(plan_with_notes(job))
+    with join_run(job, tell, task) as opened:
         was_done = opened.run.window(window) is not None and not redo
         if not was_done:
             task = opened.plan.task(window)
@@ -244,7 +247,7 @@ def assemble(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    clock, tell = PartClock(), progress or _tell_nobody
+    clock, tell = PartClock(), progress or _ignore_progress
     with open_run_to_assemble(resolve_output(output), look, mode, tell) as opened:
         if is_whole(opened):
             return summarize_result(opened)
@@ -272,15 +275,15 @@ def _prepare(request: Request, planned: _Planned | None) -> Job:
     """The job; the plan is told."""
     job = prepare(request)
     if planned is not None:
-        planned(told_plan(job))
+        planned(plan_with_notes(job))
     return job
 
 
-def told_plan(job: Job) -> Plan:
+def plan_with_notes(job: Job) -> Plan:
     """The plan, with a note where a result is made longer."""
     growth = find_growth(job)
     return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, growth.note))
 
 
-def _tell_nobody(report: RunProgress) -> None:
+def _ignore_progress(report: RunProgress) -> None:
     """Takes the place of a progress callback that was not given."""

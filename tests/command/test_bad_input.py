@@ -170,7 +170,7 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "too little memory": (with_arguments("--set", "optimize.memory_limit_gib=0.01"), "PlanError",
         "0.0 GiB is available (optimize.memory_limit_gib)"),
     "too little for a grid": (with_arguments("--set", "grids.memory_limit_gib=0.1"),
-        "GridTooLarge", "0.0 GiB are allowed"),
+        "GridTooLarge", "0 MiB are allowed"),
     "output is a file": (output_is_a_file, "LayerError", "notes.txt is a file"),
     "output in a file": (output_lies_in_a_file, "LayerError", "notes.txt, which is a file"),
     "frames' folder is a file": (frames_folder_is_a_file, "LayerError", "vdb is a file, and"),

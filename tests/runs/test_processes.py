@@ -49,7 +49,7 @@ class StandIn:
 
 def start(monkeypatch, tasks: StandIn, jobs: int, told: list[float]) -> None:
     monkeypatch.setattr(processes, "prepare", lambda request: tasks)  # its plan is read
-    monkeypatch.setattr(processes, "told_plan", lambda job: job.plan)
+    monkeypatch.setattr(processes, "plan_with_notes", lambda job: job.plan)
     monkeypatch.setattr(processes, "divide_job", lambda job: tasks)
     monkeypatch.setattr(processes, "assemble", lambda *arguments: told.append(-1.0))
     request = Request("shot.usda", (), tasks.folder)

@@ -203,14 +203,18 @@ def flatten_settings(values: Mapping[str, Any], source: str = "") -> dict[str, A
         source: where they come from, for messages.
 
     Raises:
-        ConfigError: an unknown section, or one that is not a mapping. Keys are not checked.
+        ConfigError: an unknown section, or one that is not a mapping, or a setting given twice.
+            Keys are not checked.
     """
     flat: dict[str, Any] = {}
     for name, value in values.items():
         section, dot, _ = str(name).partition(".")
         if section not in SECTIONS or not (dot or value is None or isinstance(value, Mapping)):
             raise ConfigError(_section_problem(section, value, source))
-        flat |= {name: value} if dot else {f"{name}.{key}": value[key] for key in value or ()}
+        found = {name: value} if dot else {f"{name}.{key}": value[key] for key in value or ()}
+        if twice := flat.keys() & found.keys():
+            raise ConfigError(f"{min(twice)} is given twice. Give it once.")
+        flat |= found
     return flat
 
 

@@ -171,11 +171,12 @@ def _end_of_run(codes: Sequence[float], start: int) -> int:
 
 
 def _parse_part(part: str, text: str) -> FrameRange:
-    where = repr(part) if part == text.strip() else f"{part!r} in the frames {text!r}"
+    where = repr(part) if part == text.strip() else f"{part!r} in {text!r}"
     match = _PART.fullmatch(part)
     if match is None:
         raise ConfigError(
-            f"cannot read {where}. Use timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 or -3-5."
+            f"cannot read the frames {where}. Use timeCodes and ranges such as 1-24, 1,5,9, 1-24x2 "
+            "or -3-5."
         )
     first = float(match[1])
     last = float(match[2]) if match[2] is not None else first

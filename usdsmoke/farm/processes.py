@@ -19,9 +19,9 @@ from usdsmoke.pipeline import (
     Request,
     StylizeResult,
     assemble,
+    plan_with_notes,
     prepare,
     stylize_job,
-    told_plan,
 )
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget import PartClock
@@ -77,7 +77,7 @@ def stylize_in_processes(
     clock = PartClock()
     with clock.part("preparing"):
         job = prepare(request)
-        found, n_processes = told_plan(job), jobs or choose_jobs(job.plan)
+        found, n_processes = plan_with_notes(job), jobs or choose_jobs(job.plan)
     if n_processes > 1:
         tasks = divide_job(job)
         n_processes = min(n_processes, len(tasks.windows))

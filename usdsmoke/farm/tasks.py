@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from usdsmoke.pipeline import Request, run_coarse, run_window, told_plan
+from usdsmoke.pipeline import Request, plan_with_notes, run_coarse, run_window
 from usdsmoke.planning.job import Job, prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.opening import frames_again, refuse_result
@@ -56,7 +56,7 @@ def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) 
     """
     job = prepare_job(request, fits=False)
     if planned is not None:
-        planned(told_plan(job))
+        planned(plan_with_notes(job))
     return divide_job(job)
 
 

@@ -133,9 +133,9 @@ def _check(target: Path, meters_per_unit: float, up_axis: str, fps: float) -> No
         raise ConfigError(f"there is no folder {target.parent}. Create it first.")
     if up_axis not in ("Y", "Z"):
         raise ConfigError(f"the up axis is {up_axis!r}. Give Y or Z.")
-    for name, value in (("length of a unit", meters_per_unit), ("frame rate", fps)):
+    for name, value in (("metersPerUnit", meters_per_unit), ("frame rate", fps)):
         if not (np.isfinite(value) and value > 0):
-            raise ConfigError(f"the {name} is {value}. Give a number above 0.")
+            raise ConfigError(f"the stage's {name} is {value}. Give a number above 0.")
 
 
 def _choose_fields(

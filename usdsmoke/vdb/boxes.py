@@ -29,10 +29,14 @@ def check_dense_size(found: str, shape: Sequence[int], components: int, limit: i
     n_bytes = 4 * components * shape[0] * shape[1] * shape[2]
     if n_bytes > limit:
         raise GridTooLarge(
-            f"{found} spans {' x '.join(map(str, shape))} voxels, {n_bytes / 2**30:.1f} GiB as a "
-            f"dense array; {limit / 2**30:.1f} GiB are allowed. Raise grids.memory_limit_gib or "
+            f"{found} spans {' x '.join(map(str, shape))} voxels, {_size(n_bytes)} as a "
+            f"dense array; {_size(limit)} are allowed. Raise grids.memory_limit_gib or "
             "cut the grid into smaller ones."
         )
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 2**30:.1f} GiB" if n_bytes >= 2**30 else f"{n_bytes / 2**20:.3g} MiB"
 
 
 def active_mask(field: DenseField) -> np.ndarray:

@@ -55,7 +55,7 @@ def test_rounding_of_a_layer_offset_does_not_lose_a_time_code():
     ("text", "reason"),
     [
         ("all", "'all'.* such as 1-24"),
-        ("1,,2", "'' in the frames '1,,2'"),
+        ("1,,2", "'' in '1,,2'"),
         ("1-", "'1-'"),
         ("1-4y2", "'1-4y2'"),
         ("24-1", "'24-1' .*backwards.* 1-24"),

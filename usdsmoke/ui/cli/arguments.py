@@ -165,7 +165,7 @@ def _add_validate(commands: Any) -> None:
         "--mend",
         metavar="NEW.usda",
         help="write a new layer above the stage that mends missing extents, wrong types of fields "
-        "and absolute paths, and check that",
+        "and absolute paths, and validate it",
     )
 
 

@@ -66,6 +66,7 @@ def add_command(
         help=summary,
         description=f"{summary[:1].upper()}{summary[1:]}.",
         epilog=EXIT_CODES,
+        allow_abbrev=False,
     )
     parser.set_defaults(parser=parser)
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")

@@ -14,7 +14,7 @@ from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
-    from usdsmoke.farm.openjd import JobBundle
+    from usdsmoke.farm import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
     from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate

@@ -25,7 +25,7 @@ _Result = TypeVar("_Result")
 def run_stylize(arguments: argparse.Namespace) -> int:
     """``usdsmoke stylize``; the exit code."""
     if arguments.dry_run:
-        from usdsmoke.farm.processes import choose_jobs, with_jobs
+        from usdsmoke.farm import choose_jobs, with_jobs
         from usdsmoke.pipeline import plan_request
 
         plan = plan_request(_request(arguments))
@@ -48,7 +48,7 @@ def run_stylize(arguments: argparse.Namespace) -> int:
 
 def run_submit(arguments: argparse.Namespace) -> int:
     """``usdsmoke submit``; the exit code."""
-    from usdsmoke.farm.openjd import submit
+    from usdsmoke.farm import submit
 
     bundle = submit(_request(arguments), arguments.template, arguments.program)
     described = {
@@ -90,10 +90,10 @@ def _run_whole(
     """A whole run: in this process or on a cluster."""
     request = _request(arguments)
     if arguments.cluster is not None:
-        from usdsmoke.farm.dask import stylize_on_cluster
+        from usdsmoke.farm import stylize_on_cluster
 
         return stylize_on_cluster(arguments.cluster, request, progress, planned)
-    from usdsmoke.farm.processes import stylize_in_processes
+    from usdsmoke.farm import stylize_in_processes
 
     return stylize_in_processes(arguments.jobs, request, progress, planned)
 

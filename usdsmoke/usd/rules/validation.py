@@ -150,9 +150,10 @@ def check_rules(names: Iterable[str]) -> None:
         if name not in known and name.rpartition(".")[0] not in known:
             close = difflib.get_close_matches(name, sorted(known), n=3)
             advice = f"Did you mean {' or '.join(close)}?" if close else ""
-            raise ConfigError(
-                f"there is no rule {name!r}. {advice or 'docs/errors.md lists them.'}"
-            )
+            if not close:
+                own = sorted((*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES))
+                advice = f"usdsmoke's own rules: {', '.join(own)}."
+            raise ConfigError(f"there is no rule {name!r}. {advice}")
 
 
 @readable_values()
