@@ -7,6 +7,7 @@
     usdsmoke.inspect("shot.usda")                                     what is on the stage
     usdsmoke.plan("shot.usda", style="fire.png")                      what a run would do and cost
     usdsmoke.stylize("shot.usda", style="fire.png", output="look")    the run
+    usdsmoke.train("shot.usda", "fire.png", "fire.safetensors")       a network that runs start from
     usdsmoke.preview("look/shot_look.usda", "look.png")               a picture of the result
     usdsmoke.validate("look/shot_look.usda")                          whether the result is sound
     usdsmoke.provenance("look/look.usda")                             how it was made
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from usdsmoke.pictures.preview import preview as preview
     from usdsmoke.pipeline import plan as plan
     from usdsmoke.pipeline import stylize as stylize
+    from usdsmoke.runs.train import train as train
     from usdsmoke.usd.inspect import inspect as inspect
     from usdsmoke.usd.rules import validate as validate
     from usdsmoke.work_precision import make_report as report
@@ -54,6 +56,7 @@ __all__ = [
     "rerun",
     "settings",
     "stylize",
+    "train",
     "validate",
     "verify",
 ]
@@ -72,6 +75,7 @@ _HOME = {
     "rerun": ("audit", "rerun"),
     "settings": ("base.resolve", "settings"),
     "stylize": ("pipeline", "stylize"),
+    "train": ("runs.train", "train"),
     "validate": ("usd.rules", "validate"),
     "verify": ("audit", "verify"),
 }

@@ -60,7 +60,7 @@ def recorded_config(item: FoundRecord) -> Config:
 
 
 def check_inputs(item: FoundRecord) -> list[Change]:
-    """What differs of stage, VDB files, style images and features."""
+    """What differs of stage, VDB files, style images, features and the network of starts."""
     if not item.record.stage:
         found = "a record that does not say where the inputs are"
         return [Change.note("unchecked", str(item.file), "stage and style images", found)]
@@ -71,7 +71,11 @@ def check_inputs(item: FoundRecord) -> list[Change]:
         return [Change.note("unchecked", file, "settings that this version knows", str(error))]
     stage = item.place(item.record.stage)
     job = _job(item, config) if stage.is_file() else None
-    changes = [*_check_styles(item), *_check_features(item.record, config, job)]
+    changes = [
+        *_check_styles(item),
+        *_check_features(item.record, config, job),
+        *_check_start(item.record, config),
+    ]
     if not stage.is_file():
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
     files = _check_files(item, stage, job)
@@ -114,6 +118,16 @@ def _check_features(record: RunRecord, config: Config, job: Job | None) -> Itera
         yield Change.note("features-changed", "embedded features", expected, shown(found))
     else:
         yield Change("features-edited", file, expected, shown(found))
+
+
+def _check_start(record: RunRecord, config: Config) -> Iterator[Change]:
+    if not record.start_hash:
+        return
+    file, expected = Path(config.optimize.start), f"sha256 {shown(record.start_hash)}"
+    if not file.is_file():
+        yield Change("start-missing", str(file), expected, "no file")
+    elif (found := hash_file(file)) != record.start_hash:
+        yield Change("start-edited", str(file), expected, f"sha256 {shown(found)}")
 
 
 def _check_stage(

@@ -105,6 +105,7 @@ class RunRecord(JsonRecord):
     styles: tuple[StyleRecord, ...] = ()  # all images
     features: str = ""  # the feature networks
     features_hash: str = ""
+    start_hash: str = ""  # SHA-256 of the network in optimize.start; "": frames start without one
     stage_values: Mapping[str, str] = field(default_factory=dict)  # see ``stage_values``
     variants: Mapping[str, str] = field(default_factory=dict)  # selected ones, by </prim>{set}
     source_files: Mapping[str, str] = field(default_factory=dict)  # SHA-256, by path from the stage

@@ -23,6 +23,7 @@ FilePath = str | PathLike[str]
 Styles = FilePath | Sequence[FilePath] | None
 Settings = Config | Mapping[str, Any] | FilePath | Sequence[Any] | None  # see resolve_settings
 
+PATH_SETTINGS = ("features.vgg19_file", "optimize.start")  # settings that name a file
 _END_MARK = "...\n"  # yaml puts it behind a bare scalar
 
 
@@ -131,21 +132,21 @@ def settings_record(config: Config, folder: Path) -> dict[str, Any]:
     """The settings as JSON values for a record in a folder.
 
     Args:
-        folder: of the record. The parameter file, the one path among the settings, is recorded
-            relative to it.
+        folder: of the record. The files among the settings are recorded relative to it.
 
     Returns:
         ``config``, all settings by section and key, and ``explicit``, the dotted names.
     """
-    sections, file = config.model_dump(), config.features.vgg19_file
-    if file:
-        place = relative_asset_path(file, folder) if Path(file).is_file() else Path(file).name
-        sections["features"]["vgg19_file"] = place
+    sections = config.model_dump()
+    for section, _, key in (name.partition(".") for name in PATH_SETTINGS):
+        if file := sections[section][key]:
+            place = relative_asset_path(file, folder) if Path(file).is_file() else Path(file).name
+            sections[section][key] = place
     return {"config": sections, "explicit": sorted(config.explicit)}
 
 
 def recorded_settings(record: Mapping[str, Any], folder: Path) -> Config:
-    """The settings of a record, with the path of the parameter file as it is now.
+    """The settings of a record, with the paths of files as they are now.
 
     Args:
         record: from ``settings_record``; ``explicit`` may be missing.
@@ -155,10 +156,13 @@ def recorded_settings(record: Mapping[str, Any], folder: Path) -> Config:
         ConfigError: the record's settings are not those of this version.
     """
     config = resolve_config(record["config"]).with_explicit(record.get("explicit", ()))
-    file = config.features.vgg19_file
-    if not file.startswith(("./", "../")):
-        return config
-    return config.with_values({"features.vgg19_file": os.path.normpath(folder / file)})
+    files = {name: value for name, value in config.given_values().items() if name in PATH_SETTINGS}
+    here = {
+        name: os.path.normpath(folder / file)
+        for name, file in files.items()
+        if file.startswith(("./", "../"))
+    }
+    return config.with_values(here) if here else config
 
 
 def settings() -> dict[str, dict[str, Any]]:

@@ -268,7 +268,11 @@ class OptimizeConfig(Section):
         min_length=1, distinct=True, request="steps")
     iterations: int | None = setting(
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
-        "lists as they are", ge=1, unit="iterations", request="iterations")
+        "lists as they are; 0, with optimize.start: what the network paints", ge=0,
+        unit="iterations", request="iterations")
+    start: str = setting(
+        "", "network that 'usdsmoke train' wrote, whose colours every frame starts from. Only the "
+        "finest octave is optimised then; empty: frames start from noise and from neighbours")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "

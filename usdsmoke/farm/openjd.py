@@ -277,11 +277,13 @@ def _check_program(command: str) -> None:
 
 
 def _with_network_file(config: Config) -> Config:
-    """Its path absolute: the queue's machines look up no file of their own."""
-    if not config.features.vgg19_file:
-        return config
-    found = str(Path(config.features.vgg19_file).absolute())
-    return config.replace(features=config.features.replace(vgg19_file=found))
+    """The paths of files absolute: the queue's machines look up none of their own."""
+    features, optimize = config.features, config.optimize
+    if file := features.vgg19_file:
+        features = features.replace(vgg19_file=str(Path(file).absolute()))
+    if file := optimize.start:
+        optimize = optimize.replace(start=str(Path(file).absolute()))
+    return config.replace(features=features, optimize=optimize)
 
 
 def _read_stage(given: Path, plan: Plan) -> Path:

@@ -32,13 +32,8 @@ from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.core.sequence.controls import coarse_factor
-from usdsmoke.core.smoke.schedule import (
-    OCTAVE_SCALE,
-    octave_iterations,
-    pool_size,
-    warm_iterations,
-)
+from usdsmoke.core.sequence.controls import coarse_factor, step_iterations
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, pool_size
 from usdsmoke.vdb.header import GridHeader
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
@@ -210,9 +205,7 @@ def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, fines
     """Seconds of one thread."""
     active, box = (frame.visible * n for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
-    octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-    if not frame.window_start and finest == 1.0:
-        octaves = warm_iterations(octaves, config.windows.warm_iterations)
+    octaves = step_iterations(config, step, not frame.window_start and finest == 1.0)
     n_pool = pool_size(config.views)
     n_drawn = min(config.views.count, n_pool)
     work = 0.0

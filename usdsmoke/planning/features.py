@@ -1,9 +1,12 @@
-"""The features by which a run compares pictures, and their hash; without torch."""
+"""The networks of a run, without torch: the features by which it compares pictures, and their hash;
+the one that frames start from."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.core.style.definition import embedded_hash
 from usdsmoke.core.style.layers import content_layers, find_vgg19_file, style_layers
 
@@ -22,6 +25,13 @@ def check_features(config: FeaturesConfig, here: bool = True) -> None:
     content_layers(config)
     if here and config.network == "vgg19":
         find_vgg19_file(config.vgg19_file)
+
+
+def start_needed(config: Config) -> list[str]:
+    """The network that frames start from, as what a run needs."""
+    if not (config.optimize.start and "colour" in config.optimize.steps):
+        return []
+    return [f"the network {Path(config.optimize.start).name}, which paints every frame's start"]
 
 
 def features_hash(config: FeaturesConfig) -> str:

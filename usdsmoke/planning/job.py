@@ -24,6 +24,7 @@ from usdsmoke.base.resolve import (
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
+from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.features import check_features
 from usdsmoke.planning.make_plan import check_plan, make_plan
@@ -160,6 +161,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         _check_names(volume, own.config)
         _check_lights(volume, own.config)
         check_features(own.config.features, fits)
+        _check_start(own.config, fits)
     styles = tuple(read_style_image(image) for image in resolved.style_files)
     if config.layer.mode == "reference":
         check_asset(stage)
@@ -227,6 +229,18 @@ def _sheets(plan: Plan, output: Path) -> list[Path]:
     return list(sheet_files(stems, output, plan.config.layer.look))
 
 
+def _check_start(config: Config, fits: bool) -> None:
+    """Refuse a network that cannot be read, and a run without iterations that has none."""
+    start, iterations = config.optimize.start, config.optimize.iterations
+    if start and fits:
+        read_weights(Path(start))
+    if iterations == 0 and not start:
+        raise ConfigError(
+            "optimize.iterations is 0, but optimize.start names no network that would paint the "
+            "smoke alone. Train one with 'usdsmoke train', or give at least 1 iteration."
+        )
+
+
 def _check_names(volume: VolumeSource, config: Config) -> None:
     """Refuse to write a colour under a name that the Volume uses for something else."""
     if "colour" not in config.optimize.steps:
@@ -268,5 +282,5 @@ def _read_files(
     """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
     networks = [own.config.features.vgg19_file for own in resolved.volumes]
     files: list[str | Path] = [*layers, *source.grid_files, *resolved.style_files]
-    files += filter(None, networks)
+    files += filter(None, [*networks, *(own.config.optimize.start for own in resolved.volumes)])
     return tuple(dict.fromkeys(Path(file_path).absolute() for file_path in files))

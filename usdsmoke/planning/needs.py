@@ -8,10 +8,11 @@ from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
-from usdsmoke.core.sequence.controls import SETTINGS, in_effect
-from usdsmoke.core.smoke.schedule import has_one_view, octave_iterations, pool_size
+from usdsmoke.core.sequence.controls import SETTINGS, in_effect, step_iterations
+from usdsmoke.core.smoke.schedule import has_one_view, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
+from usdsmoke.planning.features import start_needed
 from usdsmoke.planning.materials import (
     hidden_look,
     lights_needed,
@@ -164,7 +165,7 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         if config.views.camera:
             count = count_text(len(frames), "timeCode")
             needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
-        needed += lights_needed(config, frames)
+        needed += [*lights_needed(config, frames), *start_needed(config)]
         needed += [_step_text(step, config) for step in config.optimize.steps]
     has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
     for step, is_set in (
@@ -180,8 +181,7 @@ def _animated_settings(volumes: Volumes) -> list[str]:
     """The settings that frames have their own values for, a sentence each."""
     sentences = []
     for control, name in SETTINGS.items():
-        values = [getattr(own, control) for own in _controls(volumes)]
-        found = [value for value in values if value is not None]
+        found = [v for own in _controls(volumes) if (v := getattr(own, control)) is not None]
         if found:
             span = "" if control == "style_weights" else f", {min(found):g} to {max(found):g}"
             sentences.append(
@@ -191,9 +191,9 @@ def _animated_settings(volumes: Volumes) -> list[str]:
 
 
 def _step_text(step: str, config: Config) -> str:
-    octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+    octaves = "/".join(map(str, step_iterations(config, step)))
     what = f", which paints {' and '.join(config.painted)}" if step == "colour" else ""
-    return f"{step} step with {'/'.join(map(str, octaves))} iterations, coarse to fine{what}"
+    return f"{step} step with {octaves} iterations, coarse to fine{what}"
 
 
 def _grids_text(config: Config) -> str:

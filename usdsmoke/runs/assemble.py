@@ -336,6 +336,13 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if volume.config.optics.exposure is None and scene.get("stops")
     ]
+    found += [
+        f"the frames of <{volume.source.prim_path}> start cold: the network "
+        f"{Path(volume.config.optimize.start).name} does not suit them. On a part of one, "
+        f"{scene['misfit']}"
+        for volume, scene in zip(plan.volumes, run.scenes, strict=True)
+        if scene.get("misfit")
+    ]
     found += hidden_look_warnings(plan.volumes)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):

@@ -123,6 +123,8 @@ def _in_words(
         return _PIECES[piece[2]].format(piece[1])
     if name == "features_hash":
         return "the feature network's parameters differ"
+    if name == "start_hash":
+        return "the network that frames start from (optimize.start) differs"
     text = f"was {_shown(before, name)}, now {_shown(after, name)}"
     if request := _REQUEST.fullmatch(name):
         return f"the request of <{request[1]}> for {request[2]} {text}"

@@ -6,7 +6,7 @@ the run's folder, so that every window starts from the same bits, whichever mach
 
 import dataclasses
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +84,23 @@ def record_scenes(opened: OpenRun) -> None:
         WriteFailed: the operating system refused.
     """
     if not opened.run.scenes:
-        opened.run.keep_scenes(measure_scenes(opened.reader, opened.plan))
+        scenes = measure_scenes(opened.reader, opened.plan)
+        for volume, scene in zip(opened.plan.volumes, scenes, strict=True):
+            if words := _try_network(opened, volume, scene):
+                scene["misfit"] = words
+        opened.run.keep_scenes(scenes)
+
+
+def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
+    """Why the network that frames should start from does not suit a Volume; "" where it does."""
+    from usdsmoke.core.training.frames import find_misfit
+    from usdsmoke.core.views.scene import Scene
+
+    config, frames = volume.config, _measured_frames(volume)
+    if not (config.optimize.start and "colour" in config.optimize.steps and frames):
+        return ""
+    frame = opened.reader.read(volume, frames[len(frames) // 2])
+    return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config)
 
 
 def run_coarse_step(

@@ -36,7 +36,8 @@ _OPEN: dict[str, dict[str, Any]] = {
 _NEUTRAL = {
     "features": ("vgg19_file",),  # what it holds counts: features_hash
     "grids": ("memory_limit_gib", "time_limit_s"),
-    "optimize": ("threads", "memory_limit_gib", "error_budget"),
+    # what the network of ``start`` holds counts: start_hash
+    "optimize": ("threads", "memory_limit_gib", "error_budget", "start"),
     "layer": ("mode", "contact_sheet"),
 }
 
@@ -112,6 +113,7 @@ def describe_run(
     source = job.plan.source
     folder = Path(source.file_path).parent
     requests = requested_values(job.plan, job.styles)
+    start = job.config.optimize.start
     files = {}
     for file_path in source.grid_files:
         name = os.path.relpath(file_path, folder)
@@ -127,6 +129,7 @@ def describe_run(
         "files": files,
         "styles": [f"{style.name} {style.sha256}" for style in job.styles],
         "features_hash": features_hash,
+        **({"start_hash": _file_digest(job, start)} if start else {}),
     }
 
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.settings import Config
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.core.sequence.controls import step_iterations
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.runs.budget import Finding
 
 _FIXED_WORK = 0.15  # of an iteration of the finest octave, whatever the octave
@@ -83,11 +84,4 @@ class WorkMeter:
 
 def _frame_iterations(config: Config, is_warm: bool) -> dict[str, list[int]]:
     """A frame's iterations by step, octave by octave."""
-    cold: dict[str, list[int]] = {
-        step: octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-        for step in config.optimize.steps
-    }
-    if not is_warm:
-        return cold
-    share = config.windows.warm_iterations
-    return {step: warm_iterations(octaves, share) for step, octaves in cold.items()}
+    return {step: step_iterations(config, step, is_warm) for step in config.optimize.steps}

@@ -19,7 +19,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
-from usdsmoke.core.sequence.controls import coarse_factor
+from usdsmoke.core.sequence.controls import coarse_factor, without_network
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import (
     OpenedFrame,
@@ -53,6 +53,8 @@ def coarse_frames(
     Raises:
         NonFiniteError, FeatureError, ConfigError: see ``stylize_window``.
     """
+    if scene.misfit:
+        config = without_network(config)
     factor = coarse_factor(config)
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     context = make_context(
@@ -189,10 +191,12 @@ def _coarse_scene(scene: Scene, factor: int) -> Scene:
 
 
 def _coarse_config(config: Config, factor: int) -> Config:
-    """Only the octaves that are as coarse as the coarse voxels, or coarser."""
+    """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network,
+    which paints at full resolution."""
     n_fine = factor.bit_length() - 1
     shape, colour = config.shape, config.colour
     return config.replace(
         shape=shape.replace(iterations=shape.iterations[: -n_fine or None]),
         colour=colour.replace(iterations=colour.iterations[: -n_fine or None]),
+        optimize=config.optimize.replace(start=""),
     )

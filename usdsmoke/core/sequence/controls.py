@@ -9,7 +9,7 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.setting_model import extra_of
 from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
 
 # The dotted name of a setting by the field of ``FrameControls`` that stands for it.
 SETTINGS = {
@@ -92,6 +92,29 @@ def is_computed(effect: Sequence[bool]) -> list[bool]:
     """
     padded = [False, *effect, False]
     return [any(padded[n : n + 3]) for n in range(len(effect))]
+
+
+def without_network(config: Config) -> Config:
+    """The settings with frames that start from noise and from neighbours, as a network should not
+    have painted them alone either."""
+    optimize = config.optimize
+    return config.replace(
+        optimize=optimize.replace(start="", iterations=optimize.iterations or None)
+    )
+
+
+def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[int]:
+    """Iterations of a frame's step per octave, coarse to fine.
+
+    Args:
+        config: of the frame. Where a network paints the start, only the finest octave is left.
+        step: "shape" or "colour".
+        is_warm: whether the frame starts from its neighbour's result.
+    """
+    octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+    if step == "colour" and config.optimize.start:
+        return warm_iterations(octaves, 1.0)
+    return warm_iterations(octaves, config.windows.warm_iterations) if is_warm else octaves
 
 
 def coarse_factor(config: Config) -> int:

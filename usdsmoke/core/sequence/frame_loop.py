@@ -14,6 +14,8 @@ from functools import partial
 from itertools import starmap
 from typing import TypeVar
 
+from torch import Tensor
+
 from usdsmoke.base.frame_report import FrameReport, StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
@@ -21,6 +23,7 @@ from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
 )
+from usdsmoke.core.sequence.controls import step_iterations
 from usdsmoke.core.sequence.cuts import judge_passage
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.sequence.frame_state import (
@@ -37,8 +40,8 @@ from usdsmoke.core.sequence.frame_state import (
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
 from usdsmoke.core.sequence.steadiness import Steadiness
-from usdsmoke.core.smoke.active import activate
-from usdsmoke.core.smoke.schedule import octave_iterations, pool_size, warm_iterations
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import light_report
 from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
@@ -135,7 +138,7 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
             transit = None if before is None else context.transit(before, frame)
             limit = max_displacement(frame.source, config.shape.reach)
             start = partial(start_displacement, carried, frame.coarse, transit, limit)
-        iterations = _iterations(config.shape.iterations, frame, before is not None)
+        iterations = _iterations("shape", frame, before is not None)
         watch = context.watch(frame.time_code)("shape", iterations)
         rate_share = 1.0 if before is None else config.shape.warm_rate
         problem = frame.problem(frame.source)
@@ -198,20 +201,17 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
 
 def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | None) -> PaintedFrame:
     """The frame with its colours."""
-    started, config = time.perf_counter(), frame.config
+    started = time.perf_counter()
     before, report, is_cold = _connected(context, frame, before)
     share = None if frame.mask is None else frame.mask.at(frame.smoke.positions)
     painted = frame.smoke if share is None else frame.smoke.take(share > 0)
     if (known := context.known_of(frame)) is not None:
         colours = known.colours
     else:
-        paint = before.paint if before is not None else None
-        transit = None if before is None else context.transit(before, frame)
-        start = start_colours(paint, frame.coarse, transit, painted, config.optimize.seed)
-        iterations = _iterations(config.colour.iterations, frame, paint is not None)
+        start, is_warm = _colour_start(context, frame, before, painted)
+        iterations = _iterations("colour", frame, is_warm)
         watch = context.watch(frame.time_code)("colour", iterations)
-        problem, is_warm = frame.problem(frame.smoke), paint is not None
-        problem = replace(problem, lighting=frame.lighting())
+        problem = frame.colour_problem()
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, light=light_report(problem, painted, colours))
         report = replace(report, colour=_step_report(ends, frame, started))
@@ -224,11 +224,30 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     )  # fmt: skip
 
 
+def _colour_start(
+    context: WindowContext,
+    frame: MovedFrame,
+    before: PaintedFrame | None,
+    painted: ActiveSmoke,
+) -> tuple[Tensor | None, bool]:
+    """What a frame's colours start from, and whether that is its neighbour's result."""
+    seed = frame.config.optimize.seed
+    if context.generator is not None:  # which knows no other frame
+        if len(painted.ijk) == 0:
+            return None, False
+        return context.generator.paint(painted, frame.scene.gamma_w, seed), False
+    paint = before.paint if before is not None else None
+    transit = None if before is None else context.transit(before, frame)
+    return start_colours(paint, frame.coarse, transit, painted, seed), paint is not None
+
+
 # finish
 
 
 def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[PaintedFrame]:
     share, before = context.config.colour.smoothing, None
+    if context.generator is not None:
+        share = 0.0  # a frame knows no other
     moves, colours = (Steadiness(context.config.optimize.seed) for _ in range(2))
     for frame, later in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint
@@ -333,14 +352,14 @@ def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
         yield waiting.popleft(), None
 
 
-def _iterations(per_octave: Sequence[int], frame: OpenedFrame, is_warm: bool) -> list[int]:
-    """Iterations per octave: a share of the finest one's for a frame that has a neighbour.
+def _iterations(step: str, frame: OpenedFrame, is_warm: bool) -> list[int]:
+    """Iterations of a step per octave.
 
     A frame that starts from the shared coarse step leaves out the octaves that were done there.
     """
-    iterations = octave_iterations(per_octave, frame.config.optimize.iterations)
+    iterations = step_iterations(frame.config, step, is_warm)
     if is_warm:
-        return warm_iterations(iterations, frame.config.windows.warm_iterations)
+        return iterations
     n_done = frame.coarse.n_octaves(len(iterations)) if frame.coarse is not None else 0
     return [0 if number < n_done else n for number, n in enumerate(iterations)]
 

@@ -6,6 +6,7 @@ A frame is opened, shaped, moved and painted. Each record has everything of the 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,7 +20,8 @@ from usdsmoke.base.storage import check_half
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
-from usdsmoke.core.sequence.controls import frame_config
+from usdsmoke.core.generator.network import Generator
+from usdsmoke.core.sequence.controls import frame_config, without_network
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -49,6 +51,7 @@ class WindowContext:
     watch: Callable[[float], Watch]  # by timeCode
     keeps_carried: bool = False  # whether frames keep what their next ones start from
     known: Carried | None = None  # of a frame that is not optimised again
+    generator: Generator | None = None  # paints what every frame's colours start from
 
     def transit(self, earlier: "OpenedFrame", later: "OpenedFrame") -> Transit:
         """From a frame to a later one.
@@ -134,6 +137,10 @@ class OpenedFrame:
         """What a step works on."""
         return StepProblem(smoke, self.targets, self.scene, self.config, self.mask)
 
+    def colour_problem(self) -> StepProblem:
+        """What the colour step works on."""
+        return replace(self.problem(self.smoke), lighting=self.lighting())
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShapedFrame(OpenedFrame):
@@ -194,12 +201,22 @@ def make_context(
     starts: Callable[[float], CoarseStart | None] | None,
     n_frames: int,
 ) -> WindowContext:
-    """The context of a window; arguments as of ``stylize.stylize_window``."""
-    device = choose_device(config.optimize)
+    """The context of a window; arguments as of ``stylize.stylize_window``.
+
+    Raises:
+        FeatureError: see ``Generator.from_file``.
+    """
+    device, generator = choose_device(config.optimize), None
+    if config.optimize.start and scene.misfit:
+        config = without_network(config)
+    if config.optimize.start and "colour" in config.optimize.steps:
+        generator = Generator.from_file(Path(config.optimize.start)).to(device)
     targets = make_targets(styles, scene, config, device)
     watch = partial(_watcher, progress, n_frames, [])
     starts = starts or (lambda time_code: None)
-    return WindowContext(targets, scene, config, device, time_codes_per_second, starts, watch)
+    return WindowContext(
+        targets, scene, config, device, time_codes_per_second, starts, watch, generator=generator
+    )
 
 
 def _watcher(

@@ -121,6 +121,16 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     return ActiveSmoke(ijk + first, density, block_to_index @ smoke.index_to_stage)
 
 
+def block_of(smoke: ActiveSmoke, coarse: ActiveSmoke) -> Tensor:
+    """The row in ``coarsen(smoke)`` of each voxel's block, [N]."""
+    low, high = smoke.ijk.amin(0), smoke.ijk.amax(0)
+    blocks = torch.div(smoke.ijk, torch.where(high > low, 2, 1), rounding_mode="floor")
+    first = coarse.ijk.amin(0)
+    shape = coarse.ijk.amax(0) - first + 1
+    known = flat_key(coarse.ijk, first, shape)  # ascending, as ``coarsen`` leaves them
+    return torch.searchsorted(known, flat_key(blocks, first, shape))
+
+
 def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: Sequence[int]) -> Tensor:
     """Voxel values [N C] as a dense box [I J K C], zero elsewhere."""
     dense = values.new_zeros(shape[0] * shape[1] * shape[2], values.shape[1])

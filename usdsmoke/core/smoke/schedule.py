@@ -18,11 +18,14 @@ def octave_iterations(per_octave: Sequence[int], total: int | None) -> list[int]
 
     Args:
         per_octave: the configured list; an octave with 0 is left out and stays so.
-        total: requested sum; None leaves the list unchanged. Every other octave keeps at least one.
+        total: requested sum; None leaves the list unchanged, 0 leaves nothing. Otherwise every
+            octave that has iterations keeps at least one.
     """
     whole = sum(per_octave)
     if total is None or whole == 0:
         return list(per_octave)
+    if total == 0:
+        return [0] * len(per_octave)
     done = configured = 0
     scaled = []
     for n in per_octave:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, flat_key, sample_colours
+from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, sample_colours
 
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
@@ -43,7 +43,7 @@ def _around(smoke: ActiveSmoke, weighted: Tensor, trust: Tensor, positions: Tens
     if len(coarse.ijk) == len(smoke.ijk):  # one block, or blocks that never meet
         mean = weighted.double().sum(0) / trust.double().sum()
         return mean.to(weighted).expand(len(positions), -1)
-    block = _block_of(smoke, coarse)
+    block = block_of(smoke, coarse)
     n_members = torch.bincount(block, minlength=len(coarse.ijk)).to(weighted)
     summed = torch.stack(
         [
@@ -58,13 +58,3 @@ def _around(smoke: ActiveSmoke, weighted: Tensor, trust: Tensor, positions: Tens
     own = light / certain.clamp_min(torch.finfo(light.dtype).tiny)
     outer = _around(coarse, light, certain[:, 0], coarse.positions)
     return sample_colours(coarse, part * own + (1 - part) * outer, positions)[0]
-
-
-def _block_of(smoke: ActiveSmoke, coarse: ActiveSmoke) -> Tensor:
-    """The number of each voxel's block, [N]."""
-    low, high = smoke.ijk.amin(0), smoke.ijk.amax(0)
-    blocks = torch.div(smoke.ijk, torch.where(high > low, 2, 1), rounding_mode="floor")
-    first = coarse.ijk.amin(0)
-    shape = coarse.ijk.amax(0) - first + 1
-    known = flat_key(coarse.ijk, first, shape)  # ascending, as ``coarsen`` leaves them
-    return torch.searchsorted(known, flat_key(blocks, first, shape))

@@ -66,7 +66,7 @@ def run_colour_step(
         each octave ended.
     """
     smoke, mask, targets, config = problem.smoke, problem.mask, problem.targets, problem.config
-    painted = _painted(smoke, _share(smoke, mask))
+    painted = painted_part(problem)
     epsilon = WARM_EPSILON if warm else Adam.epsilon
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
     colours, before = start, painted
@@ -79,9 +79,8 @@ def run_colour_step(
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
         seed = config.optimize.seed + number
-        views = _octave_views(replace(problem, smoke=octave), share, factor, seed)
         octave_rate = rate * (LATER_RATE if number else 1.0)
-        pool = ViewPool(views, config.views.count, seed)
+        pool = colour_pool(replace(problem, smoke=octave), factor, seed)
         colours, end = optimize_colours(
             pool,
             _colours_on(here, before, colours, problem),
@@ -126,11 +125,7 @@ def optimize_colours(
     unknown = colours.detach().clone(memory_format=torch.contiguous_format).requires_grad_(True)
 
     def objective(iteration: int) -> Tensor:
-        def view_loss(view: ColourView, linear: Tensor) -> Tensor:
-            picture = view.unpremultiplied(linear, background)
-            return loss(picture, view.guide, view.content, iteration)
-
-        return pool.mean_loss(decode_srgb(unknown), iteration, view_loss)
+        return pictures_loss(pool, unknown, loss, background, iteration)
 
     def clip() -> None:
         unknown.clamp_(0, 1)
@@ -140,6 +135,41 @@ def optimize_colours(
         if watch is not None:
             watch(state)
     return unknown.detach(), state
+
+
+def pictures_loss(
+    pool: ViewPool[ColourView],
+    colours: Tensor,
+    loss: PictureLoss,
+    background: Tensor,
+    iteration: int,
+) -> Tensor:
+    """Mean loss of an iteration's pictures; arguments as of ``optimize_colours``.
+
+    Gradients: through ``colours``.
+    """
+
+    def view_loss(view: ColourView, linear: Tensor) -> Tensor:
+        picture = view.unpremultiplied(linear, background)
+        return loss(picture, view.guide, view.content, iteration)
+
+    return pool.mean_loss(decode_srgb(colours), iteration, view_loss)
+
+
+def painted_part(problem: StepProblem) -> ActiveSmoke:
+    """The voxels of a problem that are painted."""
+    return _painted(problem.smoke, _share(problem.smoke, problem.mask))
+
+
+def colour_pool(problem: StepProblem, factor: int, seed: int) -> ViewPool[ColourView]:
+    """The views of a problem at 1/factor of full size.
+
+    Args:
+        problem: its smoke has voxels ``factor`` times as large as the source's.
+        seed: of the views.
+    """
+    views = _octave_views(problem, _share(problem.smoke, problem.mask), factor, seed)
+    return ViewPool(views, problem.config.views.count, seed)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:

@@ -1,11 +1,12 @@
 """The style loss of a picture: networks, statistics of their features, content.
 
-``definition`` and ``layers`` need no torch: planning reads them.
+``definition``, ``layers`` and ``safetensors`` need no torch: planning reads them.
 
 - ``definition``: the numbers that the embedded network is made of, and their hash
 - ``layers``: the layers of each network, the defaults, the file of VGG-19's weights
 - ``features``: feature maps of a picture; the embedded network
 - ``vgg19``: the VGG-19 network
+- ``safetensors``: files of arrays, read and written
 - ``style_image``: the style image at the scale of a picture
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``sliced``: the same along random directions, by counting instead of sorting

@@ -5,11 +5,9 @@ from the configured path, the environment variable ``USDSMOKE_VGG19`` or torch's
 order.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -17,6 +15,7 @@ from torch import Tensor
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.base.record_format import hash_stream
 from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
+from usdsmoke.core.style.safetensors import read_safetensors
 
 _MEAN = (0.485, 0.456, 0.406)
 _DEVIATION = (0.229, 0.224, 0.225)
@@ -30,24 +29,6 @@ def _convolutions() -> list[tuple[str, int, int, int]]:
             found.append((f"relu{block}_{number}", index, channels, width))
             channels, index = width, index + 2
         index += 1  # the pooling
-    return found
-
-
-def _read_safetensors(file_path: Path) -> dict[str, Tensor]:
-    """The float tensors of a safetensors file: a length, a JSON table, raw little-endian data."""
-    data = file_path.read_bytes()
-    length = int.from_bytes(data[:8], "little")
-    if not 2 <= length <= len(data) - 8:
-        raise ValueError(f"the table claims {length} bytes of {len(data)}")
-    table = json.loads(data[8 : 8 + length])
-    kinds = {"F32": np.float32, "F16": np.float16, "F64": np.float64}
-    found = {}
-    for name, entry in table.items():
-        if name == "__metadata__":
-            continue
-        begin, end = entry["data_offsets"]
-        raw = np.frombuffer(data[8 + length + begin : 8 + length + end], kinds[entry["dtype"]])
-        found[name] = torch.from_numpy(raw.reshape(entry["shape"]).astype(np.float32))
     return found
 
 
@@ -114,7 +95,8 @@ class Vgg19Features:
                 )
         try:
             if file_path.suffix == ".safetensors":
-                tensors = _read_safetensors(file_path)
+                arrays, _ = read_safetensors(file_path)
+                tensors = {name: torch.from_numpy(values) for name, values in arrays.items()}
             else:
                 tensors = torch.load(file_path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises many kinds on a bad file

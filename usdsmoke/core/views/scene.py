@@ -48,6 +48,7 @@ class Scene:
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
     thick_share: float = 1.0  # share of all columns with smoke that are as thick
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
+    misfit: str = ""  # why frames do not start from the network that they should; "": they do
 
 
 def _corners(smoke: ActiveSmoke) -> np.ndarray:

@@ -36,6 +36,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_inspect(commands)
     _add_stage(commands)
     _add_stylize(commands)
+    _add_train(commands)
     _add_submit(commands)
     _add_assemble(commands)
     _add_validate(commands)
@@ -114,6 +115,25 @@ def _add_stylize(commands: Any) -> None:
         "--force",
         action="store_true",
         help="replace an existing result, or an unfinished run whose settings differ",
+    )
+
+
+def _add_train(commands: Any) -> None:
+    parser = add_command(
+        commands, "train", "train a network on the smoke of a stage, which frames then start from"
+    )
+    parser.add_argument("stage", metavar="STAGE", help="a USD file")
+    add_style(parser)
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE.safetensors", help="the network to write"
+    )
+    add_selection(parser)
+    add_settings(parser)
+    parser.add_argument(
+        "--iterations",
+        type=count_value,
+        metavar="N",
+        help="iterations of the training, at most (default: 1200)",
     )
 
 
@@ -250,6 +270,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add_layer(parser)
     add_flag(parser, "--restylize")
     add_settings(parser)
+    add_option(parser, "--start", metavar="FILE")
     add_flag(parser, "--half")
     add_client_options(parser)
     text = "replace NaN and infinity by this number; default: they are an error"

@@ -35,7 +35,7 @@ from usdsmoke.ui.cli.commands import (
 )
 from usdsmoke.ui.cli.text import print_json
 from usdsmoke.ui.cli.values import empty_path
-from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit
+from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit, run_train
 
 _BROKEN_PIPE = 128 + 13
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
@@ -43,6 +43,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "stage": run_stage,
     "stylize": run_stylize,
     "submit": run_submit,
+    "train": run_train,
     "assemble": run_assemble,
     "validate": run_validate,
     "plugin-path": run_plugin_path,

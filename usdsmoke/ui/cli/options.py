@@ -19,6 +19,7 @@ OPTIONS = {  # that stand for a setting
     "--repair": "grids.repair_nan",
     "--camera": "views.camera",
     "--seed": "optimize.seed",
+    "--start": "optimize.start",
     "--mode": "layer.mode",
     "--look": "layer.look",
     "--emission-mode": "layer.emission_mode",

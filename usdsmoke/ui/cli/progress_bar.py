@@ -63,11 +63,8 @@ class ConsoleProgress:
             self._tell(report.findings)
             return
         now = self._clock()
-        noun = "" if report.step == "window" else " frame"
-        where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames} (t={report.time_code:g})"
-        left = ""
-        if report.n_octaves:
-            where += f" octave {report.octave + 1}/{report.n_octaves} loss {report.loss:.3g}"
+        where, left = _where(report), ""
+        if report.loss:
             left = self._time_left(now, report.share)
         self._bars.update(self._task, description=where, completed=report.share, left=left)
         is_due = report.step != self._last_step or now - self._last_line >= _LINE_EVERY
@@ -98,6 +95,17 @@ class ConsoleProgress:
         if elapsed < _LEARN_FOR or done <= 0:
             return ""
         return f"{format_seconds(elapsed * (1 - share) / done)} left"
+
+
+def _where(report: RunProgress) -> str:
+    """What is being done, in a few words."""
+    noun = {"window": "", "train": " iteration"}.get(report.step, " frame")
+    where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames}"
+    if report.step != "train":
+        where += f" (t={report.time_code:g})"
+    if report.n_octaves:
+        where += f" octave {report.octave + 1}/{report.n_octaves}"
+    return where + (f" loss {report.loss:.3g}" if report.loss else "")
 
 
 def format_seconds(seconds: float) -> str:

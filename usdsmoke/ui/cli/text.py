@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from usdsmoke.pipeline import StylizeResult, TaskResult
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan
     from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
+    from usdsmoke.runs.train import TrainResult
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
 
@@ -358,3 +359,17 @@ def _origin(entry: Mapping[str, Any]) -> str:
     if entry["origin"] != "prim":
         return _WORDS[entry["origin"]]
     return f"<{entry['attribute']}> in {Path(entry['layer']).name}"
+
+
+def training_text(result: "TrainResult") -> str:
+    """A trained network, and how good it is."""
+    lines = [
+        str(result.file),
+        f"  style loss {result.loss:.3g} at timeCode {result.held_out:g}, which was held out; "
+        f"{result.cold_iterations} iterations from noise reach {result.cold_loss:.3g}",
+        f"  {result.n_iterations} iterations on {name_time_codes(result.time_codes)}, "
+        f"{format_seconds(result.seconds)}",
+    ]
+    if result.loss > result.cold_loss:
+        lines.append("  frames would start cold: train longer (--iterations)")
+    return "\n".join(lines)

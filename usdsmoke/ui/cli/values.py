@@ -8,7 +8,7 @@ _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"(\d+(?:\.\d*)?)\s*(s|min|h|)")
 _LEAST = 1.0  # seconds
 _ARGUMENTS = {"stage": "STAGE", "file": "FILE", "output": "OUT"}  # without an option
-_PATHS = ("stage", "style", "output", "config", "overrides", "template", "file")
+_PATHS = ("stage", "style", "output", "config", "overrides", "template", "file", "start")
 
 
 def empty_path(arguments: argparse.Namespace) -> str | None:

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.ui.cli.options import given_settings
@@ -12,6 +13,7 @@ from usdsmoke.ui.cli.text import (
     result_text,
     show,
     task_text,
+    training_text,
 )
 
 if TYPE_CHECKING:
@@ -43,6 +45,30 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         show(arguments, lambda: _task_as_dict(task), lambda: task_text(task))
         return 0
     _show_result(_with_progress(_run_whole, arguments), arguments)
+    return 0
+
+
+def run_train(arguments: argparse.Namespace) -> int:
+    """``usdsmoke train``; the exit code."""
+    from rich.console import Console
+
+    from usdsmoke.runs.train import train
+    from usdsmoke.ui.cli.progress_bar import ConsoleProgress
+
+    with ConsoleProgress(Console(stderr=True)) as progress:
+        result = train(
+            arguments.stage,
+            arguments.style,
+            arguments.output,
+            given_settings(arguments),
+            arguments.iterations,
+            progress,
+        )
+    show(
+        arguments,
+        lambda: asdict(result) | {"file": str(result.file)},
+        lambda: training_text(result),
+    )
     return 0
 
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd
 
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.record_format import RunRecord
+from usdsmoke.base.resolve import PATH_SETTINGS
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
@@ -110,7 +111,7 @@ def _given_settings(record: RunRecord, folder: Path) -> dict[str, Any]:
             name, value = f"{section}.{key}", values[key]
             if (value == defaults[key] and name not in record.explicit) or name in _GIVEN_OTHERWISE:
                 continue
-            if name == "features.vgg19_file" and value.startswith(("./", "../")):
+            if name in PATH_SETTINGS and value.startswith(("./", "../")):
                 value = _place(folder, value)
             found[name] = value
     return found

@@ -1,0 +1,94 @@
+"""A network from ``usdsmoke train`` in a run: painted frames, the record, refusals by name."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
+from usdsmoke.audit import provenance, rerun, verify
+from usdsmoke.base.errors import ConfigError, FeatureError
+from usdsmoke.base.record_format import hash_file
+from usdsmoke.core.generator.network import Generator
+from usdsmoke.pipeline import StylizeResult, plan, stylize
+from usdsmoke.ui.cli.main import main
+
+QUICK = {
+    "views.image_size": 16,
+    "views.pool": 2,
+    "features.layers": ["learned0", "learned1"],
+    "colour.iterations": [2, 2],
+    "optimize.steps": ["colour"],
+    "optimize.threads": 1,
+    "optimize.error_budget": False,
+    "layer.contact_sheet": 0,
+}
+
+pytestmark = pytest.mark.usefixtures("quick_grids")
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Shot:
+    """Three frames of a ball that rises."""
+    made = make_shot(tmp_path)
+    axes = np.stack(np.meshgrid(*[np.linspace(-1, 1, 10)] * 3, indexing="ij"), axis=-1)
+    for code in (1, 2, 3):
+        ball = np.clip(1 - ((axes - [0, 0.1 * code, 0]) ** 2).sum(-1), 0, 1)
+        write_raw(made.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(ball))
+    return made
+
+
+def run(shot: Shot, output: str, **more: object) -> StylizeResult:
+    settings = {**QUICK, **{name.replace("__", "."): value for name, value in more.items()}}
+    return stylize(shot.stage, shot.style, shot.folder / output, settings)
+
+
+def test_a_trained_network_paints_frames_and_is_in_the_record(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = shot.folder / "nets/style.safetensors"
+    network.parent.mkdir()
+    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
+    options = [part for setting in settings for part in ("--set", setting)]
+    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
+    assert main(["train", *named, "--iterations", "30", *options, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 30
+
+    result = run(shot, "out", optimize__start=str(network), optimize__iterations=0)
+    assert not any("start cold" in warning for warning in result.warnings)
+    (found,) = provenance(result.look_layer)
+    assert found.record.start_hash == hash_file(network)
+    assert found.record.settings["optimize"]["start"] == "../nets/style.safetensors"
+    assert rerun(result.look_layer, shot.folder / "again").differences == ()
+
+    network.write_bytes(Generator.new(torch.full((3,), 0.5), 0).to_bytes({}))
+    assert [change.kind for change in verify(result.look_layer)] == ["start-edited"]
+    network.unlink()
+    assert [change.kind for change in verify(result.look_layer)] == ["start-missing"]
+
+
+def test_frames_start_cold_where_the_network_does_not_suit_them(shot: Shot) -> None:
+    network = shot.folder / "other.safetensors"
+    network.write_bytes(Generator.new(torch.tensor([0.0, 1.0, 0.0]), 0).to_bytes({}))
+    result = run(shot, "out", optimize__start=str(network))
+    assert any("other.safetensors does not suit them" in text for text in result.warnings)
+    cold = run(shot, "cold")
+    assert contents(result.root_stage) == contents(cold.root_stage)
+
+
+def test_a_run_without_iterations_needs_a_network_that_can_be_read(shot: Shot) -> None:
+    with pytest.raises(ConfigError, match=r"optimize\.start names no network"):
+        plan(shot.stage, shot.style, shot.output, {"optimize.iterations": 0})
+    with pytest.raises(FeatureError, match=r"none\.safetensors"):
+        plan(shot.stage, shot.style, shot.output, {"optimize.start": "/none.safetensors"})
+
+
+def test_the_plan_tells_that_the_finest_octave_alone_follows_the_network(shot: Shot) -> None:
+    network = shot.folder / "a.safetensors"
+    network.write_bytes(Generator.new(torch.full((3,), 0.5), 0).to_bytes({}))
+    told = plan(shot.stage, shot.style, shot.output, {"optimize.start": str(network)})
+    assert any("colour step with 0/0/120 iterations" in sentence for sentence in told.needed)

@@ -1,0 +1,195 @@
+"""The network that paints smoke in one pass: its arithmetic, its bits, its training, its file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
+from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.generator import convolution
+from usdsmoke.core.generator.convolution import convolve
+from usdsmoke.core.generator.definition import N_LEVELS
+from usdsmoke.core.generator.levels import make_levels
+from usdsmoke.core.generator.network import Generator
+from usdsmoke.core.generator.weights import read_weights
+from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.device import computing_threads
+from usdsmoke.core.steps.targets import StepProblem
+from usdsmoke.core.style.safetensors import safetensors_bytes
+from usdsmoke.core.training.canvas import MOST_VOXELS, Canvas, crop
+from usdsmoke.core.training.frames import find_misfit, train_on_frames
+from usdsmoke.core.training.train import Trained
+
+FRAMES = [frame_of(puff(12, seed), seed + 1.0) for seed in range(3)]
+STYLE = random_style()
+CONFIG = quick_config(colour={"smoothing": 0.25})
+SCENE = scene_of(FRAMES, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def trained() -> Trained:
+    """On two puffs, judged by a third."""
+    return train_on_frames(FRAMES, [STYLE], SCENE, CONFIG, 50, lambda state: None)
+
+
+@pytest.fixture
+def file_path(trained: Trained, tmp_path: Path) -> Path:
+    """Of a trained generator."""
+    written = tmp_path / "style.safetensors"
+    written.write_bytes(trained.generator.to_bytes({"styles": "a.png"}))
+    return written
+
+
+def problem_of(density: np.ndarray) -> StepProblem:
+    """Smoke that is to be painted."""
+    context = make_context([STYLE], SCENE, CONFIG, None, 24.0, None, 0)
+    return open_frame(frame_of(density), context).colour_problem()
+
+
+def paint(smoke: ActiveSmoke, seed: int = 0) -> torch.Tensor:
+    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    return generator(make_levels(smoke, N_LEVELS), 1.0, seed)
+
+
+def rod(length: int) -> ActiveSmoke:
+    """Smoke three voxels thick along i."""
+    density = np.random.default_rng(0).uniform(0.1, 1, (200, 3, 3))
+    return smoke_of(density[:length].astype(np.float32))
+
+
+def test_neighbours_are_those_of_a_dictionary_of_voxels() -> None:
+    density = np.random.default_rng(0).uniform(0, 1, (6, 5, 7)).astype(np.float32)
+    smoke = smoke_of(np.where(density < 0.4, density, 0))
+    rows = {tuple(voxel): row for row, voxel in enumerate(smoke.ijk.tolist())}
+    found = make_levels(smoke, 1)[0].neighbours
+    for row, (i, j, k) in enumerate(smoke.ijk.tolist()):
+        around = [(i + a - 1, j + b - 1, k + c - 1) for a, b, c in np.ndindex(3, 3, 3)]
+        assert found[row].tolist() == [rows.get(voxel, len(rows)) for voxel in around]
+
+
+def test_a_convolution_is_the_dense_one_where_there_is_smoke_and_has_its_gradients() -> None:
+    density = np.random.default_rng(1).uniform(0, 1, (3, 4, 2)).astype(np.float32)
+    smoke = smoke_of(np.where(density < 0.5, density, 0))
+    neighbours, ijk = make_levels(smoke, 1)[0].neighbours, tuple(smoke.ijk.T)
+    source = torch.Generator().manual_seed(0)
+    values, weight, bias = (
+        torch.randn(shape, generator=source, dtype=torch.float64, requires_grad=True)
+        for shape in ((len(smoke.ijk), 2), (27, 2, 3), (3,))
+    )
+    box = torch.zeros(3, 4, 2, 2, dtype=torch.float64)
+    box[ijk] = values.detach()
+    kernel = weight.detach().view(3, 3, 3, 2, 3).permute(4, 3, 0, 1, 2)
+    dense = torch.nn.functional.conv3d(box.movedim(3, 0)[None], kernel, bias.detach(), padding=1)
+    found = convolve(values, neighbours, weight, bias)
+    torch.testing.assert_close(found, dense[0].movedim(0, 3)[ijk])
+    assert torch.autograd.gradcheck(
+        lambda *given: convolve(given[0], neighbours, given[1], given[2]), (values, weight, bias)
+    )
+
+
+def test_bits_do_not_depend_on_threads_or_on_rows_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    smoke = smoke_of(puff(16))
+    expected = paint(smoke)
+    for n_threads, n_rows in ((2, 256), (1, 77), (2, 1000)):
+        monkeypatch.setattr(convolution, "ROWS", n_rows)
+        with computing_threads(n_threads):
+            assert torch.equal(paint(smoke), expected)
+
+
+def test_a_colour_depends_on_the_smoke_around_it_alone() -> None:
+    whole, part = paint(rod(200)), paint(rod(150))
+    same = (whole[: len(part)] == part).all(dim=1).view(150, 9).all(dim=1)
+    assert same[:80].all()  # 62 voxels from the changed block
+    assert not same[144:].any()
+
+
+def test_seeds_give_other_patterns() -> None:
+    one, other = paint(smoke_of(puff(12)), 0), paint(smoke_of(puff(12)), 1)
+    assert (one - other).abs().mean() > 0.1 * one.std()
+
+
+def test_a_loss_falls_along_its_gradient_as_finite_differences_say() -> None:
+    canvas = Canvas(problem_of(puff(12)), 0, 2)
+    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    leaves = [values.requires_grad_() for values in generator.parameters.values()]
+    loss = canvas.loss(canvas.paint(generator, 0), 0)
+    slopes = torch.autograd.grad(loss, leaves)
+    length = sum(float(slope.square().sum()) for slope in slopes) ** 0.5
+
+    def moved(step: float) -> float:
+        with torch.no_grad():
+            pairs = zip(generator.parameters.items(), slopes, strict=True)
+            other = Generator({n: p + step * slope / length for (n, p), slope in pairs})
+            return float(canvas.loss(canvas.paint(other, 0), 0))
+
+    step = 2e-3
+    assert (moved(step) - moved(-step)) / (2 * step) == pytest.approx(length, rel=0.03)
+
+
+def test_training_ends_below_cold_iterations_on_a_held_out_frame(trained: Trained) -> None:
+    assert trained.loss < trained.cold_loss
+
+
+def test_a_network_paints_each_frame_by_itself(file_path: Path) -> None:
+    config = CONFIG.with_values({"optimize.start": str(file_path), "optimize.iterations": 0})
+    together = run_core(FRAMES[:2], config, SCENE, [STYLE])
+    for frame, found in zip(FRAMES, together, strict=False):
+        (alone,) = run_core([frame], config, SCENE, [STYLE])
+        assert alone.emission is not None and found.emission is not None
+        assert np.array_equal(alone.emission.values, found.emission.values)
+
+
+def test_iterations_after_a_network_are_of_the_finest_octave(file_path: Path) -> None:
+    config = CONFIG.with_values({"optimize.start": str(file_path)})
+    report = run_core(FRAMES[:1], config, SCENE, [STYLE])[0].report
+    assert report.colour is not None and report.colour.iterations == (2,)
+
+
+def test_a_network_of_another_style_does_not_fit(file_path: Path) -> None:
+    config = CONFIG.with_values({"optimize.start": str(file_path)})
+    assert find_misfit(FRAMES[1], [STYLE], SCENE, config) == ""
+    other = np.random.default_rng(5).uniform(0, 1, STYLE.shape).astype(np.float32)
+    assert "iterations from noise reach" in find_misfit(FRAMES[1], [other], SCENE, config)
+
+
+def test_large_smoke_is_cropped_to_pieces_around_different_voxels() -> None:
+    problem = problem_of(np.ones((40, 40, 40), np.float32))
+    one, other = crop(problem, 0), crop(problem, 1)
+    assert MOST_VOXELS / 8 < len(one.smoke.ijk) < MOST_VOXELS
+    assert one.smoke.ijk.tolist() != other.smoke.ijk.tolist()
+    small = problem_of(puff(12))
+    assert crop(small, 0) is small
+
+
+def test_a_file_gives_the_same_parameters_and_equal_generators_equal_bytes(
+    trained: Trained, file_path: Path
+) -> None:
+    found = Generator.from_file(file_path)
+    for name, values in trained.generator.parameters.items():
+        assert torch.equal(found.parameters[name], values)
+    assert found.to_bytes({"styles": "a.png"}) == file_path.read_bytes()
+
+
+def test_damaged_and_foreign_files_are_refused(file_path: Path) -> None:
+    whole = file_path.read_bytes()
+    damaged = bytearray(whole)
+    damaged[-5] ^= 1
+    for content, words in (
+        (bytes(damaged), "damaged"),
+        (whole[:-8], "not a complete safetensors file"),
+        (b"", "not a complete safetensors file"),
+        (safetensors_bytes({"a": np.zeros(3, np.float32)}, {}), "no network of usdsmoke"),
+        (whole.replace(b'_generator":"1"', b'_generator":"9"'), "format 9"),
+    ):
+        file_path.write_bytes(content)
+        with pytest.raises(FeatureError, match=words):
+            read_weights(file_path)
+    file_path.unlink()
+    with pytest.raises(FeatureError, match="No such file"):
+        read_weights(file_path)

@@ -1,0 +1,87 @@
+"""Convolutions of 3 x 3 x 3 over voxels that hold smoke, with the same bits for any threads.
+
+A voxel's neighbours are gathered into a row, and rows are multiplied with the weights, a fixed
+number of rows at a time: memory does not grow with the frame. The gradient is the same gather with
+the weights turned around, because being a neighbour is mutual.
+"""
+
+from functools import partial
+from typing import Any, cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from usdsmoke.core.smoke.memory import chunks, share_rows
+from usdsmoke.core.smoke.tasks import run_tasks
+
+ROWS = 2**12  # voxels at a time
+FEWEST = 64  # rows of a product: for fewer, BLAS sums in another order
+
+
+def convolve(values: Tensor, neighbours: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Sums over the neighbours of values times weights, [N D].
+
+    Args:
+        values: [N C].
+        neighbours: [N 27], see ``Level``.
+        weight: [27 C D].
+        bias: [D].
+
+    Gradients: through ``values``, ``weight`` and ``bias``, of first order.
+    """
+    return cast(Tensor, _Convolve.apply(values, neighbours, weight, bias))
+
+
+class _Convolve(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, values: Tensor, neighbours: Tensor, weight: Tensor, bias: Tensor
+    ) -> Tensor:
+        ctx.save_for_backward(values, neighbours, weight)
+        return _gathered_product(values, neighbours, weight) + bias
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, None, Tensor, Tensor]:
+        values, neighbours, weight = ctx.saved_tensors
+        slopes = None
+        if ctx.needs_input_grad[0]:
+            turned = weight.flip(0).transpose(1, 2)
+            slopes = _gathered_product(upstream, neighbours, turned)
+        table = _with_zeros(values)
+
+        def correlate(part: slice) -> Tensor:
+            return _gather(table, neighbours[part]).T @ upstream[part]
+
+        parts = chunks(len(values), ROWS, values.device)
+        products = run_tasks([partial(correlate, part) for part in parts])
+        steep = products[0]
+        for product in products[1:]:
+            steep = steep + product
+        return slopes, None, steep.view(weight.shape), upstream.sum(0)
+
+
+def _gathered_product(values: Tensor, neighbours: Tensor, weight: Tensor) -> Tensor:
+    table, flat = _with_zeros(values), weight.reshape(-1, weight.shape[2])
+    found = values.new_empty(len(values), weight.shape[2])
+
+    def multiply(part: slice) -> None:
+        rows = _gather(table, neighbours[part])
+        n_missing = max(FEWEST - len(rows), 0)
+        found[part] = (F.pad(rows, (0, 0, 0, n_missing)) @ flat)[: len(rows)]
+
+    share_rows(multiply, len(values), ROWS, values.device)
+    return found
+
+
+def _with_zeros(values: Tensor) -> Tensor:
+    """The table with one row more, which stands for voxels without smoke."""
+    return torch.cat([values, values.new_zeros(1, values.shape[1])])
+
+
+def _gather(table: Tensor, neighbours: Tensor) -> Tensor:
+    """The neighbours' values side by side, [n 27 C] as [n 27C]."""
+    rows = table.index_select(0, neighbours.reshape(-1))
+    return rows.view(len(neighbours), -1)

@@ -1,0 +1,115 @@
+"""A small network that paints smoke in one pass: colours from density and noise.
+
+From the coarsest octave to the finest, each takes white noise, which belongs to its voxels; the
+density, but not the finest one's, which flickers; and the features of the octave before, of the
+block that a voxel lies in. Two convolutions of 3 x 3 x 3 follow; the second adds to the first. The
+finest features give display-encoded colours. So a colour depends on the smoke around its voxel
+alone: not on the box, on other frames, or on how work is divided. [Ulyanov2016, Gutierrez2020]
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.core.generator.convolution import convolve
+from usdsmoke.core.generator.definition import N_LEVELS, N_NEIGHBOURS, N_NOISE, parameter_shapes
+from usdsmoke.core.generator.levels import Level, make_levels
+from usdsmoke.core.generator.weights import read_weights, weights_bytes
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.noise import white_noise
+
+SLOPE = 0.1  # of the rectifier below 0
+THIN = 0.03  # optical depth of a voxel beside which thinner ones hardly count
+SEED_STEP = 0x9E3779B9  # between the seeds of neighbouring octaves' noise
+
+
+@dataclass(frozen=True)
+class Generator:
+    """The network with its parameters, by name."""
+
+    parameters: Mapping[str, Tensor]
+
+    @classmethod
+    def new(cls, mean: Tensor, seed: int) -> "Generator":
+        """One that is not trained yet, and paints about one colour.
+
+        Args:
+            mean: display-encoded colour [3].
+            seed: of the first parameters.
+        """
+        source = torch.Generator().manual_seed(seed)
+        parameters = {}
+        for name, shape in parameter_shapes().items():
+            n_in = N_NEIGHBOURS * shape[1] if len(shape) == 3 else shape[0]
+            spread = 0.0 if len(shape) == 1 else (2.0 / n_in) ** 0.5
+            parameters[name] = torch.randn(shape, generator=source) * spread
+        inside = mean.cpu().clamp(0.02, 0.98)
+        parameters["colour.bias"] = torch.log(inside / (1 - inside))
+        return cls({name: values.to(mean) for name, values in parameters.items()})
+
+    @classmethod
+    def from_file(cls, file_path: Path) -> "Generator":
+        """One that ``to_bytes`` gave.
+
+        Raises:
+            FeatureError: see ``read_weights``.
+        """
+        arrays = read_weights(file_path)
+        return cls({name: torch.from_numpy(values) for name, values in arrays.items()})
+
+    def to_bytes(self, notes: Mapping[str, str]) -> bytes:
+        """A file with texts; see ``weights_bytes``."""
+        parameters = self.parameters.items()
+        return weights_bytes({name: p.detach().cpu().numpy() for name, p in parameters}, notes)
+
+    def __call__(self, levels: Sequence[Level], gamma_w: float, seed: int) -> Tensor:
+        """Display-encoded colours [N 3] in (0, 1) of the finest octave's voxels.
+
+        Args:
+            levels: N_LEVELS octaves, coarse to fine.
+            gamma_w: extinction per density, 1/stage unit.
+            seed: of the noise.
+
+        Gradients: through the parameters.
+        """
+        features: Tensor | None = None
+        length = levels[-1].smoke.voxel_size
+        for number, level in enumerate(levels):
+            inputs = [_noise(level, seed + number * SEED_STEP)]
+            if level is not levels[-1]:
+                depth = level.smoke.density * (gamma_w * length)
+                inputs.append(torch.log1p(depth / THIN)[:, None])
+            if features is not None and level.parent is not None:
+                inputs.append(features.index_select(0, level.parent))
+            first = self._layer(f"{number}.first", torch.cat(inputs, 1), level)
+            features = first + self._layer(f"{number}.second", first, level)
+        assert features is not None
+        p = self.parameters
+        return torch.sigmoid(features @ p["colour.weight"] + p["colour.bias"])
+
+    def paint(self, smoke: ActiveSmoke, gamma_w: float, seed: int) -> Tensor:
+        """The colours of smoke at full resolution, which is not empty, without gradients."""
+        with torch.no_grad():
+            return self(make_levels(smoke, N_LEVELS), gamma_w, seed)
+
+    def copy(self) -> "Generator":
+        """The same parameters in tensors of their own, without gradients."""
+        return Generator({name: p.detach().clone() for name, p in self.parameters.items()})
+
+    def to(self, device: torch.device) -> "Generator":
+        """The same on a device."""
+        return Generator({name: p.to(device) for name, p in self.parameters.items()})
+
+    def _layer(self, name: str, values: Tensor, level: Level) -> Tensor:
+        weight, bias = (self.parameters[f"{name}.{kind}"] for kind in ("weight", "bias"))
+        return F.leaky_relu(convolve(values, level.neighbours, weight, bias), SLOPE)
+
+
+def _noise(level: Level, seed: int) -> Tensor:
+    """White, of mean 0 and variance 1, [N C]."""
+    uniform = white_noise(level.smoke.ijk, N_NOISE, seed)
+    return ((uniform - 0.5) * 12**0.5).to(level.smoke.density)
