@@ -9,11 +9,14 @@ octave's linear resolution as a share of the full one. In ``work``, N, B and P a
     work    = sum over steps and octaves of
                   (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3))
-    seconds = START + sum over frames of (FRAME + FILE_TIME N + work / threads^GAIN)
+    seconds = START + sum over frames of
+                  (FRAME + FILE_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm) +
+                   work / threads^GAIN)
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
-step, if there is one, costs the work of the octaves up to its share of the resolution.
+step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
+start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
 
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
 on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
@@ -33,7 +36,7 @@ from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor, step_iterations
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, pool_size
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, pool_size, warm_iterations
 from usdsmoke.vdb.header import GridHeader
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
@@ -47,9 +50,11 @@ VIEW_BYTES = 40  # four pixels and weights
 PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 
 START = 3.0  # loading torch, learning the filters
+NEIGHBOUR = 0.15  # carrying results from a neighbour, and comparing with it
+NEIGHBOUR_TIME = 1.0e-5
 FRAME = 0.15  # reading, writing and re-opening the files, however small
 FILE_TIME = 2.0e-6
-ITERATION = 0.03
+ITERATION = 0.025
 PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
 BOX_TIME = 1.0e-7
@@ -105,16 +110,17 @@ def estimate_run(
         frames: of all volumes; empty frames cost their file only.
         threads: None takes the configured number, or all of the machine.
         twice: the frames that two windows compute.
-        coarse: the frames of the shared coarse step.
+        coarse: the frames of the shared coarse step; ``window_start`` is that of its chains.
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
+    above = (finest if coarse else 0.0, 1.0)
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return CostEstimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
         seconds=START
-        + sum(_frame_seconds(frame, config, n_styles, speed) for frame in (*frames, *again))
-        + sum(_frame_seconds(frame, config, n_styles, speed, finest) for frame in coarse),
+        + sum(_frame_seconds(frame, config, n_styles, speed, above) for frame in (*frames, *again))
+        + sum(_frame_seconds(frame, config, n_styles, speed, (0, finest)) for frame in coarse),
         bytes_written=written_bytes(config, frames, (*twice, *twice), coarse),
     )
 
@@ -190,28 +196,39 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
 
 
 def _frame_seconds(
-    frame: FrameSize, config: Config, n_styles: int, speed: float, finest: float = 1.0
+    frame: FrameSize, config: Config, n_styles: int, speed: float, octaves: tuple[float, float]
 ) -> float:
-    """``finest``: the share of the full resolution at which the octaves end."""
+    """``octaves``: the shares of the full resolution above and up to which they are done."""
     active, _ = _refined(frame, config)
     seconds = FRAME + FILE_TIME * active
     if not _is_optimized(frame, config):
         return seconds
-    work = sum(_step_work(step, frame, config, n_styles, finest) for step in config.optimize.steps)
+    if not frame.window_start:
+        seconds += NEIGHBOUR + NEIGHBOUR_TIME * active * octaves[1] ** 3
+    work = sum(_step_work(step, frame, config, n_styles, octaves) for step in config.optimize.steps)
     return seconds + work / speed
 
 
-def _step_work(step: str, frame: FrameSize, config: Config, n_styles: int, finest: float) -> float:
+def _step_work(
+    step: str, frame: FrameSize, config: Config, n_styles: int, octaves: tuple[float, float]
+) -> float:
     """Seconds of one thread."""
     active, box = (frame.visible * n for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
-    octaves = step_iterations(config, step, not frame.window_start and finest == 1.0)
+    above, finest = octaves
+    is_warm = not frame.window_start
+    iterations = step_iterations(config, step, is_warm and finest == 1.0)
+    scales = [float(OCTAVE_SCALE) ** -n for n in reversed(range(len(iterations)))]
+    iterations = [
+        n if above < scale <= finest else 0 for n, scale in zip(iterations, scales, strict=True)
+    ]
+    if is_warm and finest < 1.0:
+        iterations = warm_iterations(iterations, config.windows.warm_iterations)
     n_pool = pool_size(config.views)
     n_drawn = min(config.views.count, n_pool)
     work = 0.0
-    for number, n_iterations in enumerate(octaves):
-        scale = float(OCTAVE_SCALE) ** -(len(octaves) - 1 - number)
-        if n_iterations == 0 or scale > finest:
+    for n_iterations, scale in zip(iterations, scales, strict=True):
+        if n_iterations == 0:
             continue
         iteration = n_drawn * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
         drawn = min(n_pool, n_iterations * n_drawn)

@@ -106,10 +106,14 @@ def _with_places(
 
 
 def _estimate(volume: VolumePlan) -> CostEstimate:
-    sizes, twice, coarse = (
-        [frame.size for frame in frames]
-        for frames in (volume.frames, volume.overlap_frames, volume.coarse_frames)
+    sizes, twice = (
+        [frame.size for frame in frames] for frames in (volume.frames, volume.overlap_frames)
     )
+    first = {codes[0] for codes in volume.coarse_runs}
+    coarse = [
+        replace(frame.size, window_start=frame.source.time_code in first)
+        for frame in volume.coarse_frames
+    ]
     estimate = estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
     return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, volume.frames)))
 
