@@ -21,9 +21,10 @@ start above it. A frame that starts from its neighbour (a warm one) has the fine
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
 on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
 is that of the largest at work; what the other two hold, their fields and results, is part of
-BOX_BYTES_WARM. The constants of time are fitted to a server's processor, for plumes of 7 thousand
-to a million voxels, and a sequence: CPU seconds of one thread were met within a factor of 1.2.
-Other processors and busy machines differ more. The memory is an upper bound.
+BOX_BYTES_WARM. The constants of time are fitted to a server's processor, for plumes of 2 thousand
+to a million voxels, and sequences of 6 and 12 frames: CPU seconds of one thread were met within a
+factor of 1.25, wall seconds of two threads within 1.4. Other processors and busy machines differ
+more. The memory is an upper bound.
 """
 
 import math
@@ -61,7 +62,7 @@ BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 7.0e-7
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
-GAIN = 0.8  # n threads are n ** GAIN times as fast
+GAIN = 0.65  # n threads are n ** GAIN times as fast; a process for each window is faster
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
 TREE = 1.3  # masks and nodes beside the values
