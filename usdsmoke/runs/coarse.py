@@ -93,12 +93,12 @@ def record_scenes(opened: OpenRun) -> None:
 
 def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
     """Why the network that frames should start from does not suit a Volume; "" where it does."""
-    from usdsmoke.core.training.frames import find_misfit
-    from usdsmoke.core.views.scene import Scene
-
     config, frames = volume.config, _measured_frames(volume)
     if not (config.optimize.start and "colour" in config.optimize.steps and frames):
         return ""
+    from usdsmoke.core.training.frames import find_misfit
+    from usdsmoke.core.views.scene import Scene
+
     frame = opened.reader.read(volume, frames[len(frames) // 2])
     return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config)
 
