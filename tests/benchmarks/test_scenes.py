@@ -1,16 +1,13 @@
 """Benchmarks of cameras, fades, windows and warm starts, on a few voxels."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdVol
 
 from benchmarks import fades
 from benchmarks.camera_cost import half_out, near_eye
 from benchmarks.coherence_runs import make_shot
-from benchmarks.warm_starts import Row, cheapest_equal, measure_step
-from benchmarks.window_cost import Cost, render_report, repeat_frames
+from benchmarks.warm_starts import measure_step
+from benchmarks.window_cost import Cost, render_report
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 
 PLAIN = ["features.layers=[oriented1]", "optimize.error_budget=false"]
@@ -49,31 +46,11 @@ def test_fades_compute_no_frame_without_a_visible_neighbour(
     assert all(0 < float(values[1]) <= float(values[2]) for values in cells.values())
 
 
-def test_a_long_stage_shows_the_first_files_in_turn(tmp_path: Path) -> None:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "short.usda"))
-    asset = UsdVol.OpenVDBAsset.Define(stage, "/smoke/density")
-    for code in range(1, 5):
-        asset.CreateFilePathAttr().Set(Sdf.AssetPath(f"./a.{code}.vdb"), float(code))
-    stage.GetRootLayer().Save()
-    repeat_frames(tmp_path / "short.usda", 7, 3, tmp_path / "long.usda")
-    long = Usd.Stage.Open(str(tmp_path / "long.usda"))
-    files = UsdVol.OpenVDBAsset.Get(long, "/smoke/density").GetFilePathAttr()
-    shown = [files.Get(float(code)).path for code in range(1, 8)]
-    assert shown == [f"./a.{code}.vdb" for code in (1, 2, 3, 1, 2, 3, 1)]
-
-
 def test_windows_whose_cost_grows_miss_the_mark() -> None:
     sizes = [Cost(10, 1, 90.0, 5.0), Cost(10, 5, 20.0, 1.0), Cost(10, 9, 22.0, 1.2)]
     report = render_report(sizes, [Cost(8, 8, 9, 1.0), Cost(72, 8, 90, 1.05)], 40, ["x"])
     assert "CPU +10.0% (mark +15%: met)" in report
     assert "+20.0% (mark +15%: missed)" in report
-
-
-def test_the_cheapest_warm_start_is_the_first_as_near_as_the_full_cold_one() -> None:
-    cold = [Row("cold", (60, 50, 40), 3.0, 1.0), Row("cold", (30, 25, 20), 1.5, 1.3)]
-    warm = [Row("warm", (n,), n / 10, 1.4 - n / 40) for n in (8, 16, 32)]
-    assert cheapest_equal([*cold, *warm]) is warm[1]
-    assert cheapest_equal([*cold, warm[0]]) is None
 
 
 def test_warm_starts_do_the_finest_octave_alone_and_cold_ones_all() -> None:
