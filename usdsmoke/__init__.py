@@ -2,7 +2,7 @@
 
     >>> import usdsmoke
     >>> usdsmoke.__version__
-    '0.1.0'
+    '0.2.0.dev0'
 
     usdsmoke.inspect("shot.usda")                                     what is on the stage
     usdsmoke.plan("shot.usda", style="fire.png")                      what a run would do and cost
@@ -61,7 +61,7 @@ __all__ = [
     "verify",
 ]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # public name: module, name in it
 _HOME = {

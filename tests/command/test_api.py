@@ -10,7 +10,7 @@ import pytest
 
 import usdsmoke
 from tests.fixtures.import_graph import PROJECT
-from tests.fixtures.pipeline_fixtures import Shot
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot
 
 FUNCTIONS = (
     "inspect", "plan", "stylize", "preview", "validate", "provenance", "verify", "rerun", "report",
@@ -90,3 +90,11 @@ def test_every_setting_is_explained() -> None:
     settings = usdsmoke.settings()
     assert len(settings) > 60
     assert all(entry["description"] for entry in settings.values())
+
+
+def test_a_plan_and_a_result_print_in_a_few_lines(shot: Shot, core: FakeCore) -> None:
+    planned = usdsmoke.plan(shot.stage, shot.style, shot.output)
+    assert str(planned).startswith("</World/smoke>: 3 frames, 1 windows")
+    result = usdsmoke.stylize(shot.stage, shot.style, shot.output)
+    assert str(result).startswith(f"{result.root_stage}: {len(result.frames)} VDB files")
+    assert max(len(str(planned)), len(str(result))) < 1500

@@ -11,6 +11,7 @@ import pytest
 
 from tests.fixtures.pipeline_fixtures import Shot
 from tests.fixtures.usd_fixtures import file_hashes, needs_usd, write_text
+from usdsmoke import __version__
 from usdsmoke.base.resolve import read_settings, resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.ui.cli.main import main
@@ -279,7 +280,7 @@ def test_the_help_lists_every_section_and_every_setting(capsys: pytest.CaptureFi
 
 def test_python_m_usdsmoke_is_the_command() -> None:
     done = run_command("--version")
-    assert (done.returncode, done.stdout.strip()) == (0, "usdsmoke 0.1.0")
+    assert (done.returncode, done.stdout.strip()) == (0, f"usdsmoke {__version__}")
     failed = run_command("inspect", "nowhere.usda", "--json")
     assert failed.returncode == 1
     error = json.loads(failed.stdout)["error"]

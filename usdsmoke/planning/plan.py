@@ -122,6 +122,12 @@ class Plan:
     estimate: CostEstimate
     notes: tuple[str, ...] = ()  # what may surprise at the end, a sentence each
 
+    def __str__(self) -> str:
+        paths = ", ".join(f"<{volume.source.prim_path}>" for volume in self.volumes)
+        counts = f"{self.n_frames} frames, {len(self.tasks)} windows"
+        cost = f"{self.estimate.seconds:.0f} s, {self.estimate.memory_gib:.1f} GiB of memory"
+        return "\n".join((f"{paths}: {counts}, about {cost}", *self.notes))
+
     @property
     def n_frames(self) -> int:
         """Of all Volumes."""

@@ -64,6 +64,10 @@ class StylizeResult:
     # By Volume: gamma_w, 1/stage unit per unit of density, which materials multiply density by.
     extinction: Mapping[str, float] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        opened = self.root_stage or self.look_layer
+        return "\n".join((f"{opened}: {len(self.frames)} VDB files", *self.warnings))
+
 
 @dataclass(frozen=True)
 class _Versions:
