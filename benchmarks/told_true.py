@@ -1,15 +1,18 @@
 """The rows of the error budget against the errors themselves, on six scenes.
 
     python -m benchmarks.told_true [--data FOLDER] [--report FILE] [--scenes NAME ...]
+    python -m benchmarks.told_true --scenes "plume 32" --presets draft daily final    # error, time
 
-One frame of each scene is stylized with the defaults. Each row of its error budget is compared with
-the true error: pictures by a ray marcher that shares no code with the optimiser's projection,
-density at exact or finer departure points, gradients of the displacement by NumPy, losses over 48
-views that nobody optimised, and runs four times as long. About ten CPU minutes.
+One frame of each scene is stylized with the defaults, or with presets. Each row of its error budget
+is compared with the true error: pictures by a ray marcher that shares no code with the optimiser's
+projection, density at exact or finer departure points, gradients of the displacement by NumPy,
+losses over 48 views that nobody optimised, and runs four times as long. About ten CPU minutes. With
+presets a second table has the CPU seconds of the run and its largest true errors.
 """
 
 import argparse
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +26,8 @@ from benchmarks.control_scenes import paint_styles
 from benchmarks.optimiser_error import measure_step
 from benchmarks.raymarch import march_rays
 from benchmarks.told_true_scenes import Scene, make_scenes
+from usdsmoke.base.presets import preset_file
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.sequence.error_estimates import painted_frame
@@ -39,6 +44,7 @@ from usdsmoke.runs.budget import ROWS
 __all__ = ["Row", "main", "measure_scene_rows"]
 
 STYLE = "strokes"
+SECONDS = "CPU seconds"
 FRESH = 48  # views
 STEPS = 6.0  # segments a voxel, of the ray marcher
 FINE = 4  # samples across a pixel
@@ -62,14 +68,23 @@ class Row:
         return self.true > 0 and 0.5 <= self.told / self.true <= 2
 
 
-def measure_scene_rows(name: str, scene: Scene, style: np.ndarray) -> Iterator[Row]:
-    """All rows of a scene."""
-    config = Config()
-    config = config.replace(optimize=config.optimize.replace(threads=1))
+def measure_scene_rows(
+    name: str, scene: Scene, style: np.ndarray, config: Config | None = None
+) -> Iterator[Row]:
+    """The CPU seconds of a run as the first row, then all rows of a scene.
+
+    Args:
+        name: of the scene.
+        config: None takes the defaults.
+    """
+    config = config or Config()
+    budget = config.optimize.replace(threads=1, error_budget=True)
+    config, begun = config.replace(optimize=budget), time.process_time()
     measured = measure_scene([scene.frame], config.views, config.optics, "Y", 1)
     context = make_context([style], measured, config, None, 24.0, None, 1)
     (frame,) = run_frames([scene.frame], context)
     done = stylized_frame(frame, context)
+    yield Row(name, SECONDS, time.process_time() - begun, np.nan)
     told = {row.name: row.of_frame(done.report) for row in ROWS}
     known = {row: figure.value for row, figure in told.items() if figure is not None}
     assert done.emission is not None
@@ -93,8 +108,8 @@ def _pictures(
     emission: DenseField,
     told: dict[str, float],
 ) -> Iterator[Row]:
-    painted, gamma_w = painted_frame(frame), frame.scene.gamma_w
     view = fit_blocks(frame_views(frame.smoke, frame.config.views, frame.scene, 0)[0])
+    painted, gamma_w = painted_frame(frame, view), frame.scene.gamma_w
     size = frame.scene.pixel_size
     turned = fit_blocks(fit_view(orbit_view(45, 10, "Y", np.zeros(3), 1, 1, size), frame.smoke))
     for where, seen in (("", view), (", at 45 degrees", turned)):
@@ -245,18 +260,34 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     parser.add_argument("--scenes", nargs="*", help="some of the scenes")
+    parser.add_argument("--presets", nargs="*", default=[""], help="instead of the defaults")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     style, rows = paint_styles([STYLE], 256)[STYLE], []
     for name, scene in make_scenes(options.data).items():
-        if options.scenes and name not in options.scenes:
-            continue
-        for row in measure_scene_rows(name, scene, style):
-            rows.append(row)
-            print(_line(row), file=sys.stderr, flush=True)
+        for preset in options.presets if not options.scenes or name in options.scenes else ():
+            config = resolve_config(preset_file(preset)) if preset else None
+            title = f"{name}, {preset}" if preset else name
+            for row in measure_scene_rows(title, scene, style, config):
+                rows.append(row)
+                print(_line(row), file=sys.stderr, flush=True)
     text = _report(rows, arguments if arguments is not None else sys.argv[1:])
+    if options.presets != [""]:
+        text += "\n".join(["", *_against_time(rows), ""])
     publish(text, options.report)
     return 0
+
+
+def _against_time(rows: Sequence[Row]) -> list[str]:
+    """A table of the CPU seconds and the largest true errors of each scene's run."""
+    lines = ["| run | CPU seconds | largest true errors |", "|---|---|---|"]
+    for name in dict.fromkeys(row.scene for row in rows):
+        (seconds,) = [row.told for row in rows if row.scene == name and row.row == SECONDS]
+        known = [row for row in rows if row.scene == name and np.isfinite(row.true)]
+        largest = sorted(known, key=lambda row: row.true, reverse=True)[:4]
+        cells = ", ".join(f"{row.row} {row.true:.1%}" for row in largest)
+        lines.append(f"| {name} | {seconds:.1f} | {cells} |")
+    return lines
 
 
 def _line(row: Row) -> str:
@@ -281,7 +312,10 @@ def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
     ]
     columns = ["scene", "row", "told", "true", "told / true", "remark"]
     return table_page(
-        intro, columns, [*map(_line, rows)], ["python -m benchmarks.told_true", *arguments]
+        intro,
+        columns,
+        [_line(row) for row in rows if row.row != SECONDS],
+        ["python -m benchmarks.told_true", *arguments],
     )
 
 

@@ -188,7 +188,8 @@ def test_each_grid_of_a_source_file_is_read_once(
         write_text(shot.stage, world(volume_prim(body, relations=relations)))
     run(shot, *settings)
     names = [f"cache/smoke.{number:04d}.vdb" for number in (1, 2, 3)]
-    assert set(reads.sources) == {(name, grid) for name in names for grid in ("density", "vel")}
+    wanted = {(name, grid) for name in names for grid in ("density", "vel")}
+    assert set(reads.sources) == wanted - {(names[2], "vel")}  # nothing goes on from the last
     assert set(reads.sources.values()) == {1}
 
 
@@ -223,7 +224,8 @@ def test_velocity_is_read_only_where_a_frame_has_a_neighbour(
     assert "windows.size" in reasons(shot, "windows.size=1")["velocity grids"]
     assert {grid for _, grid in reads.sources} == {"density"}
     assert "velocity grids" not in reasons(shot)
-    assert {grid for _, grid in reads.sources} == {"density", "vel"}
+    read = {file_path for file_path, grid in reads.sources if grid == "vel"}
+    assert read == {f"cache/smoke.{code:04d}.vdb" for code in (1, 2)}  # the third leads nowhere
 
 
 def test_without_a_colour_step_no_colour_is_written(

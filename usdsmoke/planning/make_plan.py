@@ -5,7 +5,7 @@ No voxel is read and torch is not loaded.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from usdsmoke.base.errors import ConfigError, GridError, PlanError
@@ -32,7 +32,7 @@ from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import visible_share
-from usdsmoke.planning.windows import Window, coarse_runs, find_cuts, split_windows
+from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
 from usdsmoke.usd.volume_settings import VolumeSettings
 from usdsmoke.vdb.header import FileHeader, read_header
 
@@ -201,14 +201,16 @@ def _plan_volume(
     if not any(computed):  # the result is the source: there is nothing to carry or to blend
         windows = tuple(replace(window, overlap=(), continues=False) for window in windows)
     names = result_file_names(volume, stem)
-    window_of = {code: window for window in windows for code in window.time_codes}
+    runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
+    starts = {window.time_codes[0] for window in windows}
+    followed = followed_codes(windows, runs)
     frames = []
     for frame in volume.frames:
         _read_headers(frame, headers)
     for frame, to_do in zip(volume.frames, computed, strict=True):
-        window, name = window_of[frame.time_code], names[frame.time_code]
-        frames.append(_plan_frame(volume, frame, window, name, config, headers, to_do))
-    runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
+        code = frame.time_code
+        place = _Place(names[code], code in starts, code in followed, to_do)
+        frames.append(_plan_frame(volume, frame, place, config, headers))
     cuts = find_cuts(time_codes, frame_length)
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
     planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
@@ -227,29 +229,36 @@ def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: boo
     return replace(frame, others=grids, size=size)
 
 
+@dataclass(frozen=True)
+class _Place:
+    """A frame's place in the run."""
+
+    file_name: str
+    is_start: bool  # of a window
+    is_followed: bool  # by a frame that goes on from it
+    is_computed: bool
+
+
 def _plan_frame(
     volume: VolumeSource,
     frame: FrameSource,
-    window: Window,
-    file_name: str,
+    place: _Place,
     config: Config,
     headers: Mapping[str, FileHeader],
-    computed: bool,
 ) -> FramePlan:
     density = frame.fields[volume.density]
     grid = find_density(volume, frame, headers[density.file_path])
     velocity = find_frame_velocity(volume, frame, headers, config)
     copied = velocity if is_copied(velocity, density, config) else None
-    followed = window.continues or len(window.time_codes) > 1
     mask = find_frame_mask(volume, frame, headers, config)
     size = FrameSize(
         *grid_size(density.file_path, grid),
-        window_start=frame.time_code == window.time_codes[0],
+        window_start=place.is_start,
         n_copied=0 if copied is None else 3,
         visible=visible_share(frame, density, grid, config),
-        computed=computed,
+        computed=place.is_computed,
     )
-    if size.active_voxels == 0 or not computed:
+    if size.active_voxels == 0 or not place.is_computed:
         mask = None
     if mask is not None:
         size = replace(size, mask_box=grid_size(mask.field.file_path, mask.grid)[1])
@@ -257,10 +266,10 @@ def _plan_frame(
         source=frame,
         size=size,
         grid=grid,
-        velocity=velocity if followed and config.stage.motion == "velocity" else None,
+        velocity=velocity if place.is_followed and config.stage.motion == "velocity" else None,
         copied=copied,
         mask=mask,
-        file_name=file_name,
+        file_name=place.file_name,
     )
 
 

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.sections import ColourConfig
+from usdsmoke.base.time_codes import name_time_codes, parse_frames, select_frames
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
+from usdsmoke.planning.windows import followed_codes
 
 # Times the default learning rate. On the example plume of 32 voxels 16 times it ends 6 % worse, 100
 # times 21 % and 1000 times 134 %; the shape step's rate makes no difference (< 1 %).
@@ -23,7 +25,13 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     """Sentences about all Volumes, each once."""
     found: list[str] = []
     for volume in volumes:
-        found += [*_part(volume), *_rate(volume), *_coarse(volume)]
+        found += [
+            *_part(volume),
+            *_measured_elsewhere(volume),
+            *_rate(volume),
+            *_coarse(volume),
+            *_unmoved(volume),
+        ]
         found += lights_remark(volume.config, volume)
     return tuple(dict.fromkeys(found))
 
@@ -35,6 +43,22 @@ def measured_on_part(volume: VolumePlan) -> bool:
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
 
+def _unmoved(volume: VolumePlan) -> list[str]:
+    """Frames without a velocity among frames that have one."""
+    if volume.config.stage.motion != "velocity":
+        return []
+    followed = followed_codes(volume.windows, volume.coarse_runs)
+    frames = [frame for frame in volume.frames if frame.source.time_code in followed]
+    still = [frame for frame in frames if frame.velocity is None and not frame.is_empty]
+    if not still or len(still) == len(frames):
+        return []
+    codes = name_time_codes(frame.source.time_code for frame in still)
+    return [
+        f"<{volume.source.prim_path}> has no velocity at {codes}: from there to the next frame the "
+        "pattern stays in place and does not follow the smoke. Write the velocity there too"
+    ]
+
+
 def _part(volume: VolumePlan) -> list[str]:
     if not measured_on_part(volume):
         return []
@@ -44,6 +68,21 @@ def _part(volume: VolumePlan) -> list[str]:
         f"{len(volume.frames)} selected of {n_all}: another selection looks slightly different. "
         "To keep one look, make this result longer with the same command and more --frames, or "
         "set optics.gamma and optics.gamma_shape"
+    ]
+
+
+def _measured_elsewhere(volume: VolumePlan) -> list[str]:
+    """TimeCodes of ``optics.frames`` that are not stylized, and so not measured."""
+    if not volume.config.optics.frames:
+        return []
+    ranges, here = parse_frames(volume.config.optics.frames), volume.frames
+    named, _ = select_frames(ranges, volume.source.time_codes)
+    absent = sorted(set(named) - {frame.source.time_code for frame in here})
+    if not absent:
+        return []
+    return [
+        f"optics.frames names {name_time_codes(absent)} of <{volume.source.prim_path}>, which "
+        "this run does not stylize: extinction and exposure are measured on selected frames only"
     ]
 
 

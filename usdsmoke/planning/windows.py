@@ -101,6 +101,20 @@ def split_windows(
     return tuple(windows)
 
 
+def followed_codes(
+    windows: Sequence[Window], runs: Sequence[tuple[float, ...]]
+) -> frozenset[float]:
+    """The timeCodes from which a window or a coarse step goes on to the next frame.
+
+    The velocity of these frames carries the pattern; that of a chain's last frame is not used.
+
+    >>> sorted(followed_codes(split_windows([1, 2, 3, 10], WindowsConfig(size=9)), ()))
+    [1, 2]
+    """
+    chains = [*(window.time_codes + window.overlap for window in windows), *runs]
+    return frozenset(code for chain in chains for code in chain[:-1])
+
+
 def coarse_runs(windows: Sequence[Window]) -> tuple[tuple[float, ...], ...]:
     """The timeCodes that share a coarse step, separated by cuts; none for a single window.
 

@@ -7,6 +7,7 @@ import pytest
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
+from tests.fixtures.usd_fixtures import write_vdb
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
 
@@ -37,6 +38,25 @@ def test_a_part_of_a_shot_is_measured_on_that_part_and_the_plan_says_so(shot: Sh
     known = ("optics.gamma=1", "optics.gamma_shape=1")
     assert plan_of(shot, "stage.frames=1-2", *known).notes == ()
     assert plan_of(shot, "stage.frames=1-2", known[0]).notes
+
+
+def test_frames_that_are_to_be_measured_but_not_stylized_are_named(shot: Shot) -> None:
+    measured = "optics.frames=1-3"
+    (note,) = (n for n in plan_of(shot, "stage.frames=2", measured).notes if "optics.frames" in n)
+    assert "timeCodes 1,3" in note
+    assert plan_of(shot, measured).notes == ()
+
+
+def test_a_frame_without_a_velocity_among_others_is_named(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=4, names=("density", "vel"))
+    assert plan_of(shot).notes == ()
+    for last in (4, 2):  # nothing goes on from the last frame
+        write_vdb(shot.stage.parent / f"cache/smoke.{last:04d}.vdb")
+        notes = plan_of(shot).notes
+        assert len(notes) == (last == 2)
+    assert "no velocity at timeCode 2:" in notes[0] and "stays in place" in notes[0]
+    assert plan_of(shot, "stage.motion=estimate").notes == ()
+    assert plan_of(shot, "windows.size=1").notes == ()
 
 
 @pytest.mark.parametrize(
