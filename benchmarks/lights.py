@@ -12,7 +12,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -32,6 +31,7 @@ from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import frame_views, measure_scene
 from usdsmoke.pictures import read_style_image
 from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.work_precision.path_tracer import TracedSmoke
 
 DEPTHS = (0.1, 1.0, 4.0, 10.0, 50.0)
 SUN = (0.8, 0.5, 0.33)
@@ -51,149 +51,10 @@ def lumpy_ball(n: int) -> np.ndarray:
     return found
 
 
-def mitsuba_picture(
-    field: DenseField,
-    gamma_w: float,
-    scattering: Scattering,
-    view: View,
-    samples: int,
-    seed: int,
-) -> np.ndarray:
-    """The light that smoke scatters once, [H W 3]; without lights, the transmittance of white.
-
-    Args:
-        field: in stage space.
-        view: orthographic.
-        samples: a pixel.
-    """
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
-    place = mi.ScalarTransform4f
-    to_stage, g = _unit_to_stage(field), scattering.anisotropy
-    medium = {
-        "type": "heterogeneous",
-        "albedo": scattering.albedo,
-        "scale": gamma_w,
-        "sigma_t": _grid(field),
-        "phase": {"type": "hg", "g": g} if g else {"type": "isotropic"},
-    }
-    radius = float(np.linalg.norm(to_stage[:3, :3].sum(0)))
-    integrator = {"type": "volpath", "max_depth": 2, "rr_depth": 99, "hide_emitters": True}
-    scene: dict[str, Any] = {"type": "scene", "integrator": integrator}
-    scene["smoke"] = {
-        "type": "cube",
-        "to_world": place(to_stage.T) @ place().translate([0.5] * 3).scale([0.5] * 3),
-        "bsdf": {"type": "null"},
-        "interior": medium,
-    }
-    scene["sensor"] = _sensor(view, radius, samples)
-    if not scattering.lights:
-        integrator["hide_emitters"] = False
-    scene |= _emitters(scattering)
-    return np.array(mi.render(mi.load_dict(scene), spp=samples, seed=seed))
-
-
-def mitsuba_emission(
-    field: DenseField, colours: DenseField, gamma_w: float, view: View, samples: int, seed: int
-) -> np.ndarray:
-    """Emission and absorption, [H W 3]: the colour where a ray ends that flies freely.
-
-    Mitsuba's media do not glow, so an integrator of a few lines asks them where a ray ends.
-
-    Args:
-        field: density, in stage space; the rest as in ``mitsuba_picture``.
-        colours: [i j k 3] on its lattice.
-    """
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
-    fog = {"type": "heterogeneous", "scale": gamma_w, "sigma_t": _grid(field)}
-    medium = mi.load_dict(fog | {"albedo": _grid(colours)})
-
-    class Emission(mi.SamplingIntegrator):  # type: ignore[misc]
-        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: bool) -> Any:
-            ray = mi.Ray3f(ray)
-            while (found := fog_at(ray, sampler.next_1d(), 0, True)).is_valid():
-                if sampler.next_1d() < found.sigma_t[0] / found.combined_extinction[0]:
-                    return found.sigma_s / found.sigma_t, True, []
-                ray = mi.Ray3f(found.p, ray.d)
-            return mi.Color3f(0.0), False, []
-
-    fog_at = medium.sample_interaction
-    mi.register_integrator("emission", Emission)
-    radius = float(np.linalg.norm(_unit_to_stage(field)[:3, :3].sum(0)))
-    sensor = _sensor(view, radius, samples)
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "emission"}, "sensor": sensor})
-    return np.array(mi.render(scene, spp=samples, seed=seed))
-
-
-def _unit_to_stage(field: DenseField) -> np.ndarray:
-    """[4 4] from the unit cube to the box of a field's voxels."""
-    corner = np.eye(4)
-    corner[:3, :3] = np.diag(field.values.shape[:3])
-    corner[3, :3] = np.asarray(field.ijk_min) - 0.5
-    found: np.ndarray = corner @ field.index_to_world
-    return found
-
-
-def _grid(field: DenseField) -> dict[str, Any]:
-    """Mitsuba's volume of a field: trilinear between the voxels' centres."""
-    import mitsuba as mi
-
-    n_channels = 1 if field.values.ndim == 3 else 3
-    values = field.values.reshape(*field.values.shape[:3], n_channels).transpose(2, 1, 0, 3)
-    return {
-        "type": "gridvolume",
-        "grid": mi.VolumeGrid(np.ascontiguousarray(values)),
-        "to_world": mi.ScalarTransform4f(_unit_to_stage(field).T),
-        "raw": True,
-    }
-
-
-def _sensor(view: View, distance: float, samples: int) -> dict[str, Any]:
-    """An orthographic camera, so far from the picture's plane."""
-    import mitsuba as mi
-
-    place, half = mi.ScalarTransform4f, view.width * view.pixel_size / 2
-    eye = place().look_at(
-        origin=(view.centre - distance * view.forward).tolist(),
-        target=view.centre.tolist(),
-        up=view.up.tolist(),
-    )
-    film = {
-        "type": "hdrfilm",
-        "width": view.width,
-        "height": view.height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-    }
-    return {
-        "type": "orthographic",
-        "to_world": eye @ place().scale([half, half, 1]),
-        "film": film,
-        "sampler": {"type": "independent", "sample_count": samples},
-    }
-
-
-def _emitters(scattering: Scattering) -> dict[str, Any]:
-    """Mitsuba's lights; all white around where there are none."""
-    found: dict[str, Any] = {}
-    for number, light in enumerate(scattering.lights):
-        colour = {"type": "rgb", "value": list(light.colour)}
-        if light.towards is None:
-            found[f"light{number}"] = {"type": "constant", "radiance": colour}
-        else:
-            way = (-np.array(light.towards)).tolist()
-            sun = {"type": "directional", "direction": way, "irradiance": colour}
-            found[f"light{number}"] = sun
-    return found or {"white": {"type": "constant"}}
-
-
 def our_picture(
     field: DenseField, gamma_w: float, scattering: Scattering, view: View
 ) -> torch.Tensor:
-    """The same by the model, [H W 3]."""
+    """The same as ``TracedSmoke.lit`` by the model, [H W 3]."""
     smoke = activate(field, np.eye(4), torch.device("cpu"))
     image, alpha = colour_map(
         smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
@@ -207,7 +68,7 @@ def our_picture(
 def our_emission(
     field: DenseField, colours: DenseField, gamma_w: float, view: View
 ) -> torch.Tensor:
-    """The same as ``mitsuba_emission`` by the model, [H W 3]."""
+    """The same as ``TracedSmoke.glow`` by the model, [H W 3]."""
     smoke = activate(field, np.eye(4), torch.device("cpu"))
     image, _ = colour_map(
         smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
@@ -259,11 +120,12 @@ class _Case:
         return self.depth / float((lumpy_ball(self.n).sum(2) / self.n).max())
 
     def theirs(self, seed: int) -> float:
-        smoke, extinction, rest = self.smoke(), self.gamma_w, (self.view, self.samples, seed)
+        scattering = self.scattering or Scattering((), 0.0)
+        smoke = TracedSmoke(self.smoke(), self.gamma_w, scattering)
         if self.scattering is None:
-            picture = mitsuba_emission(smoke, self.colours(), extinction, *rest)
+            picture = smoke.glow(self.colours(), self.view, self.samples, seed)
         else:
-            picture = mitsuba_picture(smoke, extinction, self.scattering, *rest)
+            picture = smoke.lit(self.view, self.samples, seed)
         return float(picture[..., 2].mean())
 
     def ours(self, factor: int) -> float:
@@ -321,7 +183,7 @@ def closure(
     lighting = light_smoke(smoke, scene.gamma_w, scattering)
     views = frame_views(smoke, config.views.replace(pool=4, sampling="poisson"), scene, 12345, 1)
     lit = [
-        torch.from_numpy(mitsuba_picture(density, scene.gamma_w, scattering, view, samples, 0))
+        torch.from_numpy(TracedSmoke(density, scene.gamma_w, scattering).lit(view, samples, 0))
         for view in views
     ]
     ours = [our_picture(density, scene.gamma_w, scattering, view) for view in views]

@@ -11,8 +11,6 @@ import torch
 from benchmarks.lights import (
     field_of,
     lumpy_ball,
-    mitsuba_emission,
-    mitsuba_picture,
     our_emission,
     our_picture,
     refined,
@@ -20,6 +18,7 @@ from benchmarks.lights import (
 )
 from usdsmoke.base.volume import DenseField, LightSource, Scattering
 from usdsmoke.core.views.cameras import View
+from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba 3 is not installed"
@@ -52,7 +51,7 @@ def extinction(depth: float) -> float:
 def compare(scattering: Scattering, depth: float) -> None:
     gamma_w = extinction(depth)
     within_three_errors(
-        lambda seed: mitsuba_picture(field_of(DENSITY), gamma_w, scattering, VIEW, SAMPLES, seed),
+        lambda seed: TracedSmoke(field_of(DENSITY), gamma_w, scattering).lit(VIEW, SAMPLES, seed),
         lambda smoke, view: our_picture(smoke, gamma_w, scattering, view),
     )
 
@@ -67,8 +66,8 @@ def test_emission_is_within_three_standard_errors(depth: float) -> None:
     gamma_w, colours = extinction(depth), stripes(N)
     finer = field_of(refined(colours, FINER))
     within_three_errors(
-        lambda seed: mitsuba_emission(
-            field_of(DENSITY), field_of(colours), gamma_w, VIEW, 3 * SAMPLES, seed
+        lambda seed: TracedSmoke(field_of(DENSITY), gamma_w, Scattering((), 0.0)).glow(
+            field_of(colours), VIEW, 3 * SAMPLES, seed
         ),
         lambda smoke, view: our_emission(smoke, finer, gamma_w, view),
     )
@@ -79,3 +78,23 @@ def test_emission_is_within_three_standard_errors(depth: float) -> None:
 def test_single_scattering_is_within_three_standard_errors(towards, depth, anisotropy) -> None:
     sun = LightSource("/sun", (1.0, 0.5, 0.25), towards)
     compare(Scattering((sun,), 0.9, anisotropy), depth)
+
+
+def test_glow_that_is_scattered_many_times_is_that_of_a_half_space() -> None:
+    """Opaque smoke that glows with 1 - a: sqrt(1 - a) H(1) along the normal, with Chandrasekhar's
+    H(mu) = 1 + a / 2 mu H(mu) times the integral of H(nu) / (mu + nu) over nu from 0 to 1."""
+    albedo, n = 0.6, 8
+    smoke = field_of(np.ones((n, n, n), np.float32))
+    colours = field_of(np.full((n, n, n, 3), 1 - albedo, np.float32))
+    view = View(np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2], np.zeros(3), 4, 4, 1 / n)
+    traced = TracedSmoke(smoke, 400.0, Scattering((), albedo))
+    nodes, weights = (values / 2 for values in np.polynomial.legendre.leggauss(64))
+    nodes, h = nodes + 0.5, np.ones(64)
+    for _ in range(200):
+        h = 1 / (1 - albedo / 2 * nodes * ((weights * h) / (nodes[:, None] + nodes)).sum(1))
+    along = 1 / (1 - albedo / 2 * ((weights * h) / (1 + nodes)).sum())
+    found = [traced.glow(colours, view, 64, seed, MOST_BOUNCES).mean() for seed in range(SEEDS)]
+    error = np.std(found, ddof=1) / SEEDS**0.5
+    assert error < 0.02
+    assert abs(np.mean(found) - (1 - albedo) ** 0.5 * along) < 3 * error
+    assert traced.glow(colours, view, 64, 0).mean() == pytest.approx(1 - albedo, rel=1e-3)
