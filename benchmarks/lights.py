@@ -1,9 +1,9 @@
 """Light that smoke scatters against Mitsuba 3, and style under a sun with and without it.
 
 Two tables. ``agreement``: mean pictures of a lumpy ball, transmittance, emission and single
-scattering, at several optical depths. ``closure``: style loss of one frame's colour picture under a
-sun and a sky, on views that are not optimised, with the scattered light drawn by Mitsuba; painted
-without and with the light in the model. Takes ten minutes on one core. Mitsuba is an optional
+scattering, at several optical depths. ``closure``: style loss of one frame under a sun and a sky,
+as Mitsuba draws it, on views that are not optimised; painted without and with the light in the
+model, as an albedo, and as both. Takes ten minutes on one core. Mitsuba is an optional
 dependency: ``pip install usdsmoke[reference]``.
 """
 
@@ -12,26 +12,29 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
 from benchmarks.circumstances import circumstances
+from usdsmoke.base.naming import EMISSION, SCATTERING
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, LightSource, Scattering, VolumeFrame
+from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
-from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.steps.colour import run_colour_step
+from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.steps.light_share import white_exposure
 from usdsmoke.core.steps.pictures import prepare_views
 from usdsmoke.core.steps.targets import StepProblem, make_targets
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.lighting import light_smoke
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import frame_views, measure_scene
-from usdsmoke.pictures import read_style_image
+from usdsmoke.pictures import compose_sheet, read_style_image, write_png
 from usdsmoke.vdb.read import GridRequest, read_grids
-from usdsmoke.work_precision.path_tracer import TracedSmoke
+from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke
 
 DEPTHS = (0.1, 1.0, 4.0, 10.0, 50.0)
 SUN = (0.8, 0.5, 0.33)
@@ -170,65 +173,124 @@ def _row(what: str, theirs: Sequence[float], ours: Sequence[float]) -> str:
     return f"| {what} | {mean:.6f} ± {spread:.6f} | {' | '.join(found)} |"
 
 
+@dataclass(frozen=True)
+class _Painting:
+    """What is painted, and what the smoke scatters beside it."""
+
+    name: str
+    settings: dict[str, Any]
+    knows_light: bool = True
+
+
+PAINTINGS = (
+    _Painting("without the light", {}, knows_light=False),
+    _Painting("with it", {}),
+    _Painting("albedo", {"colour.target": "albedo"}),
+    _Painting("both", {"colour.target": "both"}),
+)
+
+
 def closure(
-    vdb_file: str, styles: Sequence[str], iterations: int, samples: int
-) -> tuple[list[str], float]:
-    """Rows of the second table, and by how much the model's light differs from Mitsuba's."""
-    config = Config().with_values({"optimize.iterations": iterations, "optics.albedo": 0.9})
-    (density,) = read_grids(vdb_file, [GridRequest("density")], config.grids)
-    smoke = activate(density, np.eye(4), torch.device("cpu"))
-    frame = VolumeFrame(1.0, density, np.eye(4))
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
-    scattering = Scattering(LIGHTS, 0.9)
-    lighting = light_smoke(smoke, scene.gamma_w, scattering)
-    views = frame_views(smoke, config.views.replace(pool=4, sampling="poisson"), scene, 12345, 1)
-    lit = [
-        torch.from_numpy(TracedSmoke(density, scene.gamma_w, scattering).lit(view, samples, 0))
-        for view in views
-    ]
-    ours = [our_picture(density, scene.gamma_w, scattering, view) for view in views]
-    pairs = list(zip(lit, ours, strict=True))
-    apart = float(np.mean([float((b - a).mean() / a.mean()) for a, b in pairs]))
+    vdb_file: str, styles: Sequence[str], iterations: int, samples: int, pictures: Path | None
+) -> list[str]:
+    """Rows of the second table."""
+    plain = Config().with_values({"optimize.iterations": iterations})
+    (density,) = read_grids(vdb_file, [GridRequest("density")], plain.grids)
+    frame = VolumeFrame(1.0, density, np.eye(4), lights=LIGHTS)
     rows = []
     for style in styles:
         pixels = read_style_image(style).pixels
-        targets = make_targets([pixels], scene, config, torch.device("cpu"))
-        problem = StepProblem(smoke, targets, scene, config)
-        count = [iterations] * len(config.colour.iterations)
-        found = []
-        for light in (None, lighting):
-            started = time.process_time()
-            colours, _ = run_colour_step(replace(problem, lighting=light), count)
-            seconds = time.process_time() - started
-            found.append((_score(problem, colours, views, lit), seconds))
-        (without, before), (with_light, after) = found
-        rows.append(
-            f"| {Path(style).stem} | {without:.3f} | {with_light:.3f} | {after / before:.2f} |"
-        )
-        print(rows[-1], flush=True)
-    return rows, apart
+        drawn = []
+        for painting in PAINTINGS:
+            config = plain.with_values(painting.settings)
+            scored = _score(_paint(frame, config, pixels, painting), samples)
+            rows.append(f"| {Path(style).stem} | {painting.name} | {scored.text} |")
+            drawn += scored.pictures
+            print(rows[-1], flush=True)
+        if pictures is not None:
+            _show(pictures / f"lights_{Path(style).stem}.png", drawn, pixels)
+    return rows
 
 
-def _score(
-    problem: StepProblem, colours: torch.Tensor, views: Sequence[View], lit: Sequence[torch.Tensor]
-) -> float:
-    """Style loss of the pictures with Mitsuba's light in them, mean over the views."""
-    smoke: ActiveSmoke = problem.smoke
-    made = prepare_views(smoke, views, problem.scene.gamma_w, problem.scene.exposure)
-    loss, behind = problem.targets.at(1), problem.targets.background
-    with torch.no_grad():
-        found = [
-            float(
-                loss(
-                    replace(view, scattered=light.to(view.alpha)).unpremultiplied(
-                        decode_srgb(colours), behind
-                    ),
-                    view.guide,
-                )
-            )
-            for view, light in zip(made, lit, strict=True)
+@dataclass(frozen=True)
+class _Painted:
+    """A frame of smoke with what is written of it, as ``stylize`` would."""
+
+    frame: VolumeFrame
+    smoke: ActiveSmoke
+    problem: StepProblem
+    emission: DenseField  # over the extinction, [i j k 3]
+    albedo: DenseField | None  # of each voxel
+    scattering: Scattering
+    seconds: float  # CPU, of painting
+
+
+def _paint(frame: VolumeFrame, config: Config, pixels: np.ndarray, painting: _Painting) -> _Painted:
+    """One colour step, at full resolution and strength."""
+    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    if config.colour.target == "albedo":
+        scene = replace(scene, stops=white_exposure([frame], config, scene))
+    started = time.process_time()
+    lights = frame.lights if painting.knows_light else ()
+    config = config.with_values({"optimize.steps": ["colour"], "optimize.error_budget": False})
+    (result,) = stylize_window([replace(frame, lights=lights)], [pixels], scene, config)
+    seconds = time.process_time() - started
+    smoke = activate(result.density, np.eye(4), torch.device("cpu"))
+    targets = make_targets([pixels], scene, config, torch.device("cpu"))
+    sigma = (scene.gamma_w * result.density.values).clip(1e-30)[..., None]
+    over = {field.name: replace(field, values=field.values / sigma) for field in result.painted}
+    black = replace(result.painted[0], values=np.zeros_like(result.painted[0].values))
+    return _Painted(
+        frame, smoke, StepProblem(smoke, targets, scene, config), over.get(EMISSION, black),
+        over.get(SCATTERING), Scattering(frame.lights, config.albedo), seconds,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Scored:
+    text: str  # cells of the table
+    pictures: list[tuple[str, np.ndarray]]
+
+
+def _score(painted: _Painted, samples: int) -> _Scored:
+    """Style loss of Mitsuba's pictures of views that are not optimised, scattered once and with
+    all bounces."""
+    scene, targets, views = painted.problem.scene, painted.problem.targets, _views(painted)
+    traced = TracedSmoke(painted.frame.density, scene.gamma_w, painted.scattering, painted.albedo)
+    made = prepare_views(painted.smoke, views, scene.gamma_w, scene.exposure)
+    loss, found, pictures = targets.at(1), {}, []
+    for bounces in (1, MOST_BOUNCES):
+        losses = []
+        for view, look in zip(views, made, strict=True):
+            light = traced.lit(view, samples, 0, bounces)
+            again = 0 if bounces == 1 else bounces
+            light = light + traced.glow(painted.emission, view, samples, 0, again)
+            light = light * 2.0**scene.stops
+            picture = look.over(torch.from_numpy(light).to(look.alpha), targets.background)
+            losses.append(float(loss(picture, look.guide)))
+            if view is views[0]:
+                pictures.append(encode_srgb(torch.from_numpy(light).clamp(0, 1)).numpy())
+        found[bounces] = float(np.mean(losses))
+    text = f"{found[1]:.2f} | {found[MOST_BOUNCES]:.2f} | {painted.seconds:.1f}"
+    return _Scored(text, [("", picture) for picture in pictures])
+
+
+def _views(painted: _Painted) -> list[View]:
+    views = painted.problem.config.views.replace(pool=4, sampling="poisson")
+    return frame_views(painted.smoke, views, painted.problem.scene, 12345, 1)
+
+
+def _show(target: Path, drawn: Sequence[tuple[str, np.ndarray]], style: np.ndarray) -> None:
+    """Scattered once above all bounces, one painting beside the other."""
+    names = [painting.name for painting in PAINTINGS]
+    rows = [
+        [
+            (f"{name}, {kind}", drawn[2 * n + row][1].repeat(4, 0).repeat(4, 1))
+            for n, name in enumerate(names)
         ]
-    return float(np.mean(found))
+        for row, kind in enumerate(("once", "all bounces"))
+    ]
+    write_png(target, compose_sheet("", rows, [style]))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -239,12 +301,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--voxels", type=int, default=48, help="of the ball, a side")
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--samples", type=int, default=32, help="a pixel and seed")
-    parser.add_argument("--iterations", type=int, default=60, help="of the colour step, an octave")
+    parser.add_argument("--iterations", type=int, default=180, help="of the colour step")
     parser.add_argument("--report", type=Path)
+    parser.add_argument("--pictures", type=Path, help="a folder for a picture of each style")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     rows = agreement(given.voxels, given.seeds, given.samples)
-    closures, apart = closure(given.vdb, given.styles, given.iterations, 8 * given.samples)
+    closures = closure(given.vdb, given.styles, given.iterations, 2 * given.samples, given.pictures)
     command = ["python", "-m", "benchmarks.lights", given.vdb, *given.styles]
     lines = [
         "# Lights",
@@ -259,13 +322,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "| --- | --- | --- | --- | --- |",
         *rows,
         "",
-        "Style loss under a sun and a sky, albedo 0.9, colour step alone, mean over four views",
-        "that are not optimised; the light is drawn by Mitsuba. Painted without and with the light",
-        "in the model, and CPU time of the second relative to the first. The model's light differs",
-        f"from Mitsuba's by {apart:+.0%} in the mean.",
+        "Style loss under a sun and a sky, colour step alone, of pictures that Mitsuba draws,",
+        "mean over four views that are not optimised: light scattered once and glow not at all,",
+        "then both with all bounces. Painted without and with the light in the model (albedo 0.5),",
+        "and with `colour.target` albedo and both. CPU time of painting.",
         "",
-        "| style | without | with | CPU time |",
-        "| --- | --- | --- | --- |",
+        "| style | painted | once | all bounces | CPU seconds |",
+        "| --- | --- | --- | --- | --- |",
         *closures,
         "",
         *circumstances(command),

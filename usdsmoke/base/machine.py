@@ -33,6 +33,7 @@ _INSTALL = {  # module: what to do if it is missing
     "jinja2": "pip install 'usdsmoke[report]'",
     "distributed": "pip install 'usdsmoke[cluster]'",
     "prov": "pip install 'usdsmoke[prov]'",
+    "mitsuba": "pip install 'usdsmoke[reference]'",
 }
 
 

@@ -124,7 +124,7 @@ class Smoke:
 
         media = []
         for volume in shown:
-            density, light, colour = self._fields(volume)
+            density, light, colour = self.fields(volume)
             light = None if light is None else self._absolute(volume, density, light)
             if density.is_empty:
                 continue
@@ -164,7 +164,7 @@ class Smoke:
             found[name] = None
         return replace(volume, **found)
 
-    def _fields(
+    def fields(
         self, volume: ComposedVolume
     ) -> tuple[DenseField, DenseField | None, DenseField | None]:
         """Density, emission, and scattering colour; each file is read once."""

@@ -5,6 +5,7 @@ of a few lines, which asks a medium where a ray ends and finds the colour there.
 ``scalar_rgb`` is used: it needs no compiler at run time, and draws about 50 000 rays a second.
 """
 
+import importlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +71,9 @@ class TracedSmoke:
         phase = mi.load_dict(_phase(self.scattering.anisotropy))
         context = mi.PhaseFunctionContext()
 
-        class Glow(mi.SamplingIntegrator):  # type: ignore[misc]
+        base: Any = mi.SamplingIntegrator
+
+        class Glow(base):
             def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: bool) -> Any:
                 ray, total, left = mi.Ray3f(ray), mi.Color3f(0.0), mi.Color3f(1.0)
                 bounce, is_hit = 0, False
@@ -143,10 +146,10 @@ class TracedSmoke:
 
 def _mitsuba() -> Any:
     """The module, in the variant that runs everywhere."""
-    import mitsuba
-
-    mitsuba.set_variant("scalar_rgb")
-    return mitsuba
+    mi = importlib.import_module("mitsuba")
+    mi.set_variant("scalar_rgb")
+    mi.set_log_level(mi.LogLevel.Error)  # it warns of integrators in Python, for their speed
+    return mi
 
 
 def _phase(anisotropy: float) -> dict[str, Any]:

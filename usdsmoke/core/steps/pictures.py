@@ -138,10 +138,12 @@ class ColourView:
         would have to take impossible colours to look like the style, and ends in tints that the
         style does not have.
         """
-        alpha = self.alpha[..., None]
+        return self.over(self.shown(colours), background)
+
+    def over(self, light: Tensor, background: Tensor) -> Tensor:
+        """The same of the painted smoke's light in the picture, [H W 3]."""
         behind = BACKDROP * self.thin
-        light = self.shown(colours) + behind * background
-        return encode_srgb(light / (alpha + behind))
+        return encode_srgb((light + behind * background) / (self.alpha[..., None] + behind))
 
     def shown(self, colours: Tensor) -> Tensor:
         """Light of the painted smoke in the picture, [H W 3]."""

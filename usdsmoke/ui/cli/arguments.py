@@ -241,7 +241,12 @@ def _add_report(commands: Any) -> None:
     parser = add_command(
         commands, "report", "measure the benefit and cost of the settings on a scene", plans=True
     )
-    parser.add_argument("stage", metavar="STAGE", help="a USD file")
+    parser.add_argument("stage", metavar="STAGE", help="a USD file; with --final a result's")
+    parser.add_argument(
+        "--final",
+        action="store_true",
+        help="draw a result under its lights with many bounces, and score it; needs Mitsuba 3",
+    )
     parser.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="the folder of the report"
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.resolve import resolve_config, settings_yaml
+from usdsmoke.base.resolve import Settings, resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.ui.cli.options import given_settings
@@ -186,6 +186,8 @@ def run_report(arguments: argparse.Namespace) -> int:
     from usdsmoke.work_precision import make_report, report_as_dict
 
     settings = given_settings(arguments)
+    if arguments.final:
+        return _run_final(arguments, settings)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         result = make_report(
@@ -201,6 +203,24 @@ def run_report(arguments: argparse.Namespace) -> int:
         arguments,
         lambda: {"page": str(result.page), "files": files, **report_as_dict(result.report)},
         lambda: _report_text(result),
+    )
+    return 0
+
+
+def _run_final(arguments: argparse.Namespace, settings: Settings) -> int:
+    from usdsmoke.work_precision import check_final
+
+    found, files = check_final(arguments.stage, arguments.style, arguments.output, settings)
+    show(
+        arguments,
+        lambda: {**asdict(found), "files": [str(path) for path in files]},
+        lambda: "\n".join(
+            [
+                str(files[0]),
+                *(f"  {name}: style loss {loss:.4g}" for name, loss in found.loss.items()),
+                f"  bounces add {found.bounces_add:.0%} to the light",
+            ]
+        ),
     )
     return 0
 
