@@ -62,6 +62,7 @@ def compose_sheet(
     wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
     width = 2 * _MARGIN + n_columns * (wide + _GAP) + bool(styles) * (_STYLE + _GAP) - _GAP
+    width = max(width, 2 * _MARGIN + math.ceil(font.getlength(title)))
     height = 2 * _MARGIN + _LABEL + max(len(rows), 1) * (tall + _LABEL + _GAP)
     sheet = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(sheet)

@@ -46,15 +46,17 @@ def copy_stage_metadata(stage: Usd.Stage, layer: Sdf.Layer, folder: Path) -> Non
     """Give ``layer`` the metadata of the source's root layer.
 
     Everything is copied that says how to look at a stage: units, axis, rates, range, default prim,
-    expression variables, colour management, and what plug-ins have added. timeCodesPerSecond is
-    always authored, because USD rescales the samples of a layer whose rate differs.
+    expression variables, colour management, and what plug-ins have added; no default prim that is
+    not there. timeCodesPerSecond is always authored, because USD rescales the samples of a layer
+    whose rate differs.
 
     Args:
         folder: where ``layer`` will be.
     """
     root = stage.GetRootLayer()
+    left_out = {*_NOT_COPIED, *([] if stage.GetDefaultPrim() else ["defaultPrim"])}
     for key in root.pseudoRoot.ListInfoKeys():
-        if key not in _NOT_COPIED:
+        if key not in left_out:
             layer.pseudoRoot.SetInfo(key, _reanchored(root.pseudoRoot.GetInfo(key), root, folder))
     layer.pseudoRoot.SetInfo("upAxis", UsdGeom.GetStageUpAxis(stage))
     layer.pseudoRoot.SetInfo("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage))
