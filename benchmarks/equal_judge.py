@@ -59,13 +59,13 @@ def find_scenes(
         elif not (data / PLUME_FILE).is_file():
             print(f"real_plume left out: no {PLUME_FILE} in {data}", file=sys.stderr)
         else:
-            frames[name] = _real_plume(data / PLUME_FILE, width)
+            frames[name] = read_real_plume(data / PLUME_FILE, width)
     if not frames:
         raise ValueError(f"none of the scenes {', '.join(names)} is here; name data with --data")
     return frames, paint_styles([STYLE], 256)[STYLE]
 
 
-def _real_plume(vdb_file: Path, width: int) -> VolumeFrame:
+def read_real_plume(vdb_file: Path, width: int) -> VolumeFrame:
     """The real plume with blocks of voxels averaged to about ``width`` across."""
     (density,) = read_grids(vdb_file, [GridRequest("density")], GridsConfig())
     n = max(1, round(density.values.shape[0] / width))

@@ -271,8 +271,8 @@ class OptimizeConfig(Section):
         "lists as they are; 0, with optimize.start: what the network paints", ge=0,
         unit="iterations", request="iterations")
     start: str = setting(
-        "", "network that 'usdsmoke train' wrote, whose colours every frame starts from. Only the "
-        "finest octave is optimised then; empty: frames start from noise and from neighbours")
+        "", "network that 'usdsmoke train' wrote, whose colours a frame without a neighbour starts "
+        "from. Only the finest octave is optimised then; empty: such frames start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "

@@ -31,7 +31,8 @@ def start_needed(config: Config) -> list[str]:
     """The network that frames start from, as what a run needs."""
     if not (config.optimize.start and "colour" in config.optimize.steps):
         return []
-    return [f"the network {Path(config.optimize.start).name}, which paints every frame's start"]
+    name = Path(config.optimize.start).name
+    return [f"the network {name}, whose colours frames without a neighbour start from"]
 
 
 def features_hash(config: FeaturesConfig) -> str:

@@ -1,5 +1,6 @@
 """The network that paints smoke in one pass: its arithmetic, its bits, its training, its file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,10 +146,22 @@ def test_a_network_paints_each_frame_by_itself(file_path: Path) -> None:
         assert np.array_equal(alone.emission.values, found.emission.values)
 
 
-def test_iterations_after_a_network_are_of_the_finest_octave(file_path: Path) -> None:
-    config = CONFIG.with_values({"optimize.start": str(file_path)})
-    report = run_core(FRAMES[:1], config, SCENE, [STYLE])[0].report
-    assert report.colour is not None and report.colour.iterations == (2,)
+def test_after_a_network_the_finest_octave_follows_and_neighbours_go_on(file_path: Path) -> None:
+    values = {"optimize.start": str(file_path), "windows.warm_iterations": 0.5}
+    alike = [replace(FRAMES[0], time_code=code) for code in (1.0, 2.0)]
+    found = run_core(alike, CONFIG.with_values(values), SCENE, [STYLE])
+    done = [one.report.colour.iterations for one in found if one.report.colour is not None]
+    assert done == [(2,), (1,)]
+
+
+def test_training_has_the_same_bits_with_any_number_of_threads() -> None:
+    files = []
+    for n_threads in (1, 2):
+        values = {"optimize.threads": n_threads}
+        config = CONFIG.with_values(values)
+        found = train_on_frames(FRAMES[:2], [STYLE], SCENE, config, 4, lambda state: None)
+        files.append(found.generator.to_bytes({}))
+    assert files[0] == files[1]
 
 
 def test_a_network_of_another_style_does_not_fit(file_path: Path) -> None:

@@ -107,14 +107,19 @@ def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[in
     """Iterations of a frame's step per octave, coarse to fine.
 
     Args:
-        config: of the frame. Where a network paints the start, only the finest octave is left.
+        config: of the frame. Where a network paints cold starts, only the finest octave is left.
         step: "shape" or "colour".
         is_warm: whether the frame starts from its neighbour's result.
     """
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-    if step == "colour" and config.optimize.start:
-        return warm_iterations(octaves, 1.0)
-    return warm_iterations(octaves, config.windows.warm_iterations) if is_warm else octaves
+    if is_warm:
+        return warm_iterations(octaves, config.windows.warm_iterations)
+    return warm_iterations(octaves, 1.0) if step == "colour" and config.optimize.start else octaves
+
+
+def network_alone(config: Config) -> bool:
+    """Whether frames are what a network paints, each by itself."""
+    return bool(config.optimize.start) and not any(step_iterations(config, "colour"))
 
 
 def coarse_factor(config: Config) -> int:

@@ -23,7 +23,7 @@ from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
 )
-from usdsmoke.core.sequence.controls import step_iterations
+from usdsmoke.core.sequence.controls import network_alone, step_iterations
 from usdsmoke.core.sequence.cuts import judge_passage
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.sequence.frame_state import (
@@ -40,6 +40,7 @@ from usdsmoke.core.sequence.frame_state import (
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
 from usdsmoke.core.sequence.steadiness import Steadiness
+from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.colour import run_colour_step
@@ -208,10 +209,17 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     if (known := context.known_of(frame)) is not None:
         colours = known.colours
     else:
-        start, is_warm = _colour_start(context, frame, before, painted)
-        iterations = _iterations("colour", frame, is_warm)
+        if network_alone(frame.config):
+            before = None
+        paint = before.paint if before is not None else None
+        transit = None if before is None else context.transit(before, frame)
+        start = _colour_start(context, frame, paint, transit, painted)
+        iterations = _iterations("colour", frame, paint is not None)
         watch = context.watch(frame.time_code)("colour", iterations)
-        problem = frame.colour_problem()
+        problem, is_warm = (
+            frame.colour_problem(),
+            paint is not None or context.generator is not None,
+        )
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, light=light_report(problem, painted, colours))
         report = replace(report, colour=_step_report(ends, frame, started))
@@ -227,18 +235,22 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
 def _colour_start(
     context: WindowContext,
     frame: MovedFrame,
-    before: PaintedFrame | None,
+    before: tuple[ActiveSmoke, Tensor] | None,
+    transit: Transit | None,
     painted: ActiveSmoke,
-) -> tuple[Tensor | None, bool]:
-    """What a frame's colours start from, and whether that is its neighbour's result."""
-    seed = frame.config.optimize.seed
-    if context.generator is not None:  # which knows no other frame
-        if len(painted.ijk) == 0:
-            return None, False
-        return context.generator.paint(painted, frame.scene.gamma_w, seed), False
-    paint = before.paint if before is not None else None
-    transit = None if before is None else context.transit(before, frame)
-    return start_colours(paint, frame.coarse, transit, painted, seed), paint is not None
+) -> Tensor | None:
+    """What a frame's colours start from; None where there is nothing.
+
+    Args:
+        before, transit: the neighbour's painted smoke and its colours, and the way from there.
+        painted: the frame's painted smoke.
+    """
+    seed, generator = frame.config.optimize.seed, context.generator
+    if generator is None:
+        return start_colours(before, frame.coarse, transit, painted, seed)
+    if before is None and len(painted.ijk):
+        return generator.paint(painted, frame.scene.gamma_w, seed)
+    return start_colours(before, None, transit, painted, seed)  # the coarse pattern is another
 
 
 # finish
@@ -246,8 +258,8 @@ def _colour_start(
 
 def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[PaintedFrame]:
     share, before = context.config.colour.smoothing, None
-    if context.generator is not None:
-        share = 0.0  # a frame knows no other
+    if network_alone(context.config):
+        share = 0.0
     moves, colours = (Steadiness(context.config.optimize.seed) for _ in range(2))
     for frame, later in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint

@@ -51,7 +51,7 @@ class WindowContext:
     watch: Callable[[float], Watch]  # by timeCode
     keeps_carried: bool = False  # whether frames keep what their next ones start from
     known: Carried | None = None  # of a frame that is not optimised again
-    generator: Generator | None = None  # paints what every frame's colours start from
+    generator: Generator | None = None  # paints what colours start from, without a neighbour
 
     def transit(self, earlier: "OpenedFrame", later: "OpenedFrame") -> Transit:
         """From a frame to a later one.

@@ -1,0 +1,224 @@
+"""A trained network against iterations: style loss of unseen views against CPU seconds.
+
+    python -m benchmarks.one_pass [--resolution 40] [--styles strokes waves] [--data FOLDER]
+
+For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does, and
+paints a frame that it has not seen, and one of another shot: the real plume, its voxels merged in
+blocks of two, where its file is there. Beside it stand cold starts of the colour step, and the
+network with iterations of the finest octave after it. Density is as it is in the files. Losses are
+means over views that no run has, and over the seeds. Everything runs on one thread.
+"""
+
+import argparse
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.circumstances import publish, table_page
+from benchmarks.coherence_runs import simulate_plume
+from benchmarks.control_scenes import paint_styles
+from benchmarks.equal_judge import read_real_plume
+from benchmarks.stages import PLUME_FILE
+from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.generator.network import Generator
+from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.smoke.tasks import share_among
+from usdsmoke.core.steps.colour import initial_colours, run_colour_step
+from usdsmoke.core.steps.targets import StepProblem
+from usdsmoke.core.training.canvas import Canvas
+from usdsmoke.core.training.frames import train_on_frames
+from usdsmoke.core.training.train import Trained
+from usdsmoke.core.views.scene import Scene, measure_scene
+
+__all__ = ["Row", "main", "measure_frame"]
+
+N_FRAMES = 9  # of the plume; the last one is never trained on
+HELD_OUT = 4  # number of the frame that training is judged by
+N_VIEWS, SEED = 8, 0x0A11  # unseen ones
+COLD = ((15, 15, 15), (30, 30, 30), (120, 120, 120))
+AFTER = (8, 16, 32, 64)
+N_SHOWN = 4  # frames whose temporal errors are measured
+_INTRO = (
+    "# One pass of a trained network against iterations",
+    "",
+    "A network is trained on seven frames of the example plume, judged by an eighth, and paints",
+    "the ninth, which it has not seen, and a frame of another shot. Colours alone, on density as",
+    "it is in the files. Losses are the configured style loss, means over eight views that no run",
+    "has and over the seeds. Seconds are CPU seconds of one thread, without what judging takes.",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One way to a frame's colours, means over the seeds."""
+
+    way: str
+    loss: float
+    cpu_s: float
+
+
+def measure_frame(
+    problem: StepProblem,
+    generator: Generator,
+    seeds: Sequence[int],
+    cold: Sequence[Sequence[int]] = COLD,
+    after: Sequence[int] = AFTER,
+) -> list[Row]:
+    """Noise, cold starts, the network, and the network with iterations, on one frame."""
+    views = problem.config.views.replace(pool=N_VIEWS)
+    judged = replace(problem, config=problem.config.replace(views=views))
+    judge, smoke = Canvas(judged, SEED, N_VIEWS), problem.smoke
+
+    def paint(seed: int) -> torch.Tensor:
+        return generator.paint(smoke, problem.scene.gamma_w, seed)
+
+    def seeded(seed: int) -> StepProblem:
+        optimize = problem.config.optimize.replace(seed=seed)
+        return replace(problem, config=problem.config.replace(optimize=optimize))
+
+    def row(way: str, colours: Callable[[int], torch.Tensor]) -> Row:
+        losses, spent = [], []
+        for seed in seeds:
+            begin = time.process_time()
+            found = colours(seed)
+            spent.append(time.process_time() - begin)
+            with torch.no_grad():
+                losses.append(float(judge.loss(found, 0)))
+        return Row(way, statistics.mean(losses), statistics.mean(spent))
+
+    paint(seeds[0])  # warms up
+    rows = [row("noise", lambda seed: initial_colours(smoke, "noise", seed))]
+    for octaves in cold:
+        way = f"cold, {sum(octaves)} iterations"
+        rows.append(row(way, lambda seed, n=octaves: run_colour_step(seeded(seed), n)[0]))  # type: ignore[misc]
+    rows.append(row("network", paint))
+    for count in after:
+        octaves = [*[0] * (len(problem.config.colour.iterations) - 1), count]
+
+        def go_on(seed: int, octaves: Sequence[int] = octaves) -> torch.Tensor:
+            return run_colour_step(seeded(seed), octaves, paint(seed), warm=True)[0]
+
+        rows.append(row(f"network + {count}", go_on))
+    return rows
+
+
+def _problem(frame: VolumeFrame, style: np.ndarray, scene: Scene, config: Config) -> StepProblem:
+    context = make_context([style], scene, config, None, 24.0, None, 0)
+    return open_frame(frame, context).colour_problem()
+
+
+def _config(longest: int) -> Config:
+    return resolve_config(
+        {
+            "views": {"image_size": max(16, longest)},
+            "optimize": {"threads": 1, "tolerance": 0.0, "device": "cpu", "steps": ["colour"]},
+        }
+    )
+
+
+def _measure(frames: Sequence[VolumeFrame], config: Config) -> Scene:
+    chosen = [frames[0], frames[len(frames) // 2], frames[-1]]
+    return measure_scene(chosen, config.views, config.optics, "Y", config.grids.refine)
+
+
+def _train(
+    frames: Sequence[VolumeFrame], style: np.ndarray, config: Config, n_iterations: int
+) -> tuple[Trained, float]:
+    """On all frames but the last, and the CPU seconds that it takes."""
+    begin = time.process_time()
+    seen = [frame for n, frame in enumerate(frames[:-1]) if n != HELD_OUT]
+    ordered = [*seen, frames[HELD_OUT]]
+    found = train_on_frames(
+        ordered, [style], _measure(frames, config), config, n_iterations, lambda state: None
+    )
+    return found, time.process_time() - begin
+
+
+def _curves(
+    name: str, frames: Sequence[VolumeFrame], other: VolumeFrame | None, given: argparse.Namespace
+) -> Iterator[str]:
+    """The lines of the table for a style."""
+    style = paint_styles([name])[name]
+    config = _config(max(frames[0].density.values.shape))
+    trained, seconds = _train(frames, style, config, given.iterations)
+    yield f"| {name} | training, {trained.n_iterations} iterations | | {seconds:.0f} | |"
+    shots = [("example plume", frames[-1], config, _measure(frames, config))]
+    if other is not None:
+        own = _config(max(other.density.values.shape))
+        shots.append(("real plume", other, own, _measure([other], own)))
+    for shot, frame, own, scene in shots:
+        problem = _problem(frame, style, scene, own)
+        rows = measure_frame(problem, trained.generator, range(given.seeds))
+        full = next(row for row in reversed(rows) if row.way.startswith("cold"))
+        where = f"{name}, {shot}, {len(problem.smoke.ijk):,} voxels"
+        for row in rows:
+            share = f"{row.cpu_s / full.cpu_s:.3f}"
+            yield f"| {where} | {row.way} | {row.loss:.3f} | {row.cpu_s:.2f} | {share} |"
+    if name == given.styles[0]:
+        yield from _coherence(name, frames, trained.generator, config)
+
+
+def _coherence(
+    name: str, frames: Sequence[VolumeFrame], generator: Generator, config: Config
+) -> Iterator[str]:
+    """Temporal errors and losses of the last frames in one window, by how frames start."""
+    style, scene, shown = paint_styles([name])[name], _measure(frames, config), frames[-N_SHOWN:]
+    with tempfile.TemporaryDirectory() as folder:
+        file_path = Path(folder) / "network.safetensors"
+        file_path.write_bytes(generator.to_bytes({}))
+        start = {"optimize.start": str(file_path)}
+        for way, values in (
+            ("noise, 360 iterations, then neighbours", {}),
+            ("network + 32, then neighbours", start | {"colour.iterations": [0, 0, 32]}),
+            ("network alone", start | {"optimize.iterations": 0}),
+        ):
+            begin = time.process_time()
+            own = config.with_values(values)
+            done = list(stylize_window(shown, [style], scene, own))
+            spent = (time.process_time() - begin) / len(shown)
+            errors = [one.report.temporal.colour for one in done if one.report.temporal is not None]
+            error = statistics.mean(error for error in errors if error is not None)
+            what = f"{way}: temporal error {error:.2f}"
+            yield f"| {name}, {N_SHOWN} frames | {what} | | {spent:.2f} | |"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table, and write it with ``--report``."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--resolution", type=int, default=40, help="voxels across, about")
+    parser.add_argument("--styles", nargs="+", default=["strokes", "waves"])
+    parser.add_argument("--iterations", type=int, default=1200, help="of the training, at most")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
+    parser.add_argument("--report", type=Path, help="write the page here")
+    given = parser.parse_args(arguments)
+    share_among(1)
+    frames, other = simulate_plume(given.resolution, N_FRAMES), None
+    if (given.data / PLUME_FILE).is_file():
+        other = read_real_plume(given.data / PLUME_FILE, given.resolution)
+    lines = []
+    for name in given.styles:
+        for line in _curves(name, frames, other, given):
+            print(line, file=sys.stderr, flush=True)
+            lines.append(line)
+    columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360"]
+    own = sys.argv[1:] if arguments is None else arguments
+    publish(
+        table_page(_INTRO, columns, lines, ["python", "-m", "benchmarks.one_pass", *own]),
+        given.report,
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
