@@ -149,10 +149,11 @@ def _arnold(smoke: Smoke) -> tuple[Node, ...]:
 
 def _renderman(smoke: Smoke) -> tuple[Node, ...]:
     """PxrRemap multiplies: with bias and gain at their defaults it maps [0, 1] to [0, gamma_w], and
-    beyond that linearly."""
+    beyond that linearly, unless it clamps, which it does by default at both ends."""
     remap = {
         "inputRGB": Input(_TYPES.Color3f, source="grey.resultRGB"),
         "clampInput": Input(_TYPES.Int, 0),
+        "clampOutput": Input(_TYPES.Int, 0),
         "outputMax": Input(_TYPES.Float, smoke.extinction),
     }
     grey: dict[str, Input] = {
