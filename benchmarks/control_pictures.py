@@ -49,7 +49,7 @@ WORDS = {
     "optimize.strength": ("1", "0.3", "0.6"),
     "style.colour": ("1", "0", "2"),
     "style.lift": ("0", "0.25", "0.5"),
-    "optics.depth": ("10", "2", "40"),
+    "optics.depth": ("30", "3", "10"),
 }
 
 

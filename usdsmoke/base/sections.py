@@ -129,7 +129,7 @@ class OpticsConfig(Section):
         None, "extinction of the shape step's grey images; unset: chosen from optics.depth_shape",
         gt=0, unit=_PER_VOXEL, request="gammaShape")
     depth: float = setting(
-        10.0, "optical depth that the thick columns should have; used to choose gamma if it is "
+        30.0, "optical depth that the thick columns should have; used to choose gamma if it is "
         "unset", gt=0)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
     frames: str = setting(
@@ -204,6 +204,10 @@ class LossesConfig(Section):
         request="statistic")
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
+    nearest: float = setting(
+        1.0, "weight of the way from the features of the two deepest learned style layers to the "
+        "nearest ones of the style, in the colour step, relative to the style's weight; higher "
+        "repeats whole pieces of the style", ge=0)
     content: float = setting(
         0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(

@@ -26,7 +26,7 @@ Volumes = Sequence[VolumePlan]
 
 _FEW_CUTS = 8
 _MANY_LAYERS = 5  # of which only the first and the last are named
-_OTHER_LOSSES = ("total_variation", "histogram", "content", "laplacian", "photorealism")
+_OTHER_LOSSES = ("total_variation", "histogram", "nearest", "content", "laplacian", "photorealism")
 
 
 def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:

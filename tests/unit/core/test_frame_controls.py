@@ -165,7 +165,7 @@ def test_a_frames_scene_is_the_one_that_its_gamma_would_have_given_the_shot(gamm
 
 def test_extinction_and_exposure_follow_gamma_as_the_closed_forms_say():
     scene = scene_of(FRAMES, quick_config(), "Y")
-    assert scene.gamma_w * scene.thick == pytest.approx(10.0)  # optics.depth
+    assert scene.gamma_w * scene.thick == pytest.approx(30.0)  # optics.depth
     scenes = {gamma: frame_scene(scene, gamma) for gamma in np.geomspace(1e-4, 10, 60)}
     for gamma, own in scenes.items():
         assert own.gamma_w == gamma / scene.reference_voxel_size

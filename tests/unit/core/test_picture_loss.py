@@ -42,14 +42,14 @@ class Pixels:
 
 def pixel_target(style: Tensor, network: Pixels | None = None, **weights: Any) -> StyleTarget:
     return StyleTarget(
-        style, network or Pixels(), {"style": 1.0}, LossesConfig(**weights), ["content"], 0
+        style, network or Pixels(), {"style": 1.0}, LossesConfig(**weights), ["content"], seed=0
     )
 
 
 def embedded_target(style: Tensor, **weights: Any) -> StyleTarget:
     layers = dict.fromkeys(("oriented1", "oriented2", "learned1"), 1.0)
     network = EmbeddedFeatures(style)
-    return StyleTarget(style, network, layers, LossesConfig(**weights), ["oriented2"], 0)
+    return StyleTarget(style, network, layers, LossesConfig(**weights), ["oriented2"], seed=0)
 
 
 # Which terms count

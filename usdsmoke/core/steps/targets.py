@@ -13,7 +13,7 @@ from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.style.features import build_network
-from usdsmoke.core.style.layers import content_layers, style_layers
+from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting
@@ -139,7 +139,9 @@ def make_targets(
         style = scale_style(pixels, scene.image_size / factor, config.style, like)
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
-        return StyleTarget(style, network_for()(style), layers, config.losses, content, seed)
+        nearest = () if grey else nearest_layers(features)
+        network = network_for()(style)
+        return StyleTarget(style, network, layers, config.losses, content, nearest, seed)
 
     images = tuple(
         StyleFeatures(adjust_tones(pixels, config.style), make_target) for pixels in styles

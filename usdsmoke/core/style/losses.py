@@ -13,7 +13,7 @@ convergence:
 
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
-[Heitz2021]).
+[Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016].
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,6 +30,7 @@ from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.srgb import luminance
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
+from usdsmoke.core.style.nearest import nearest_distance, thin_out
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 
@@ -119,6 +120,7 @@ class StyleTarget:
         layers: weight of each style layer; one of weight 0 is not evaluated.
         losses: which statistic, and the weight of the histograms.
         content_layers: for ``content_loss``.
+        nearest_layers: those of the style layers that ``losses.nearest`` is for.
         seed: of the directions of sliced Wasserstein.
     """
 
@@ -129,11 +131,13 @@ class StyleTarget:
         layers: Mapping[str, float],
         losses: LossesConfig | None = None,
         content_layers: Iterable[str] = (),
+        nearest_layers: Iterable[str] = (),
         seed: int = 0,
     ) -> None:
         self._network, self._losses = network, losses or LossesConfig()
         self._weights = {name: weight for name, weight in layers.items() if weight != 0}
         self._content_layers = frozenset(content_layers)
+        self._nearest_layers = frozenset(nearest_layers if self._losses.nearest else ())
         with torch.no_grad():
             maps = network(style, frozenset(self._weights))
             self._layers = {name: _LayerTarget(maps[name], seed) for name in self._weights}
@@ -168,6 +172,8 @@ class StyleTarget:
                 distance = layer.gram_distance(maps[name], guide)
             if losses.histogram:
                 distance = distance + losses.histogram * layer.histogram_distance(maps[name], guide)
+            if name in self._nearest_layers:
+                distance = distance + losses.nearest * layer.nearest_distance(maps[name], guide)
             total = total + weight * distance
         return total
 
@@ -209,6 +215,10 @@ class _LayerTarget:
     def _table(self) -> Tensor:
         return quantile_table(self._style)
 
+    @cached_property
+    def _thinned(self) -> Tensor:
+        return thin_out(self._style)
+
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
         flat = _wide(_flat(maps))
@@ -220,6 +230,12 @@ class _LayerTarget:
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
+
+    def nearest_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
+        """Root mean square way from each of the picture's features to the nearest of the style."""
+        weights = None if guide is None else _small(guide, maps).square()[0]
+        scaled = _wide(_flat(maps)) * self._scale[:, None]
+        return torch.sqrt(nearest_distance(scaled, weights, self._thinned) + 1e-8)
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
         """The same along a draw of random directions."""
