@@ -10,6 +10,7 @@
 - ``style_image``: the style image at the scale of a picture
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``sliced``: the same along random directions, by counting instead of sorting
+- ``nearest``: the way from features to the nearest ones of the style
 - ``content``: distances of a picture from its content picture
 - ``losses``: the loss of a picture: Gram matrices or distributions, content, total variation
 """
