@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.errors import ConfigError, PlanError
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.planning.copied import CopiedGrid
@@ -143,6 +143,24 @@ class Plan:
                 members = tuple(frames[code] for code in (*window.time_codes, *window.overlap))
                 tasks.append(WindowTask(window, number, volume, members))
         return tasks
+
+    def largest_volume(self) -> tuple[VolumePlan, list[FramePlan]]:
+        """The Volume whose largest frame has most voxels, and its frames that hold smoke.
+
+        Raises:
+            PlanError: there is no smoke in any frame.
+        """
+        filled = [
+            (volume, frames)
+            for volume in self.volumes
+            if (frames := [frame for frame in volume.frames if not frame.is_empty])
+        ]
+        if not filled:
+            raise PlanError(
+                f"no selected frame of {self.source.file_path} holds smoke. Choose other frames "
+                "with --frames, or another Volume with --prim."
+            )
+        return max(filled, key=lambda item: max(f.size.active_voxels for f in item[1]))
 
     def task(self, window: int) -> WindowTask:
         """The window of this number.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke import __version__
-from usdsmoke.base.errors import Interrupted, PlanError
+from usdsmoke.base.errors import Interrupted
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles
@@ -115,17 +115,7 @@ def _train(
 def _choose(plan: Plan) -> tuple[VolumePlan, Sequence[FramePlan], FramePlan]:
     """The largest Volume, frames spread over it, and one between them that is held out; with a
     single frame that one itself."""
-    filled = [
-        (volume, frames)
-        for volume in plan.volumes
-        if (frames := [frame for frame in volume.frames if not frame.is_empty])
-    ]
-    if not filled:
-        raise PlanError(
-            f"no selected frame of {plan.source.file_path} holds smoke. Choose other frames with "
-            "--frames, or another Volume with --prim."
-        )
-    volume, frames = max(filled, key=lambda item: max(f.size.active_voxels for f in item[1]))
+    volume, frames = plan.largest_volume()
     n, last = min(_N_FRAMES, len(frames)), len(frames) - 1
     spread = [frames[round(place * last / max(n - 1, 1))] for place in range(n)]
     held_out = spread[n // 2]

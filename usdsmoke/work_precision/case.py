@@ -163,17 +163,7 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     from usdsmoke.core.views.scene import Scene
     from usdsmoke.runs.coarse import measure_scenes
 
-    filled = [
-        (volume, frames)
-        for volume in job.plan.volumes
-        if (frames := [frame for frame in volume.frames if not frame.is_empty])
-    ]
-    if not filled:
-        raise PlanError(
-            f"no selected frame of {job.plan.source.file_path} holds smoke. Choose other frames "
-            "with --frames, or another Volume with --prim."
-        )
-    volume, frames = max(filled, key=lambda item: max(f.size.active_voxels for f in item[1]))
+    volume, frames = job.plan.largest_volume()
     chosen, reader = frames[len(frames) // 2], FrameReader(job.plan)
     place = next(n for n, other in enumerate(job.plan.volumes) if other is volume)
     scene = Scene(**measure_scenes(reader, job.plan)[place])

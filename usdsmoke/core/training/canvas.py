@@ -50,7 +50,7 @@ def judge(problem: StepProblem) -> Canvas:
 
 
 def crop(problem: StepProblem, number: int) -> StepProblem:
-    """A cube of the smoke around one of its voxels, at most ``MOST_VOXELS``; all where it is small.
+    """A cube of the smoke around a painted voxel, at most ``MOST_VOXELS``; all where it is small.
 
     Args:
         number: which; others are elsewhere.
@@ -58,8 +58,9 @@ def crop(problem: StepProblem, number: int) -> StepProblem:
     smoke, seed = problem.smoke, problem.config.optimize.seed
     if len(smoke.ijk) <= MOST_VOXELS:
         return problem
-    middle = int(white_noise(smoke.ijk, 1, seed + HELD_OUT + number)[:, 0].argmax())
-    away = (smoke.ijk - smoke.ijk[middle]).abs().amax(dim=1)
+    painted = painted_part(problem).ijk
+    middle = painted[int(white_noise(painted, 1, seed + HELD_OUT + number)[:, 0].argmax())]
+    away = (smoke.ijk - middle).abs().amax(dim=1)
     farthest = away.kthvalue(MOST_VOXELS).values
     return replace(problem, smoke=smoke.take(away < farthest))
 
