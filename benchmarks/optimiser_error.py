@@ -87,7 +87,7 @@ def measure_step(
     longer = [LONGER * n for n in done]
     far, _ = _run(frame, style, _tolerant(config, 0.0), step, longer)
     near_loss, far_loss = (_judge(frame, style, config, step, it) for it in (found, far))
-    told = figures["remaining"] / ends[-1].smoothed
+    told = figures.get("remaining", np.nan) / ends[-1].smoothed  # NaN: too few iterations
     true = (near_loss - far_loss) / near_loss
     return Row(*names, step, limit, done, ends[-1].reason, near_loss, told, true)
 

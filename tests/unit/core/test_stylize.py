@@ -1,5 +1,7 @@
 """One frame through both steps, on tiny smoke."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -109,7 +111,8 @@ def test_an_empty_frame_is_passed_through_without_renderer_or_network(values):
     result = run_without_work(frame, quick_config(), scene)
     assert result.density is frame.density
     assert result.emission.values.shape == (*values.shape, 3)
-    assert result.report == FrameReport(left_out="empty frame")
+    told = dataclasses.replace(result.report, warnings=())  # of what is negative
+    assert told == FrameReport(left_out="empty frame", extinction=scene.gamma_w)
 
 
 def test_a_window_of_empty_frames_reads_no_vgg19_and_smoke_without_the_file_is_refused():
@@ -129,7 +132,7 @@ def test_without_a_colour_step_there_is_no_emission():
 def test_without_a_shape_step_the_density_is_the_source_s_own():
     result = run_core([FRAME], quick_config(**COLOUR))[0]
     assert result.density is FRAME.density
-    assert result.report.to_json().keys() == {"voxels", "colour"}
+    assert result.report.to_json().keys() == {"voxels", "extinction", "colour"}
 
 
 def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized):

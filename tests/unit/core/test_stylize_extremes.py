@@ -68,7 +68,15 @@ def test_denormal_density_counts_as_none():
 
 def test_negative_density_counts_as_none_where_smoke_is_moved():
     density = DENSITY - 0.2 * (DENSITY == 0)
-    assert_sound(run_core([frame_of(density)])[0], density)
+    result = run_core([frame_of(density)])[0]
+    assert_sound(result, density)
+    assert "negative" in result.report.warnings[0]
+
+
+def test_densities_that_are_too_faint_to_count_are_told():
+    result = run_core([frame_of(DENSITY * np.float32(1e-39))])[0]
+    assert result.report.left_out and "count as empty" in result.report.warnings[0]
+    assert run_core([frame_of(0 * DENSITY)])[0].report.warnings == ()
 
 
 @pytest.mark.parametrize("background", [0.5, -1.0])

@@ -140,6 +140,14 @@ def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path)
     assert budget_of(tmp_path, [GOOD], scene, ["optimize.steps=[colour]"]).findings == ()
 
 
+def test_a_cold_step_without_iterations_is_named_by_itself(tmp_path: Path) -> None:
+    idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
+    (finding,) = budget_of(tmp_path, [idle]).findings
+    assert finding.setting == "shape.iterations" and "no iterations" in finding.cause
+    warm = replace(idle, temporal=TemporalErrors(0.2, 0.1))
+    assert budget_of(tmp_path, [GOOD, warm]).findings == ()
+
+
 def test_a_hundred_frames_with_one_finding_are_one_sentence() -> None:
     findings = [Finding(f"{n}.vdb", "mass", f"{n} voxels are gone", "Look") for n in range(100)]
     (text,) = ErrorBudget((), {}, {}, {}, tuple(findings)).warnings

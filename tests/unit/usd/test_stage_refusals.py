@@ -1,6 +1,7 @@
 """What is refused on the way in: each with the prim, what was found, and what to do."""
 
 import os
+import re
 import zipfile
 
 import pytest
@@ -85,6 +86,24 @@ def test_a_value_that_usd_cannot_read_is_a_problem_of_the_stage(tmp_path):
     moved = 'token xformOp:translate = "far"\nuniform token[] xformOpOrder = ["xformOp:translate"]'
     body = volume_prim(moved + density_prim(sequence([1])))
     refuse(tmp_path, body, StageError, "a value that cannot be read.*Repair")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("timeCodesPerSecond", "0"),
+        ("timeCodesPerSecond", "-1"),
+        ("metersPerUnit", "0"),
+        ("metersPerUnit", "nan"),
+        ("framesPerSecond", "inf"),  # OpenUSD refuses the others itself
+    ],
+)
+def test_a_rate_or_unit_that_is_not_positive_is_refused(tmp_path, name, value):
+    header = re.sub(rf"\b{name} = .*", f"{name} = {value}", HEADER)
+    assert header != HEADER
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim(sequence([1])))
+    refuse(tmp_path, body, StageError, rf"{name} of .*shot\.usda is {value}\b", header=header)
 
 
 def test_a_text_that_is_no_utf8_is_a_problem_of_the_stage(tmp_path):

@@ -24,7 +24,7 @@ from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.controls import frame_config, without_network
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.transit import Transit, ride_between
-from usdsmoke.core.smoke.active import ActiveSmoke, activate
+from usdsmoke.core.smoke.active import LEAST_DENSITY, ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import max_displacement
@@ -36,6 +36,8 @@ from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, 
 Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
 NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out
+
+_NEGATIVE = 0.01  # of the density: less is what simulations leave behind
 
 
 @dataclass(frozen=True)
@@ -268,7 +270,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
-    warnings = _mask_warnings(frame, mask)
+    warnings = (*_density_warnings(density, source), *_mask_warnings(frame, mask))
     report = FrameReport(len(source.ijk), n_outside, warnings, left_out, scene.gamma_w)
     if visibility is not None and not left_out:
         source, smoke = visibility.padded(source), visibility.visible(source)
@@ -277,6 +279,22 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         coarse=context.starts(frame.time_code), config=config,
         scene=replace(scene, camera=frame.camera), targets=targets, report=report,
     )  # fmt: skip
+
+
+def _density_warnings(density: DenseField, source: ActiveSmoke) -> tuple[str, ...]:
+    """What of a density does not count as smoke."""
+    values, found = density.values, list[str]()
+    if not len(source.ijk) and (values > 0).any():
+        found.append(
+            f"all densities are below {LEAST_DENSITY:.2g} and count as empty. Scale the density up"
+        )
+    negative = float(-values.clip(max=0).sum(dtype=np.float64))
+    if negative > _NEGATIVE * float(np.abs(values).sum(dtype=np.float64)):
+        found.append(
+            f"more than {_NEGATIVE:.0%} of the density is negative and counts as empty. Check that "
+            "it is a fog volume, not a level set"
+        )
+    return tuple(found)
 
 
 def _why_left_out(

@@ -104,7 +104,9 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
         report: of a frame that is stylized.
     """
     moved = report.transport
-    if report.shape is not None and moved is not None and moved.folded is not None:
+    if report.temporal is None:  # a warm frame may be what its neighbour is
+        yield from _no_iterations(name, report)
+    if report.shape and report.shape.loss and moved is not None and moved.folded is not None:
         if moved.largest_displacement <= UNMOVED * moved.cap:
             yield _unmoved(name, moved.motionless or 0.0)
     if report.voxels and report.voxels_written is not None:
@@ -155,13 +157,31 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     yield Finding(name, "", cause, advice, "optics.exposure")
 
 
+def _no_iterations(name: str, report: FrameReport) -> Iterator[Finding]:
+    """Steps that end where they start."""
+    ends = {"shape": "nothing is moved", "colour": "the colours are the noise that it starts from"}
+    for step, found in report.steps.items():
+        if not found.loss:
+            yield Finding(
+                name,
+                _OPTIMISERS[step],
+                f"the {step} step has no iterations: {ends[step]}",
+                f"Set {step}.iterations, or leave the step out of optimize.steps",
+                f"{step}.iterations",
+            )
+
+
 def _unmoved(name: str, motionless: float) -> Finding:
     if motionless > 1 - VANISHED:
         cause = "the shape step moved nothing: no potential moves smoke of this shape"
         remedy, setting = "Set optimize.steps=[colour], which leaves the step out", "optimize.steps"
     else:
-        cause = "the shape step moved nothing: its pictures do not depend on the displacement"
-        remedy, setting = "Unset optics.gamma_shape, or set another one", "optics.gamma_shape"
+        cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
+        remedy, setting = (
+            "Unset optics.gamma_shape and shape.learning_rate, or leave the step out with "
+            "optimize.steps=[colour]",
+            "optics.gamma_shape",
+        )
     return Finding(name, MOTIONLESS.name, cause, remedy, setting)
 
 

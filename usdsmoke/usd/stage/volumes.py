@@ -1,5 +1,6 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,9 +90,10 @@ def find_volumes(
         FieldNotFound: the density's relationship or its field prim is missing, or the mask's
             relationship leads to no field prim.
         AssetNotResolved: a selected file cannot be read from disk, or the mask has none.
-        StageError: a Volume is an instance proxy, or a timeCode is asked for that does not exist
-            and ``allow_missing`` is off.
+        StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy, or a
+            timeCode is asked for that does not exist and ``allow_missing`` is off.
     """
+    _check_units(stage)
     ranges = parse_frames(config.frames)
     prims, omitted = choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
@@ -128,6 +130,21 @@ def _nothing_left(missing: Sequence[str], problems: Sequence[str] | None) -> Sta
     if problems is not None:  # of a stage that is only looked at; they say what to do
         return StageError(f"no smoke can be read: {reasons}.")
     return StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
+
+
+def _check_units(stage: Usd.Stage) -> None:
+    """Times and lengths are divided by them."""
+    found = {
+        "timeCodesPerSecond": stage.GetTimeCodesPerSecond(),
+        "framesPerSecond": stage.GetFramesPerSecond(),
+        "metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage),
+    }
+    for name, value in found.items():
+        if not 0 < value < math.inf:
+            raise StageError(
+                f"{name} of {stage.GetRootLayer().identifier} is {value:g}. Author a positive "
+                "number in the layer's metadata."
+            )
 
 
 def _outline_volumes(
