@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd, UsdVol
 
-from tests.fixtures.pipeline_fixtures import Shot, make_shot, run
+from tests.fixtures.pipeline_fixtures import Shot, make_shot, make_style, run
 from tests.fixtures.usd_fixtures import (
     density_prim,
     needs_usd,
@@ -14,6 +14,7 @@ from tests.fixtures.usd_fixtures import (
     world,
     write_sequence,
     write_text,
+    write_vdb,
 )
 from usdsmoke.base.errors import OutputExists, StageError
 from usdsmoke.ui.cli.main import main
@@ -89,6 +90,26 @@ def test_mends_are_a_layer_above_the_stage(tmp_path: Path) -> None:
     assert stage.GetTimeCodesPerSecond() == 25
     with pytest.raises(OutputExists):
         write_mends(stage_file, target)
+
+
+@needs_usd(26, 11)
+@pytest.mark.usefixtures("core")
+def test_a_grid_of_another_name_gets_a_relationship_of_its_own_and_is_stylized(
+    tmp_path: Path,
+) -> None:
+    write_vdb(tmp_path / "cache/aero.vdb", ("voxel_fog_density",))
+    files, grid = "asset filePath = @./cache/aero.vdb@", 'token fieldName = "voxel_fog_density"'
+    text = world(volume_prim(density_prim(files, grid=grid)))
+    stage_file, target = write_text(tmp_path / "shot.usda", text), tmp_path / "mended.usda"
+    assert "FieldNameMismatch" in {item.rule for item in write_mends(stage_file, target)}
+    stage = Usd.Stage.Open(str(target))
+    volume = UsdVol.Volume(stage.GetPrimAtPath("/World/smoke"))
+    paths = volume.GetFieldPaths()
+    assert paths["voxel_fog_density"] == paths["density"] == Sdf.Path("/World/smoke/density")
+    assert "FieldNameMismatch" not in {item.rule for item in validate(target)}
+    mended = Shot(tmp_path, target, make_style(tmp_path / "style.png"), tmp_path / "out")
+    own, _ = validate_look(run(mended).root_stage)
+    assert own == []
 
 
 @needs_usd(26, 11)

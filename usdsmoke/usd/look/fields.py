@@ -19,7 +19,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS, relative_asset_path
-from usdsmoke.usd.field_samples import FIELD_PREFIX, field_targets
+from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.values import asset_value, value_at
 
@@ -58,10 +58,11 @@ def choose_field_prims(
 ) -> list[FieldTarget]:
     """A prim for every field of a result, the density first.
 
-    The source's field prim is overridden in place unless other Volumes show it too; they must keep
-    what they have. A new prim is a sibling of the density's field prim and copies its xform ops, so
-    that the two share their place in space at every moment. A colour field that the source has
-    already is kept up only where it lies in that same place.
+    The source's field prim is overridden in place unless other Volumes show it too, or the Volume
+    by another name than that of its grid; they must keep what they have. A new
+    prim is a sibling of the density's field prim and copies its xform ops, so that the two share
+    their place in space at every moment. A colour field that the source has already is kept up only
+    where it lies in that same place.
 
     Args:
         taken: paths of prims that the look defines already; new ones are added.
@@ -83,7 +84,7 @@ def choose_field_prims(
         is_colour = name in (*COLOUR_VECTORS, *COLOUR_CHANNELS) and name != volume.source.density
         if is_colour and source is not None and not _same_place(source, density, volume):
             source = None
-        is_new = source is None or uses.get(source.GetPath(), 0) > 1
+        is_new = source is None or uses.get(source.GetPath(), 0) > _own_uses(prim, source, name)
         if source is None or is_new:
             path = _free_path(stage, density, name, prim, taken)
             taken.add(path)
@@ -101,6 +102,13 @@ def _field_prim(volume: Usd.Prim, name: str) -> Usd.Prim | None:
     prim = volume.GetStage().GetPrimAtPath(targets[0])
     usable = prim and prim.IsA(UsdVol.OpenVDBAsset) and not prim.IsInstanceProxy()
     return prim if usable else None
+
+
+def _own_uses(volume: Usd.Prim, field: Usd.Prim, name: str) -> int:
+    """Relationships of a Volume that give a field under its name or that of its grid."""
+    grid = FieldSamples(field).at(None).grid_name
+    names = [other for other, paths in field_targets(volume).items() if paths == [field.GetPath()]]
+    return len({name, *([grid] if grid in names else [])})
 
 
 def _same_place(one: Usd.Prim, other: Usd.Prim, volume: StylizedVolume) -> bool:

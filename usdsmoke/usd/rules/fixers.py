@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pxr import Gf, Sdf, Usd
+from pxr import Gf, Sdf, Usd, UsdVol
 
 from usdsmoke.base.naming import relative_asset_path
-from usdsmoke.usd.field_samples import FieldSamples, usd_time
+from usdsmoke.usd.field_samples import FieldSamples, field_targets, usd_time
 from usdsmoke.usd.field_tokens import DATA_TYPES
 from usdsmoke.usd.rules.facts import collect_fields, field_to_stage, sample_grid
 from usdsmoke.usd.values import extent_value, value_at
@@ -81,9 +81,29 @@ def author_relative_paths(field: Usd.Prim, layer: Sdf.Layer) -> bool:
     return True
 
 
+def author_second_name(field: Usd.Prim, _layer: Sdf.Layer) -> bool:
+    """A relationship of the grid's name beside each that leads to the field under another one."""
+    samples = FieldSamples(field).inside(_ALWAYS)
+    names = {sample.grid_name for sample in samples if not sample.blocked}
+    name = names.pop().replace(".", "_") if len(names) == 1 else ""
+    if not Sdf.Path.IsValidNamespacedIdentifier(name):
+        return False
+    volumes = [
+        prim
+        for prim in field.GetStage().Traverse()
+        if prim.IsA(UsdVol.Volume)
+        and [field.GetPath()] in field_targets(prim).values()
+        and name not in field_targets(prim)
+    ]
+    for volume in volumes:
+        UsdVol.Volume(volume).CreateFieldRelationship(name, field.GetPath())
+    return bool(volumes)
+
+
 _FIXES: dict[str, tuple[Fix, str]] = {
     "VolumeExtentMissing": (author_missing_extent, "Author the box that the files' headers name."),
     "FieldTypeMismatch": (author_data_type, "Author the type of the grid that the field shows."),
+    "FieldNameMismatch": (author_second_name, "Author a relationship of the grid's name too."),
     "AbsolutePath": (author_relative_paths, "Author paths relative to the edited layer."),
 }
 

@@ -48,7 +48,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "FrameGap": (field_rules.check_gaps, "Files follow one another without gaps."),
     "AbsolutePath": (field_rules.check_absolute_paths, "File paths are relative."),
     "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
-    "FieldNameMismatch": (volume_rules.check_one_name, "Relationship and grid share one name."),
+    "FieldNameMismatch": (
+        volume_rules.check_one_name,
+        "A relationship to each field has the name of its grid.",
+    ),
     "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
     "FieldPlaceDiffers": (
         volume_rules.check_field_place,

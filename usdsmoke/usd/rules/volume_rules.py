@@ -67,14 +67,19 @@ def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
 
 
 def check_one_name(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
-    """Relationship and grid carry one name; renderers look for the one or the other."""
-    problems = []
-    for field in collect_fields(volume, interval):
+    """Relationship and grid carry one name; renderers look for the one or the other.
+
+    A second relationship to the same field prim, of the grid's name, serves them all.
+    """
+    problems, fields = [], collect_fields(volume, interval)
+    names = {(field.prim_path, _plain(field.relationship)) for field in fields}
+    for field in fields:
         troubles = {}
         for sample in field.samples:
             grid = sample_grid(sample)
             name = sample.grid_name or (grid.name if grid else "")
-            if name and not sample.blocked and _plain(name) != _plain(field.relationship):
+            is_named = (field.prim_path, _plain(name)) in names
+            if name and not sample.blocked and not is_named:
                 troubles[sample.time_code] = (
                     f'the relationship field:{field.relationship} shows the grid "{name}"; several '
                     "programs expect both to have one name"
