@@ -63,7 +63,7 @@ def test_a_wrong_request_is_an_error_at_its_property(
 
 
 def test_every_wrong_attribute_is_found(tmp_path: Path) -> None:
-    found = findings(tmp_path, "double @@strength = 2\nint64 @@seed = -1\nint @@iterations = 0")
+    found = findings(tmp_path, "double @@strength = 2\nint64 @@seed = -1\nint @@iterations = -1")
     assert [item.prim_path.rpartition(":")[2] for item in found] == [
         "iterations", "seed", "strength",
     ]  # fmt: skip
