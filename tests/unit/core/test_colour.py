@@ -103,7 +103,7 @@ def test_smoke_as_thin_as_the_paper_s_is_painted_like_thick_smoke():
     """The same colours in the thin limit, and nearly the loss that thick smoke gets."""
     thick, faint, fainter = (thin_run(gamma, [30, 30]) for gamma in (0.3, 1e-3, 1e-9))
     assert faint[2] == pytest.approx(thick[2], rel=0.15)
-    assert fainter[2] == pytest.approx(faint[2], rel=0.02)
+    assert fainter[2] == pytest.approx(faint[2], rel=0.01)
     assert (fainter[1] - faint[1]).abs().mean() < 0.01
 
 
@@ -169,7 +169,7 @@ def test_total_variation_smooths_the_picture(smoke, views):
             ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 25)
         )
         rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
-    assert rough[1] < 0.4 * rough[0]
+    assert rough[1] < 0.32 * rough[0]
 
 
 def test_no_smoke_colour_is_changed_by_no_iterations(smoke):
