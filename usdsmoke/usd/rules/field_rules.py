@@ -148,9 +148,10 @@ def check_types(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             token = _token(field.prim, "fieldDataType", code)
             fitting = DATA_TYPES.get(grid.value_type, ())
             if not token:
+                advice = f"Author {' or '.join(fitting)}." if fitting else "USD has no word for it."
                 missing[code] = (
                     f'fieldDataType is not authored; the grid "{grid.label}" is {grid.value_type}. '
-                    f"Author {' or '.join(fitting) or 'its type'}."
+                    f"{advice}"
                 )
             elif fitting and token not in fitting:
                 wrong[code] = (
