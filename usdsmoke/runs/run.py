@@ -2,7 +2,7 @@
 
     OUT/vdb/<key>/run.json             settings, inputs, plan; scenes and frames when complete
     OUT/vdb/<key>/scenes.json          what was measured once for all windows, until then
-    OUT/vdb/<key>/NAME.####.vdb        the frames
+    OUT/vdb/<key>/NAME.####.vdb        the frames; ``delivery`` gives them other paths too
     OUT/vdb/<key>/windows/KKKK.json    the manifest of a finished window: see ``manifests``
     OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
     OUT/vdb/<key>/coarse/, coarse.json what windows start from, where there are several

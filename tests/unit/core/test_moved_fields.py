@@ -1,12 +1,16 @@
 """Other fields that move with the density."""
 
 import numpy as np
+import pytest
 import torch
 
+from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.stylize_fixtures import quick_config, run_core
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.steps.move import move_field
+from usdsmoke.vdb.blend import relative_difference
 
 PLACE = np.diag([0.5, 0.5, 0.5, 1.0])  # stage units per voxel of the density
 
@@ -71,3 +75,21 @@ def test_colours_move_component_by_component() -> None:
     assert moved.ijk_min == expected.ijk_min
     np.testing.assert_allclose(moved.values[..., 1], 2 * expected.values, atol=1e-6)
     assert not moved.values[..., 2].any()
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.5])
+def test_what_moves_the_density_moves_a_copy_of_it_to_the_same_place(strength: float) -> None:
+    frame = frame_of(puff(12))
+    config = quick_config(
+        shape={"iterations": [10], "interpolation": "linear", "mass_correction": False},
+        optimize={"steps": ["shape"], "strength": strength, "threads": 1},
+    )
+    (result,) = run_core([frame], config)
+    moved = move_field(frame.density, frame.density_to_stage, result.moved_by)
+    assert relative_difference(moved, result.density) < 1e-5
+    assert relative_difference(frame.density, result.density) > 0.01
+
+
+def test_colours_alone_move_nothing() -> None:
+    config = quick_config(optimize={"steps": ["colour"], "threads": 1})
+    assert run_core([frame_of(puff(12))], config)[0].moved_by is None

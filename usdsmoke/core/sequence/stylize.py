@@ -97,7 +97,7 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         for field in painted:
             _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
     report = replace(frame.report, errors=frame_errors(frame))
-    return StylizedFrame(frame.time_code, frame.density, painted, report)
+    return StylizedFrame(frame.time_code, frame.density, painted, report, frame.moved_by)
 
 
 def _per_extinction(frame: PaintedFrame, name: str) -> Tensor:
