@@ -9,7 +9,7 @@ import torch
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
-from usdsmoke.audit import provenance, rerun, verify
+from usdsmoke.audit import prov_document, provenance, rerun, verify
 from usdsmoke.base.errors import ConfigError, FeatureError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.core.generator.network import Generator
@@ -63,6 +63,10 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     (found,) = provenance(result.look_layer)
     assert found.record.start_hash == hash_file(network)
     assert found.record.settings["optimize"]["start"] == "../nets/style.safetensors"
+    network_entity = next(
+        values for name, values in prov_document([found])["entity"].items() if "network" in name
+    )
+    assert hash_file(network) in network_entity.values()
     assert rerun(result.look_layer, shot.folder / "again").differences == ()
 
     network.write_bytes(Generator.new(torch.full((3,), 0.5), 0).to_bytes({}))

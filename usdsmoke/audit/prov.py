@@ -1,8 +1,9 @@
 """Records as W3C PROV: what was made from what, by which run, with which software.
 
-The source stage, grids, style images, settings, features, the look layer and its frames are
-entities. The run is an activity. usdsmoke, Python and the packages are software agents. Identifiers
-are the run's UUID and a name, so documents of several runs can be put together.
+The source stage, grids, style images, settings, features, the network that frames start from, the
+look layer and its frames are entities. The run is an activity. usdsmoke, Python and the packages
+are software agents. Identifiers are the run's UUID and a name, so documents of several runs can be
+put together.
 
 Sources: [PROV-DM2013], [PROV-JSON2013].
 """
@@ -84,6 +85,9 @@ class _Run:
         yield self._entity("settings", "Settings", "settings", value=settings)
         if record.features:
             yield self._entity("features", "Features", record.features, sha256=record.features_hash)
+        if file := record.start_file:
+            name, digest = file.rpartition("/")[2], record.start_hash
+            yield self._entity("network", "Network", name, file=file, sha256=digest)
 
     def _add_sources(self) -> dict[tuple[str, str], str]:
         """Identifiers by file and grid."""

@@ -118,6 +118,11 @@ class RunRecord(JsonRecord):
     error_budget: Mapping[str, Any] = field(default_factory=dict)  # see ``runs.budget``
 
     @property
+    def start_file(self) -> str:
+        """The network that frames start from, as in the settings; "" without one."""
+        return str(self.settings.get("optimize", {}).get("start", "")) if self.start_hash else ""
+
+    @property
     def request(self) -> dict[str, Any]:
         """What it takes to make the run's job again, as JSON values."""
         return {

@@ -87,7 +87,7 @@ def train_generator(
     state = None
     for state in minimize(objective, leaves, Descent(RATE, n_iterations)):
         done = state.iteration + 1
-        if done % CHECK_EVERY == 0 or done == n_iterations:
+        if done % CHECK_EVERY == 0 or state.reason:  # the last has a reason
             found = look()
             if found < best:
                 best, best_at, kept = found, done, generator.copy()
