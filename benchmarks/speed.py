@@ -24,7 +24,7 @@ from benchmarks.presets import unseen_loss
 from benchmarks.style_scores import RANGES
 from usdsmoke.pictures import read_style_image
 
-__all__ = ["main", "measure"]
+__all__ = ["checkout_parser", "main", "measure"]
 
 HERE = Path(__file__).resolve().parents[1]
 PARTS = (
@@ -66,17 +66,27 @@ def measure(tree: Path, stage: Path, style: Path, options: list[str]) -> dict[st
         return found
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+def checkout_parser(text: str | None) -> argparse.ArgumentParser:
+    """Arguments of a comparison with another checkout.
+
+    Args:
+        text: the description.
+    """
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("stage", type=Path)
     parser.add_argument("style", type=Path)
     parser.add_argument("--tree", type=Path, required=True, help="the other checkout")
     parser.add_argument("--frames", help="timeCodes; all without it")
-    parser.add_argument("--pairs", type=int, default=1, help="runs of each")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = checkout_parser(__doc__)
+    parser.add_argument("--pairs", type=int, default=1, help="runs of each")
     given = parser.parse_args(arguments)
     options = [word for setting in given.settings for word in ("--set", setting)]
     options += ["--frames", given.frames] if given.frames else []

@@ -10,12 +10,11 @@ checkout was made for; this checkout measures it for both. One thread; CPU secon
 other work, wall seconds are worth something on a quiet machine alone.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
 from benchmarks.circumstances import publish, table_page
-from benchmarks.speed import HERE, measure
+from benchmarks.speed import HERE, checkout_parser, measure
 from usdsmoke.base.settings import Config
 
 __all__ = ["main"]
@@ -26,14 +25,7 @@ COLUMNS = ("CPU", "wall", "unseen loss", "unseen loss, front")
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("stage", type=Path)
-    parser.add_argument("style", type=Path)
-    parser.add_argument("--tree", type=Path, required=True, help="the other checkout")
-    parser.add_argument("--frames", help="timeCodes; all without it")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser = checkout_parser(__doc__)
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     given = parser.parse_args(arguments)
     options = [word for item in [*given.settings, "optimize.threads=1"] for word in ("--set", item)]

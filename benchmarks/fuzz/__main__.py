@@ -6,7 +6,7 @@
 A sound stage, VDB file, style, settings file, network, unfinished run or result is damaged in
 bytes, words or values, and one command reads it in a fork of a warm process. It must end by itself
 with exit code 0, 1 or 2, name what is wrong, leave its inputs as they are and nothing behind. Most
-commands read and plan; a share of ``--runs`` stylizes or draws. Linux only; about 0.05 CPU seconds
+commands read and plan; a share of ``--runs`` stylizes or draws. Linux only; about 0.07 CPU seconds
 a case that reads and 1.5 for one that stylizes.
 """
 
