@@ -43,17 +43,18 @@ def finished(request, tmp_path: Path) -> tuple[str, Shot, StylizeResult]:
 
 def test_a_painted_albedo_is_in_the_files_the_look_and_its_pictures(finished) -> None:
     target, shot, result = finished
+    most = 1 if target == "albedo" else 0.5
     names = {"density", "Cd"} | ({"emission"} if target == "both" else set())
     for file_path in result.frames:
         assert {grid.name for grid in read_header(file_path).grids} == names
         (albedo,) = read_grids(file_path, [GridRequest("Cd")], GridsConfig())
-        assert 0 <= albedo.values.min() and 0.1 < albedo.values.max() <= 1
+        assert 0 <= albedo.values.min() and 0.1 < albedo.values.max() <= most
     stage = Usd.Stage.Open(str(result.root_stage))
     prim = stage.GetPrimAtPath("/World/smoke")
     said = {name: prim.GetAttribute(f"usdSmoke:{name}") for name in ("scatterField", "albedo")}
     assert {name: value.Get() for name, value in said.items()} == {
         "scatterField": "Cd",
-        "albedo": 1,
+        "albedo": most,
     }
     assert np.allclose(prim.GetAttribute("usdSmoke:lights").Get()[0], (0, 0, 1))
     exposure = prim.GetAttribute("usdSmoke:exposure")

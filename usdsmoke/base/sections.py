@@ -139,8 +139,8 @@ class OpticsConfig(Section):
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
         None, "share of the light it takes away that smoke scatters, and the look's material with "
-        "it; unset: 0.5 where distant lights or domes light the smoke, 1 where colour.target "
-        "paints it; 0: no light is read",
+        "it; unset: 0.5 where distant lights or domes light the smoke, 1 with "
+        "colour.target=albedo; 0: no light is read",
         ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",

@@ -88,7 +88,7 @@ class Config(BaseModel):
         """The share of light that lit smoke scatters: ``optics.albedo``, or what stands for it."""
         if self.optics.albedo is not None:
             return self.optics.albedo
-        return LIT_ALBEDO if self.colour.target == "emission" else 1.0
+        return 1.0 if self.colour.target == "albedo" else LIT_ALBEDO
 
     @property
     def painted(self) -> tuple[str, ...]:
