@@ -46,10 +46,14 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
     mean colour of the visible ones, so that what nobody sees is no part of the style.
 
     Raises:
-        ImageError: the file is missing, of no format that can be read, damaged, larger than 100
-            megapixels, has pixels that are NaN or infinite, or is fully transparent.
+        ImageError: the file is missing or a pipe, of no format that can be read, damaged, larger
+            than 100 megapixels, has pixels that are NaN or infinite, or is fully transparent.
     """
     where = Path(file_path)
+    if where.exists() and not where.is_file() and not where.is_dir():
+        raise ImageError(
+            f"the style image {where} is a device or a pipe, which may never end. Give a file."
+        )
     try:
         with open(where, "rb") as stream:
             is_exr = stream.read(4) == _EXR_MAGIC

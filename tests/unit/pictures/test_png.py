@@ -266,3 +266,11 @@ def test_decompression_bomb_is_refused_without_unpacking_it(tmp_path: Path) -> N
     (tmp_path / "bomb.png").write_bytes(packed)
     with pytest.raises(ImageError, match=r"bomb\.png is too large"):
         read_style_image(tmp_path / "bomb.png")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_a_pipe_is_refused_before_it_is_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "style.png"
+    os.mkfifo(pipe)
+    with pytest.raises(ImageError, match="a device or a pipe"):
+        read_style_image(pipe)
