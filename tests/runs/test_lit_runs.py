@@ -48,7 +48,7 @@ def test_a_painted_albedo_is_in_the_files_the_look_and_its_pictures(finished) ->
     for file_path in result.frames:
         assert {grid.name for grid in read_header(file_path).grids} == names
         (albedo,) = read_grids(file_path, [GridRequest("Cd")], GridsConfig())
-        assert 0 <= albedo.values.min() and 0.1 < albedo.values.max() <= most
+        assert 0 <= albedo.values.min() and 0.1 < albedo.values.max() <= most * (1 + 1e-6)
     stage = Usd.Stage.Open(str(result.root_stage))
     prim = stage.GetPrimAtPath("/World/smoke")
     said = {name: prim.GetAttribute(f"usdSmoke:{name}") for name in ("scatterField", "albedo")}
