@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import runpy
 import subprocess
 import sys
 from functools import cache
@@ -127,3 +128,12 @@ def test_the_index_of_benchmarks_names_every_one_that_can_be_run() -> None:
         if 'if __name__ == "__main__"' in path.read_text("utf-8")
     }
     assert {name for name in runnable if f"`{name}`" not in index} == set()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
+def test_paragraphs_are_wrapped(document: Path) -> None:
+    """Run `python tools/wrap_prose.py FILE`."""
+    if document.is_relative_to(PROJECT / "benchmarks/results"):
+        return  # written by benchmarks
+    text = document.read_text("utf-8")
+    assert runpy.run_path(str(PROJECT / "tools/wrap_prose.py"))["wrap_prose"](text) == text
