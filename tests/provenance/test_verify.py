@@ -84,6 +84,21 @@ def test_another_velocity_in_a_file_of_the_same_density_is_an_edited_input(tmp_p
     assert change.kind == "input-edited" and change.expected.startswith("vel ")
 
 
+@pytest.mark.usefixtures("core")
+def test_the_last_frames_velocity_which_nothing_reads_is_not_compared(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    done = shot, run(shot, "layer.copy_velocity=true")
+    file = shot.stage.parent / "cache/smoke.0003.vdb"
+    before = file.read_bytes()
+    write_vdb(file, ("density", "vel"), value=0.5 + 3 / 8)
+    assert file.read_bytes() != before
+    change = only(done)
+    assert (change.kind, change.severity) == ("input-rewritten", "note")
+    assert "vel" in change.found and "none" not in change.found
+    write_vdb(file, ("density", "vel"), value=0.125)
+    assert only(done).expected.startswith("density ")
+
+
 def test_an_input_that_is_gone_is_named(finished: Finished) -> None:
     file = finished[0].stage.parent / "cache/smoke.0003.vdb"
     file.unlink()

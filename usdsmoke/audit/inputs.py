@@ -5,7 +5,7 @@ A file that was only written again, for example compressed, is a note.
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -186,11 +186,20 @@ def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change
     if not other or job is None:
         return [*changes, *other.values()]
     contents = _check_contents(item, job, other)
-    return [*changes, *(contents.get(file, _rewritten(other[file])) for file in other)]
+    unhashed: dict[Path, dict[str, None]] = {}
+    for source in (source for frame in item.record.frames for source in frame.sources):
+        if not source.hash:
+            unhashed.setdefault(item.place(source.file), {})[source.grid] = None
+    return [
+        *changes,
+        *(contents.get(file, _rewritten(other[file], unhashed.get(file, ()))) for file in other),
+    ]
 
 
-def _rewritten(change: Change) -> Change:
-    same = "a different file, but with identical grids where they were read"
+def _rewritten(change: Change, unhashed: Iterable[str]) -> Change:
+    same = "a different file, but with identical grids where they were compared"
+    if names := ", ".join(unhashed):
+        same += f"; no hash is recorded of {names}"
     return Change.note("input-rewritten", change.file, change.expected, same)
 
 
@@ -224,7 +233,7 @@ def _check_contents(
             hashes, trouble = {}, str(error)
         for file, source in sources:
             found = hashes.get(source.field, "")
-            if not source.hash or found != source.hash:
+            if source.hash and found != source.hash:
                 expected = f"{source.grid} {shown(source.hash)}"
                 now = trouble or f"{shown(found)}, written {written_at(file)}"
                 change = Change("input-edited", str(file), expected, now)

@@ -86,12 +86,8 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
             "that is a node inside Houdini, unknown outside it. "
             "Write the volumes to files there (USD ROP), and use the stage it writes."
         )
-    if Ar.IsPackageRelativePath(file_path) or Ar.IsPackageRelativePath(authored_path):
-        package = Ar.SplitPackageRelativePathOuter(file_path or authored_path)[0]
-        return (
-            f"that is inside the package {package}, and OpenVDB reads plain files only. "
-            "Unpack it (a .usdz is a zip), and use the stage inside."
-        )
+    if package := package_of(file_path) or package_of(authored_path):
+        return f"that is {packed_problem(package)}"
     if not file_path and FRAME_PATTERN.search(authored_path):
         return (
             "OpenUSD expands no frame patterns. Author a time sample for each file, as "
@@ -106,6 +102,32 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
             f"it resolves to {file_path}, where there is no file. Check the resolver and the disk."
         )
     return ""
+
+
+def package_of(path: str) -> str:
+    """The file of the package (.usdz) that a path leads into; "" for a path of a plain file."""
+    if not Ar.IsPackageRelativePath(path):
+        return ""
+    return str(Ar.SplitPackageRelativePathOuter(path)[0])
+
+
+def packed_problem(package: str) -> str:
+    """Why a field's file in a package cannot be opened, as the end of a sentence."""
+    return (
+        f"inside the package {package}, and OpenVDB reads plain files only. "
+        "Unpack it (a .usdz is a zip), and use the stage inside."
+    )
+
+
+def file_name(path: str) -> str:
+    """The last part of a path, which may lead into a package.
+
+    >>> file_name("/shot/smoke.usdz[1/pyro.1001.vdb]")
+    'pyro.1001.vdb'
+    """
+    if Ar.IsPackageRelativePath(path):
+        path = str(Ar.SplitPackageRelativePathInner(path)[1])
+    return os.path.basename(path)
 
 
 def asset_value(

@@ -211,6 +211,33 @@ def test_a_path_that_is_no_file_on_disk_is_refused(tmp_path, asset, reason):
     refuse(tmp_path, body, AssetNotResolved, reason)
 
 
+def packed_shot(folder):
+    """A stage whose two fields, of two timeCodes each, lie inside a package."""
+    with zipfile.ZipFile(folder / "box.usdz", "w") as package:
+        for code in (1, 2):
+            package.write(write_vdb(folder / f"{code}.vdb"), f"in/{code}.vdb")
+    files = sampled("asset filePath", {code: f"@./box.usdz[in/{code}.vdb]@" for code in (1, 2)})
+    other = sampled("asset filePath", {code: f"@./box.usdz[in/{3 - code}.vdb]@" for code in (1, 2)})
+    relations = "\n".join(f"rel field:{n} = </World/smoke/{n}>" for n in ("density", "heat"))
+    body = density_prim(files) + density_prim(other, "heat")
+    return write_text(folder / "shot.usda", world(volume_prim(body, relations=relations)))
+
+
+def test_no_timecode_can_be_left_out_where_all_lie_in_a_package(tmp_path):
+    with pytest.raises(AssetNotResolved, match="inside the package") as caught:
+        find_volumes(open_stage(packed_shot(tmp_path)), StageConfig())
+    assert "--allow-missing" not in str(caught.value)
+
+
+@needs_usd(26, 5)
+def test_a_package_is_one_finding_and_names_in_it_are_whole(tmp_path):
+    found = validate(packed_shot(tmp_path))
+    (missing,) = [item.message for item in found if item.rule == "FieldFileMissing"]
+    assert "density, heat" in missing and "box.usdz" in missing
+    (mixed,) = [item.message for item in found if item.rule == "MixedFilesPerVolume"]
+    assert "density in 1.vdb, heat in 2.vdb" in mixed
+
+
 def test_a_field_without_any_file_path_is_refused(tmp_path):
     reason = "</World/smoke/density> of Volume </World/smoke> has no filePath at any timeCode"
     refuse(tmp_path, volume_prim(density_prim("")), AssetNotResolved, reason)

@@ -22,7 +22,7 @@ from usdsmoke.usd.rules.facts import (
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.values import value_at
+from usdsmoke.usd.values import package_of, packed_problem, value_at
 from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
@@ -90,15 +90,23 @@ def check_kinds(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
 def check_files(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     """Every file that a field names is there and is a VDB file."""
     problems = []
+    packed: dict[str, dict[str, float | None]] = {}  # by package: fields, each with a timeCode
     for field in collect_fields(volume, interval):
         troubles = {}
         for sample in field.samples:
+            if package := package_of(sample.file_path):
+                packed.setdefault(package, {}).setdefault(field.relationship, sample.time_code)
+                continue
             trouble = file_trouble(sample)
             if not trouble and not sample.blocked:
                 trouble = _header_trouble(sample.file_path)
             if trouble:
                 troubles[sample.time_code] = trouble
         problems += grouped(Severity.ERROR, field.prim_path, troubles)
+    for package, codes in packed.items():
+        message = f"the files of {', '.join(codes)} lie {packed_problem(package)}"
+        first = min((code for code in codes.values() if code is not None), default=None)
+        problems.append(Problem(Severity.ERROR, str(volume.GetPath()), message, first))
     return problems
 
 

@@ -1,6 +1,5 @@
 """Rules on a Volume: its bounds, its fields together, and what it requests."""
 
-import os
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -20,6 +19,7 @@ from usdsmoke.usd.rules.facts import (
     sample_grid,
 )
 from usdsmoke.usd.schema import LOOK_API, STYLE_API
+from usdsmoke.usd.values import file_name
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
 _COLOURS = (*COLOUR_VECTORS, *COLOUR_CHANNELS)
@@ -43,9 +43,7 @@ def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             if sample.file_path and not _is_empty(sample):
                 files.setdefault(sample.file_path, field.relationship)
         if len(files) > 1:
-            listed = ", ".join(
-                f"{name} in {os.path.basename(path)}" for path, name in files.items()
-            )
+            listed = ", ".join(f"{name} in {file_name(path)}" for path, name in files.items())
             troubles[code] = (
                 f"the fields come from {len(files)} files ({listed}), of which several programs "
                 "read only one. Keep a frame's grids in one file; stylize does so with "
