@@ -111,11 +111,12 @@ class StyleRequest:
 
 @dataclass(frozen=True)
 class BoundMaterial:
-    """A material with a volume shader that a Volume is bound to."""
+    """A material that a Volume is bound to."""
 
     prim_path: str
     colours: tuple[str, ...]  # the colour grids of looks that its volume shaders name
     can_replace: bool  # False: a binding of an ancestor or a collection wins over the Volume's own
+    has_volume: bool  # False: it has no volume shader, and renderers take their fallback
 
     def hides(self, colours: Collection[str]) -> bool:
         """True if a look with these colour grids is not seen with this material."""

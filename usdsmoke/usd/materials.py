@@ -17,10 +17,9 @@ _NAME = re.compile(r"[\w:]+")
 
 
 def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
-    """The materials with a volume shader that a Volume is bound to, one for each purpose.
+    """The materials that a Volume is bound to, one for each purpose.
 
-    Bindings of ancestors and of collections count, as UsdShade resolves them. A material without a
-    volume shader is left out: it cannot draw a Volume, and renderers take their fallback.
+    Bindings of ancestors and of collections count, as UsdShade resolves them.
     """
     binding = UsdShade.MaterialBindingAPI(volume)
     found: dict[str, BoundMaterial] = {}
@@ -30,10 +29,9 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
         if not material or not relationship or str(material.GetPath()) in found:
             continue
         shaders = list(_volume_shaders(material))
-        if shaders:
-            path = str(material.GetPath())
-            can_replace = _is_weaker(relationship, volume)
-            found[path] = BoundMaterial(path, _colours_read(shaders), can_replace)
+        path = str(material.GetPath())
+        can_replace = _is_weaker(relationship, volume)
+        found[path] = BoundMaterial(path, _colours_read(shaders), can_replace, bool(shaders))
     return tuple(found.values())
 
 
@@ -46,23 +44,38 @@ def binds_material(config: LayerConfig, has_colour: bool, bound: tuple[BoundMate
     """
     if not has_colour or config.material == "none":
         return False
-    if config.material == "replace":
-        return all(material.can_replace for material in bound)
-    return not bound
+    if not all(material.can_replace for material in bound):
+        return False
+    return config.material == "replace" or not any(material.has_volume for material in bound)
+
+
+def purposes_to_bind(volume: Usd.Prim) -> list[str]:
+    """The purposes, such as ``full``, with a binding of their own here or above.
+
+    UsdShade asks for them before bindings for all purposes, also those of a Volume itself.
+    """
+    found = []
+    binding = UsdShade.MaterialBindingAPI(volume)
+    with captured_diagnostics():
+        for purpose in filter(None, binding.GetMaterialPurposes()):
+            direct, collection = f"{BINDING}:{purpose}", f"{_COLLECTION}:{purpose}:"
+            _, relationship = binding.ComputeBoundMaterial(purpose)
+            name = relationship.GetName() if relationship else ""
+            if volume.HasRelationship(direct) or name == direct or name.startswith(collection):
+                found.append(str(purpose))
+    return found
 
 
 def hiding_material(volume: Usd.Prim, colours: Collection[str]) -> BoundMaterial | None:
-    """A bound material whose volume shader reads none of ``colours``; None if there is none."""
+    """A bound material that reads none of ``colours`` for Volumes; None if there is none."""
     hiding = (material for material in find_materials(volume) if material.hides(colours))
     return next(hiding, None)
 
 
 def _is_weaker(relationship: Usd.Relationship, volume: Usd.Prim) -> bool:
     """True if a binding on the Volume itself, in a stronger layer, wins over this one."""
-    if relationship.GetName().startswith(_COLLECTION):
-        return False
     if relationship.GetPrim() == volume:
-        return True
+        return not relationship.GetName().startswith(_COLLECTION)
     strength = UsdShade.MaterialBindingAPI.GetMaterialBindingStrength(relationship)
     return bool(strength != UsdShade.Tokens.strongerThanDescendants)
 

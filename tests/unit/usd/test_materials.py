@@ -16,6 +16,7 @@ from tests.fixtures.usd_fixtures import (
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
 from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import EarlierLooks
+from usdsmoke.usd.gate import validate_look
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.stage import composed_volumes, find_volumes, open_stage
@@ -237,6 +238,48 @@ def test_a_binding_that_is_stronger_than_descendants_is_left_alone(tmp_path):
     files = look(source, tmp_path / "out", material="replace")
     assert bound(files.root_stage) == "/World/theirs"
     assert not opened(files.root_stage).GetPrimAtPath(OURS)
+
+
+def bound_above(folder, theirs, relation, api=API):
+    """A stage whose Volume is bound by a relationship of the prim above."""
+    header = f'def Xform "World" (\n{api}\n)'
+    source = shot(folder, theirs, "", header)
+    text = source.read_text().replace(f"{header}\n{{", f"{header}\n{{\n{relation}\n", 1)
+    return write_text(source, text)
+
+
+@needs_usd(26, 5)
+@pytest.mark.parametrize("config", [{}, {"material": "replace"}])
+@pytest.mark.parametrize("terminal", ["surface", "volume"])
+def test_a_stronger_material_above_hides_the_look_whatever_it_draws(tmp_path, terminal, config):
+    strong = BOUND.replace("\n", ' (bindMaterialAs = "strongerThanDescendants")')
+    source = bound_above(tmp_path, material(terminal=terminal), strong)
+    files = look(source, tmp_path / "out", **config)
+    assert bound(files.root_stage) == "/World/theirs"
+    findings, _ = validate_look(files.root_stage)
+    (found,) = [item for item in findings if item.rule == "LookHidden"]
+    assert "/World/theirs" in found.message and "replace" not in found.message
+    (theirs,) = find_volumes(open_stage(source), StageConfig()).volumes[0].materials
+    assert not theirs.can_replace
+
+
+COLLECTION = """uniform token collection:all:expansionRule = "expandPrims"
+    rel collection:all:includes = </World>
+    rel material:binding:collection:{}all = [</World.collection:all>, </World/theirs>]"""
+
+
+@needs_usd(26, 5)
+@pytest.mark.parametrize("relation", [
+    BOUND, BOUND.replace("binding", "binding:full"), COLLECTION.format(""),
+    COLLECTION.format("full:"),
+])  # fmt: skip
+def test_a_weak_binding_above_gives_way_for_every_purpose(tmp_path, relation):
+    api = 'prepend apiSchemas = ["MaterialBindingAPI", "CollectionAPI:all"]'
+    source = bound_above(tmp_path, material(terminal="surface"), relation, api)
+    assert bound(source, "full") == "/World/theirs"
+    files = look(source, tmp_path / "out")
+    assert bound(files.root_stage, "full") == bound(files.root_stage) == OURS
+    assert "LookHidden" not in {item.rule for item in validate(files.root_stage)}
 
 
 def test_a_material_for_surfaces_alone_does_not_count(tmp_path):

@@ -16,13 +16,12 @@ from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.usd.look.networks import Input, Network, Node, Smoke, Varying, network
 from usdsmoke.usd.look.records import StylizedVolume, shader_name
-from usdsmoke.usd.materials import BINDING
+from usdsmoke.usd.materials import BINDING, purposes_to_bind
 from usdsmoke.usd.units import stage_units_over_time
 
 _TYPES = Sdf.ValueTypeNames
 _NAME = "look_material"
 _FALLBACK_EXTINCTION, _FALLBACK_ALBEDO = 1.0, 0.18  # of Storm's shader without a material
-_PURPOSES = ("preview", "full")
 
 
 def author_material(
@@ -42,8 +41,7 @@ def author_material(
     schemas = volume_spec.GetInfo("apiSchemas")
     schemas.prependedItems = [*schemas.prependedItems, "MaterialBindingAPI"]
     volume_spec.SetInfo("apiSchemas", schemas)
-    own = [f"{BINDING}:{name}" for name in _PURPOSES]
-    for name in (BINDING, *(name for name in own if prim.HasRelationship(name))):
+    for name in (BINDING, *(f"{BINDING}:{purpose}" for purpose in purposes_to_bind(prim))):
         _bind(volume_spec, name, [path])
 
 
