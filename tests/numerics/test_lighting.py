@@ -142,13 +142,14 @@ def test_lights_add_up_and_light_the_same_smoke_anywhere() -> None:
 
 
 @pytest.mark.parametrize("depth", [1e-3, 0.6, 1e3])
-@pytest.mark.parametrize("painted", [False, True])
-def test_the_gradient_of_a_lit_picture_is_that_of_its_differences(depth, painted) -> None:
+@pytest.mark.parametrize(("painted", "bounces"), [(False, False), (True, False), (False, True)])
+def test_the_gradient_of_a_lit_picture_is_that_of_its_differences(depth, painted, bounces) -> None:
     smoke = smoke_of(puff(8)).take(torch.arange(40))
     smoke = ActiveSmoke(smoke.ijk, smoke.density.double(), smoke.index_to_stage)
     view = fit_view(front_view(1), smoke)
     image, alpha = colour_map(smoke.positions, smoke.density, smoke.edges, depth, view, 1.0)
-    sun = Scattering((LightSource("/sun", (1.0, 0.9, 0.7), tuple(TILTED)),), 0.9)
+    lights = (LightSource("/sun", (1.0, 0.9, 0.7), tuple(TILTED)),)
+    sun = Scattering(lights, 0.9, bounces=bounces)
     light = light_smoke(smoke, depth, sun).on(smoke.positions).scattered(view.forward)
     how = {"light": light} if painted else {"scattered": image.apply(light)}
     lit = ColourView(image, alpha, **how)

@@ -98,3 +98,16 @@ def test_glow_that_is_scattered_many_times_is_that_of_a_half_space() -> None:
     assert error < 0.02
     assert abs(np.mean(found) - (1 - albedo) ** 0.5 * along) < 3 * error
     assert traced.glow(colours, view, 64, 0).mean() == pytest.approx(1 - albedo, rel=1e-3)
+
+
+@pytest.mark.parametrize("towards", [SIDE, BACK])
+@pytest.mark.parametrize(("depth", "albedo"), [(1.0, 0.9), (10.0, 0.5), (10.0, 0.9)])
+def test_many_bounces_are_a_sum_of_six_terms_to_eight_percent(towards, depth, albedo) -> None:
+    sun = (LightSource("/sun", (1.0, 1.0, 1.0), towards),)
+    gamma_w, scattering = extinction(depth), Scattering(sun, albedo, bounces=True)
+    traced = TracedSmoke(field_of(DENSITY), gamma_w, scattering)
+    means = [traced.lit(VIEW, SAMPLES, seed, MOST_BOUNCES).mean() for seed in range(2)]
+    found = our_picture(field_of(DENSITY), gamma_w, scattering, VIEW).mean()
+    assert found == pytest.approx(np.mean(means), rel=0.08)
+    once = our_picture(field_of(DENSITY), gamma_w, replace(scattering, bounces=False), VIEW).mean()
+    assert once < 0.9 * np.mean(means)

@@ -1,4 +1,4 @@
-"""Runs that paint the albedo: the files, the look and its preview say what scatters."""
+"""Runs in light: the files, the look and its pictures say what scatters, and how often."""
 
 from pathlib import Path
 
@@ -73,3 +73,22 @@ def test_a_painted_albedo_is_in_the_files_the_look_and_its_pictures(finished) ->
     assert all(sheet.is_file() for sheet in result.contact_sheets)
     (file_path,) = preview(result.root_stage, shot.folder / "a.exr", frames="2", width=16).files
     assert parts(file_path)["emission"][1].max() > 0.01
+
+
+def test_a_look_for_bounces_says_so_and_is_painted_and_shown_for_them(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, 1)
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(puff(8)))
+    colours, shown, sheets = [], [], []
+    for bounces in ("false", "true"):
+        settings = [*QUICK, "optics.albedo=0.9", f"optics.bounces={bounces}"]
+        result = stylize(shot.stage, shot.style, tmp_path / bounces, settings)
+        stage = Usd.Stage.Open(str(result.root_stage))
+        said = stage.GetPrimAtPath("/World/smoke").GetAttribute("usdSmoke:bounces")
+        assert (said.Get(), said.HasAuthoredValue()) == ((bounces == "true",) * 2)
+        (emission,) = read_grids(result.frames[0], [GridRequest("emission")], GridsConfig())
+        (file_path,) = preview(result.root_stage, tmp_path / f"{bounces}.exr", width=16).files
+        colours.append(float(emission.values.mean()))
+        shown.append(float(parts(file_path)["emission"][1].mean()))
+        sheets.append(result.contact_sheets[0].read_bytes())
+    assert colours[0] != colours[1] and sheets[0] != sheets[1]
+    assert shown[0] < shown[1]

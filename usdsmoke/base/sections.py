@@ -145,6 +145,8 @@ class OpticsConfig(Section):
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
         ge=-0.99, le=0.99)
+    bounces: bool = setting(
+        False, "paint for light that is scattered more than once, for renderers that draw it")
     exposure: float | None = setting(
         None, "exposure at which the lit smoke shows the style; the emission is divided by it; "
         "unset: 0, or, with colour.target=albedo, chosen so that white smoke in the light is white",

@@ -73,6 +73,7 @@ class Scattering:
     lights: tuple[LightSource, ...]
     albedo: float  # share of the light that it takes away and scatters, in [0, 1]
     anisotropy: float = 0.0  # mean cosine of the angle, in (-1, 1); 0: to all sides
+    bounces: bool = False  # whether light is scattered more than once
 
     @property
     def is_uneven(self) -> bool:

@@ -267,6 +267,11 @@ def _check_lights(volume: VolumeSource, config: Config) -> None:
             "and colour.target=both splits colours into albedo and emission for all views alike. "
             "Set optics.anisotropy=0, or another colour.target."
         )
+    if config.optics.bounces:
+        raise ConfigError(
+            f"optics.bounces=true needs an albedo that is known, and colour.target={target} paints "
+            "it. Set optics.bounces=false, or colour.target=emission."
+        )
     dark = [frame.time_code for frame in volume.frames if not frame.lights]
     if dark or config.albedo == 0:
         found = "optics.albedo=0" if config.albedo == 0 else f"no light at {name_time_codes(dark)}"

@@ -58,8 +58,9 @@ def lights_needed(config: Config, frames: Sequence[FramePlan]) -> list[str]:
     if not names:
         return []
     why = ", because light reaches it" if config.optics.albedo is None else ""
+    often = ", more than once (optics.bounces)" if config.optics.bounces else ""
     return [
-        f"the light of {names}, of which the smoke scatters {config.albedo:.0%} "
+        f"the light of {names}, of which the smoke scatters {config.albedo:.0%}{often} "
         f"(optics.albedo{why}; 0 leaves it out)"
     ]
 
@@ -72,6 +73,7 @@ def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
     brightest = max(_front(config, frame.source.lights) for frame in volume.frames)
     stops = config.optics.exposure or 0.0
     exposed = f" at optics.exposure={stops:g}" if stops else ""
+    exposed += ", and brighter with bounces" if config.optics.bounces else ""
     return [
         f"the look of <{volume.source.prim_path}> is made for the light of {names} "
         f"(optics.albedo={config.albedo:g}). Stylize again when it changes. Thick smoke that faces "
@@ -80,7 +82,11 @@ def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
 
 
 def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
-    """Lights of the stage that light no smoke, and scattering without a light."""
+    """Lights of the stage that light no smoke, scattering without a light, and bounces."""
+    return [*_unused_lights(source, volumes), *_bounces_omitted(volumes)]
+
+
+def _unused_lights(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
     used = {light for volume in volumes for light in _lights(volume.frames)}
     optics = [own for volume in volumes if (own := volume.config.lit_optics) is not None]
     names = _name_all(path for path in source.lights if path not in used)
@@ -96,6 +102,17 @@ def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[O
         reason = "the stage has no DistantLight or DomeLight that lights the smoke"
         omitted.append(Omission("scattering (optics.albedo)", reason))
     return omitted
+
+
+def _bounces_omitted(volumes: Sequence[VolumePlan]) -> list[Omission]:
+    """Light that is scattered more than once, where no Volume with lights is painted for it."""
+    asked = [volume for volume in volumes if volume.config.optics.bounces]
+    lit = [volume for volume in volumes if _lights(volume.frames)]
+    if asked and not any(volume in lit for volume in asked):
+        return [Omission("bounces of light (optics.bounces)", "the smoke scatters no light")]
+    if lit and not asked:
+        return [Omission("light that is scattered more than once", "optics.bounces is off")]
+    return []
 
 
 def _lights(frames: Iterable[FramePlan]) -> dict[str, LightSource]:

@@ -198,6 +198,7 @@ def collect_volume(
         emission_mode=config.layer.emission_mode,
         albedo=config.albedo if is_lit else 0.0,
         anisotropy=config.optics.anisotropy if is_lit else 0.0,
+        bounces=config.optics.bounces and is_lit,
         named_lights=named_lights(config.optics) if is_lit else (),
         stops=scene.get("stops", 0.0),
         scatter_field=config.scatter_colours[0] if SCATTERING in config.painted else "",

@@ -116,7 +116,8 @@ class _Shown:
         """Exposed; without lights where the stage has none."""
         config, lights = self.volume.config, self.frame.source.lights
         albedo = 1.0 if SCATTERING in config.painted else config.albedo  # else of the colour
-        scattering = Scattering(lights, albedo, config.optics.anisotropy)
+        optics = config.optics
+        scattering = Scattering(lights, albedo, optics.anisotropy, optics.bounces)
         return scattering.exposed(self.stops)
 
     def source(self, reader: FrameReader, view: "View") -> np.ndarray:

@@ -17,6 +17,7 @@ EXTINCTION_PER_DENSITY = "usdSmoke:extinctionPerDensity"  # float, 1/(stage unit
 STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"  # float, of that stage in one unit of the Volume's space
 ALBEDO = "usdSmoke:albedo"  # float, of a look that lights of the stage light
 ANISOTROPY = "usdSmoke:anisotropy"  # float, likewise
+BOUNCES = "usdSmoke:bounces"  # bool, likewise
 LIGHTS = "usdSmoke:lights"  # float3[], direction and colour in turn, of lights that settings name
 SCATTER_FIELD = "usdSmoke:scatterField"  # token, relationship of the field that holds the albedo
 EXPOSURE = "usdSmoke:exposure"  # float, stops

@@ -1,8 +1,9 @@
 """``usdsmoke report --final``: a look under its lights, scattered many times, by a path tracer.
 
-The picture that was optimised has light that is scattered once and a glow that is not. A renderer
-with volume bounces scatters both again. Three pictures of each view are scored against the style:
-the glow alone, glow and light as the model has them, and what Mitsuba draws with all bounces.
+By default the picture that was optimised has light that is scattered once, and a glow that is not.
+A renderer with volume bounces scatters both again. Three pictures of each view are scored against
+the style: the glow alone, glow and light that is scattered once, and what Mitsuba draws with all
+bounces.
 """
 
 import json
@@ -161,7 +162,7 @@ def _draw(
     )
     smoke = activate(look.density, place, device)
     targets = make_targets(images, scene, config, device)
-    lighting = light_smoke(smoke, look.gamma_w, look.scattering)
+    lighting = light_smoke(smoke, look.gamma_w, replace(look.scattering, bounces=False))
     emitted = _per_extinction(look, smoke.ijk.numpy())
     albedo = torch.ones(len(smoke.ijk), 3)
     if look.colour is not None:

@@ -90,6 +90,12 @@ def test_lights_that_a_look_records_take_the_place_of_the_stage_s(added):
     assert np.allclose(added("both", more=named), added("full"), atol=1e-6)
 
 
+def test_bounces_that_a_look_records_brighten_its_smoke(added):
+    many, once = added("many", more="bool usdSmoke:bounces = true"), added("once")
+    assert (many >= once - 1e-6).all()
+    assert 1.02 * once.sum() < many.sum() < 3 * once.sum()
+
+
 def test_a_png_is_drawn_at_the_look_s_exposure_and_an_exr_without(tmp_path):
     plain = picture(tmp_path, "plain", "")
     exposed = picture(tmp_path, "exposed", "", more="float usdSmoke:exposure = -20")

@@ -65,6 +65,24 @@ def test_lights_of_the_settings_are_named_and_the_stage_s_left_out(shot: Shot) -
     assert f"{0.8 / 8 / 2:.2g} times" in note
 
 
+def test_bounces_are_named_as_needed_or_left_out_and_refused_where_the_albedo_is_painted(
+    shot: Shot,
+) -> None:
+    sun = "optics.sun=[1,0,0]"
+    made = plan_of(shot, "", sun)
+    assert any("optics.bounces" in item.reason for item in made.omitted)
+    assert not any("optics.bounces" in text for text in made.needed)
+    made = plan(shot.stage, shot.style, shot.output, [sun, "optics.bounces=true"])
+    assert not any("optics.bounces" in f"{item.what} {item.reason}" for item in made.omitted)
+    assert any("optics.bounces" in text for text in made.needed)
+    made = plan(shot.stage, shot.style, shot.output, ["optics.bounces=true"])
+    assert any("optics.bounces" in item.what for item in made.omitted)
+    for target in ("albedo", "both"):
+        with pytest.raises(ConfigError, match=r"optics\.bounces"):
+            settings = [sun, "optics.bounces=true", f"colour.target={target}"]
+            plan(shot.stage, shot.style, shot.output, settings)
+
+
 def test_scattering_without_a_light_is_said_to_do_nothing(shot: Shot) -> None:
     said = {item.what for item in plan_of(shot, "", "optics.albedo=0.8").omitted}
     assert "scattering (optics.albedo)" in said

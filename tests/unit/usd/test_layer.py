@@ -58,7 +58,7 @@ def test_the_volume_carries_the_look_schema_with_every_value_authored(tmp_path):
         found = attribute.Get()
         assert (list(found) if isinstance(value, list) else found) == value
     ours = {name for name in prim.GetPropertyNames() if name.startswith("usdSmoke:")}
-    of_lights = {"albedo", "anisotropy", "lights", "exposure", "scatterField"}
+    of_lights = {"albedo", "anisotropy", "bounces", "lights", "exposure", "scatterField"}
     assert ours == {f"usdSmoke:{name}" for name in (*values, *of_lights)}
     assert not any(prim.GetAttribute(f"usdSmoke:{name}").HasAuthoredValue() for name in of_lights)
 

@@ -36,6 +36,7 @@ ATTRIBUTES = {  # name: (type, fallback)
     schema.SEED: ("int64", 0),
     schema.ALBEDO: ("float", 0.0),
     schema.ANISOTROPY: ("float", 0.0),
+    schema.BOUNCES: ("bool", False),
     schema.LIGHTS: ("float3[]", []),
     schema.EXPOSURE: ("float", 0.0),
     schema.SCATTER_FIELD: ("token", ""),

@@ -130,7 +130,8 @@ class OpenedFrame:
         smoke = self.smoke
         if self.visibility is not None:
             smoke = activate(self.density, self.frame.density_to_stage, smoke.ijk.device)
-        scattering = Scattering(lights, config.albedo, config.optics.anisotropy)
+        optics = config.optics
+        scattering = Scattering(lights, config.albedo, optics.anisotropy, optics.bounces)
         found = light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
         is_painted = config.colour.target == "albedo"
         return None if found is None else replace(found, is_painted=is_painted)

@@ -9,6 +9,6 @@
 - ``media``: fields as rays read them
 - ``march``: pictures by ray marching
 - ``segments``, ``cells``, ``columns``: rays cut at voxels, in any direction and along an axis
-- ``lighting``: the stage's light, scattered by the smoke
+- ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
 - ``scene``: what all frames share: extinction, exposure, pixel size
 """

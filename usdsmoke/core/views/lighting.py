@@ -1,4 +1,4 @@
-"""Light of the stage that smoke scatters once.
+"""Light of the stage that smoke scatters.
 
 Where density is fixed, so is the light in the smoke. A voxel scatters albedo * sigma * L, with
 
@@ -6,8 +6,9 @@ Where density is fixed, so is the light in the smoke. A voxel scatters albedo * 
 
 where E is the irradiance of the light, p Henyey and Greenstein's phase function [Henyey1941], and
 tau the optical depth towards the light. A dome is uniform: every phase function scatters its light
-alike, and what hides it is looked up in a few directions, at half the smoke's resolution. Light
-that is scattered more than once is not in the model, as in renderers without volume bounces.
+alike, and what hides it is looked up in a few directions, at half the smoke's resolution. That is
+light that is scattered once, as in renderers without volume bounces. ``Scattering.bounces`` adds
+light that is scattered more often, see ``bounces``.
 """
 
 import math
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from usdsmoke.base.volume import DenseField, Scattering
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
+from usdsmoke.core.views.bounces import softer, weights
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import transmittances
 from usdsmoke.core.views.scene import fit_view
@@ -40,30 +42,45 @@ class Lighting:
         Args:
             positions: [P 3] float64, stage space, in the smoke or beside it.
         """
-        even = self.smoke.density.new_zeros(len(positions), 3)
-        beams = []
-        for light in self.scattering.lights:
+        even, beams = self.smoke.density.new_zeros(len(positions), 3), []
+        lights, g = self.scattering.lights, self.scattering.anisotropy
+        has_sky = self.scattering.bounces or any(light.towards is None for light in lights)
+        sky = self._sky(positions) if has_sky else even[:, :1]
+        for light in lights:
             colour = even.new_tensor(light.colour)
             if light.towards is None:
-                even += self._sky(positions)[:, None] * colour
+                even += self._weighed(sky, sky).sum(1, keepdim=True) * colour
                 continue
             towards = np.asarray(light.towards, float)
-            arriving = _arriving(self.smoke, self.gamma_w, towards, positions)[:, None] * colour
-            if self.scattering.anisotropy:
-                beams.append((towards, arriving))
+            terms = self._terms(_arriving(self.smoke, self.gamma_w, towards, positions))
+            terms = self._weighed(terms, sky)
+            if g:
+                powers = enumerate(terms.split(1, dim=1), start=1)
+                beams += [(towards, g**k, part * colour) for k, part in powers]
             else:
-                even += arriving / (4 * math.pi)
+                even += terms.sum(1, keepdim=True) * colour / (4 * math.pi)
         return LitPoints(self.scattering, even, tuple(beams))
 
     def _sky(self, positions: Tensor) -> Tensor:
-        """The share of a dome that is seen through the smoke, [P]."""
+        """The share of a dome that is seen through the smoke, [P K], see ``_terms``."""
         coarse, directions = coarsen(self.smoke), sky_directions()
-        total = coarse.density.new_zeros(len(coarse.ijk))
+        total = self._terms(coarse.density.new_zeros(len(coarse.ijk)))
         for towards in directions:
             view = fit_view(light_view(towards, coarse.voxel_size), coarse)
-            total += transmittances(coarse, self.gamma_w, view, coarse.positions, both=True)
-        found, near = sample_colours(coarse, total[:, None] / len(directions), positions)
-        return torch.where(near > 0, found, torch.ones_like(found))[:, 0]
+            seen = transmittances(coarse, self.gamma_w, view, coarse.positions, both=True)
+            total += self._terms(seen)
+        found, near = sample_colours(coarse, total / len(directions), positions)
+        return torch.where(near > 0, found, torch.ones_like(found))
+
+    def _terms(self, shares: Tensor) -> Tensor:
+        """[P K] of transmittances [P]: K = 1 without bounces."""
+        return softer(shares) if self.scattering.bounces else shares[:, None]
+
+    def _weighed(self, terms: Tensor, sky: Tensor) -> Tensor:
+        """Terms of a light as they count where that much of a dome is seen, [P K]."""
+        if not self.scattering.bounces:
+            return terms
+        return terms * weights(self.scattering.albedo, sky[:, 0])
 
 
 @dataclass(frozen=True)
@@ -72,7 +89,8 @@ class LitPoints:
 
     scattering: Scattering
     even: Tensor  # [P 3] radiance that is scattered alike to all sides
-    beams: tuple[tuple[np.ndarray, Tensor], ...]  # unit vector to the light [3]; irradiance [P 3]
+    # Unit vector to the light [3], anisotropy, irradiance [P 3].
+    beams: tuple[tuple[np.ndarray, float, Tensor], ...]
 
     def scattered(self, forward: np.ndarray) -> Tensor:
         """albedo * L, what the points add to the colour of the smoke, [P 3]; scene-linear, >= 0.
@@ -81,9 +99,9 @@ class LitPoints:
             forward: unit vector from the eye, [3], or one for each point, [P 3].
         """
         total = self.even
-        for towards, arriving in self.beams:
+        for towards, anisotropy, arriving in self.beams:
             cosine = torch.as_tensor(forward @ towards, dtype=total.dtype, device=total.device)
-            total = total + arriving * phase(self.scattering.anisotropy, cosine)[..., None]
+            total = total + arriving * phase(anisotropy, cosine)[..., None]
         return self.scattering.albedo * total
 
 

@@ -79,6 +79,8 @@ def _light_attributes(volume: StylizedVolume) -> dict[str, Any]:
     if volume.albedo:
         look[schema.ALBEDO] = (_TYPES.Float, volume.albedo)
         look[schema.ANISOTROPY] = (_TYPES.Float, volume.anisotropy)
+    if volume.bounces:
+        look[schema.BOUNCES] = (_TYPES.Bool, True)
     if volume.named_lights:
         triples = [
             part

@@ -35,6 +35,7 @@ class StylizedVolume:
     seed: int | None = None  # None: the run's
     albedo: float = 0.0  # share of the light that is scattered; 0: no light
     anisotropy: float = 0.0
+    bounces: bool = False  # whether it is made for light that is scattered more than once
     named_lights: tuple[LightSource, ...] = ()  # in place of the stage's own
     stops: float = 0.0  # exposure at which the look shows its style
     scatter_field: str = ""  # its colour is the albedo of each voxel; "": the albedo is even

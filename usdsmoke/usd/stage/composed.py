@@ -14,6 +14,7 @@ from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.schema import (
     ALBEDO,
     ANISOTROPY,
+    BOUNCES,
     EMISSION_MODE,
     EXPOSURE,
     EXTINCTION_PER_DENSITY,
@@ -134,7 +135,8 @@ def _scattering(prim: Usd.Prim, time_code: float) -> Scattering | None:
         lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code)
     if _authored(prim, SCATTER_FIELD, time_code):
         albedo = 1.0  # the field's colours are the albedo
-    return Scattering(lights, albedo, anisotropy) if lights else None
+    bounces = bool(_authored(prim, BOUNCES, time_code))
+    return Scattering(lights, albedo, anisotropy, bounces) if lights else None
 
 
 def _recorded_lights(named: Sequence[Sequence[float]]) -> tuple[LightSource, ...]:
