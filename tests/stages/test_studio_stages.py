@@ -139,3 +139,34 @@ def test_b_a_range_that_starts_below_0_is_read(
     assert main(["inspect", str(shot.stage), "--frames", "-2-0", "--json"]) == 0
     (volume,) = json.loads(capsys.readouterr().out)["volumes"]
     assert volume["time_codes"] == [-2, -1, 0]
+
+
+@pytest.mark.parametrize("arc", ["payload", "references", "subLayers"])
+@pytest.mark.parametrize("text", [None, '#usda 1.0\ndef Xform "a" ('])
+def test_a_layer_that_cannot_be_opened_is_named_beside_a_good_volume(
+    tmp_path: Path, arc: str, text: str | None
+) -> None:
+    shot = shot_of(tmp_path, smoke("smoke"))
+    fine = shot.stage.read_text()
+    if text is not None:
+        write_text(tmp_path / "in/other.usda", text)
+    if arc == "subLayers":
+        shot.stage.write_text(fine.replace("(", "(\nsubLayers = [@./other.usda@]\n", 1))
+    else:
+        shot.stage.write_text(f'{fine}\ndef Xform "fx" (\n{arc} = @./other.usda@\n)\n{{\n}}\n')
+    told = inspect(shot.stage)
+    assert [volume["prim_path"] for volume in told["volumes"]] == ["/World/smoke"]
+    (problem,) = told["problems"]
+    assert "the layer ./other.usda" in problem and "cannot be opened" in problem
+    assert ("line 2" if text else "no such file") in problem
+    (note,) = [
+        note
+        for note in make_plan(shot.stage, shot.style, shot.output).notes
+        if "other.usda" in note
+    ]
+    assert problem == f"{note}."
+    found = {finding.rule for finding in validate(shot.stage)}
+    assert "usdValidation:CompositionErrorTest.CompositionError" in found
+    assert "VolumeExtentMissing" in found
+    shot.stage.write_text(fine)
+    assert inspect(shot.stage)["problems"] == []

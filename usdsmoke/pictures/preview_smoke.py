@@ -316,6 +316,7 @@ def find_smoke(
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
     notes = [*selected.missing, *problems]
     smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
+    smoke.notes |= dict.fromkeys(selected.unopened)
     return smoke
 
 

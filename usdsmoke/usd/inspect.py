@@ -65,6 +65,7 @@ def inspect(
         "notes": _notes(lit),
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": [
+            *(f"{sentence}." for sentence in source.unopened),
             *problems,
             *_problems(source, headers),
             *_camera_problems(stage, source, requests),

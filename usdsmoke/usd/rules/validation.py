@@ -8,9 +8,9 @@ import difflib
 import os
 import re
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pxr import Gf, Sdf, Usd
+from pxr import Gf, Sdf, Tf, Usd
 
 from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.time_codes import format_time_code
@@ -93,6 +93,7 @@ _OF_THE_INSTALLATION = {
     f"{_SDR}MissingShaderIdInRegistry",
     f"{_SDR}MissingSourceTypeInRegistry",
 }
+_OPENING = "usdUtilsValidators:"  # validators that open all layers which a stage names
 _SCHEMA_NOTE = "SchemaNotRegistered"
 _TIME = re.compile(r"timeCode (-?[0-9.]+(?:e[+-]?\d+)?): ")
 
@@ -183,7 +184,7 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     module = _validation()
     validators = module.ValidationRegistry().GetOrLoadAllValidators()
     with captured_diagnostics():  # some validators of USD also warn on stderr
-        errors = module.ValidationContext(validators).Validate(stage)
+        errors = _all_errors(module, validators, stage)
         findings = {_to_finding(error) for error in errors if not _is_of_a_look(error)}
     if note := late_note():
         findings.add(Finding(Severity.INFO, _SCHEMA_NOTE, "", None, note))
@@ -198,6 +199,22 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
             item.message,
         ),
     )
+
+
+def _all_errors(
+    module: Any, validators: list["UsdValidation.Validator"], stage: Usd.Stage
+) -> list["UsdValidation.ValidationError"]:
+    """What the validators find; without those that open layers, where one cannot be opened.
+
+    USD's validator of composition names such a layer. A value that cannot be read fails again.
+    """
+    try:
+        return list(module.ValidationContext(validators).Validate(stage))
+    except Tf.ErrorException:
+        others = [
+            item for item in validators if not str(item.GetMetadata().name).startswith(_OPENING)
+        ]
+        return list(module.ValidationContext(others).Validate(stage))
 
 
 @readable_values()
@@ -221,7 +238,7 @@ def mend(stage: Usd.Stage) -> list[Finding]:
     validators = module.ValidationRegistry().GetOrLoadAllValidators()
     mended, target = [], stage.GetEditTarget()
     with captured_diagnostics():
-        for error in module.ValidationContext(validators).Validate(stage):
+        for error in _all_errors(module, validators, stage):
             for fixer in error.GetFixersByKeywords(["usdsmoke"]):
                 if fixer.CanApplyFix(error, target, Usd.TimeCode.Default()):
                     if fixer.ApplyFix(error, target, Usd.TimeCode.Default()):

@@ -46,6 +46,7 @@ from usdsmoke.usd.stage.fields import (
     find_fields,
 )
 from usdsmoke.usd.stage.places import find_instancers, place_notes
+from usdsmoke.usd.stage.unopened import unopened_layers
 from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
@@ -194,6 +195,7 @@ def _describe_stage(
         volumes=volumes,
         omitted=omitted,
         missing=missing,
+        unopened=unopened_layers(stage),
     )
 
 
