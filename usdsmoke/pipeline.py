@@ -14,7 +14,13 @@ from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summar
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import record_scenes, run_coarse_step
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.opening import find_growth, join_run, open_run, open_run_to_assemble
+from usdsmoke.runs.opening import (
+    find_growth,
+    find_refusal,
+    join_run,
+    open_run,
+    open_run_to_assemble,
+)
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
@@ -69,9 +75,19 @@ def plan(
     return plan_request(Request(stage, style, output, settings), fits)
 
 
-def plan_request(request: Request, fits: bool = True) -> Plan:
-    """``plan`` of a request."""
-    return plan_with_notes(prepare_job(request, fits))
+def plan_request(request: Request, fits: bool = True, whole: bool = True) -> Plan:
+    """``plan`` of a request.
+
+    Args:
+        fits: as in ``plan``.
+        whole: note what is in the way of the whole run in the output folder, where ``fits``; False:
+            the plan is for a task of it.
+    """
+    job = prepare_job(request, fits)
+    found = plan_with_notes(job)
+    if whole and fits and (refusal := find_refusal(job)):
+        found = replace(found, notes=(*found.notes, f"the run would be refused: {refusal}"))
+    return found
 
 
 def stylize(

@@ -102,6 +102,25 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(
     assert file_hashes(shot.folder) == before
 
 
+@pytest.mark.usefixtures("core")
+def test_a_dry_run_notes_that_the_run_itself_would_be_refused(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments()) == 0
+    capsys.readouterr()
+    other = ["--set", "optimize.seed=7"]
+    for options, refused in (
+        (other, "different settings"),
+        ([], "already holds this result"),
+        ([*other, "--force"], ""),
+        (["--window", "0"], ""),
+    ):
+        assert main(shot.arguments("--dry-run", *options)) == 0
+        out = capsys.readouterr().out
+        assert ("the run would be refused" in out) == bool(refused) and refused in out
+    assert main(shot.arguments(*other)) == 1
+
+
 @pytest.mark.parametrize("window", ["7", "-1"])
 def test_a_dry_run_refuses_a_window_that_there_is_not(
     shot: Shot, capsys: pytest.CaptureFixture[str], window: str

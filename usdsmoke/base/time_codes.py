@@ -3,6 +3,7 @@
 import re
 import statistics
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,6 +13,9 @@ from usdsmoke.base.errors import ConfigError
 
 _Item = TypeVar("_Item")
 
+# A step of more than this many usual steps is a gap: a frame or more is missing. A cut, over which
+# nothing is carried, takes more than two steps: see ``planning.windows``.
+_GAP = 1.5
 _TOLERANCE = 1e-6  # layer offsets with a scale leave rounding in timeCodes
 _MOST_STEPS = 100_000  # beyond that only the ends of a range are looked for
 _NUMBER = r"-?\d+(?:\.\d+)?"
@@ -108,6 +112,23 @@ def describe_gaps(part: FrameRange, selected: Sequence[float], existing: Sequenc
         f"{format_time_code(part.last)}. Both ends of a range, and every single timeCode, must "
         "exist; those in between need not"
     )
+
+
+def find_holes(codes: Sequence[float]) -> list[tuple[float, float]]:
+    """Neighbouring timeCodes that lie further apart than most do.
+
+    Two different steps are no rhythm, unless one of them is a whole frame.
+
+    >>> find_holes([1, 2, 3, 7, 8]), find_holes([0, 1, 3]), find_holes([1, 10, 12])
+    ([(3, 7)], [(1, 3)], [])
+    """
+    steps = [round(after - before, 6) for before, after in pairwise(codes)]
+    if len(steps) < 2:
+        return []
+    usual, n_usual = min(Counter(steps).items(), key=lambda item: (-item[1], item[0]))
+    if n_usual == 1 and (len(steps) > 2 or usual != 1.0):
+        return []  # files at chosen moments
+    return [(codes[n], codes[n + 1]) for n, step in enumerate(steps) if step > _GAP * usual]
 
 
 def _is_among(code: float, existing: Sequence[float]) -> bool:

@@ -213,12 +213,28 @@ def _plan_volume(
         frames.append(_plan_frame(volume, frame, place, config, headers))
     cuts = find_cuts(time_codes, frame_length)
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
+    reasons |= _unnamed_velocities(volume, frames, config)
     planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
     frames = [
         _with_copies(frame, grids, planned.moves_fields)
         for frame, grids in zip(frames, copies, strict=True)
     ]
     return replace(planned, frames=tuple(frames))
+
+
+def _unnamed_velocities(
+    volume: VolumeSource, frames: Sequence[FramePlan], config: Config
+) -> dict[str, str]:
+    """The velocities that are read but not copied, because no relationship leads to them."""
+    if config.layer.copy_velocity is not None:
+        return {}
+    velocities = [frame.velocity for frame in frames if frame.copied is None]
+    return {
+        velocity.grids[0].name: "the Volume has no relationship to it; for motion blur set "
+        "layer.copy_velocity=true"
+        for velocity in velocities
+        if velocity is not None and velocity.field.relationship == volume.density
+    }
 
 
 def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:

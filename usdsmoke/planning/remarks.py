@@ -5,7 +5,13 @@ from collections.abc import Sequence
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.sections import ColourConfig
-from usdsmoke.base.time_codes import name_time_codes, parse_frames, select_frames
+from usdsmoke.base.time_codes import (
+    find_holes,
+    format_time_code,
+    name_time_codes,
+    parse_frames,
+    select_frames,
+)
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.windows import followed_codes
@@ -26,6 +32,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     found: list[str] = []
     for volume in volumes:
         found += [
+            *_holes(volume),
             *_part(volume),
             *_measured_elsewhere(volume),
             *_rate(volume),
@@ -56,6 +63,21 @@ def _unmoved(volume: VolumePlan) -> list[str]:
     return [
         f"<{volume.source.prim_path}> has no velocity at {codes}: from there to the next frame the "
         "pattern stays in place and does not follow the smoke. Write the velocity there too"
+    ]
+
+
+def _holes(volume: VolumePlan) -> list[str]:
+    """Missing frames of a whole sequence; a selection's are told where it is read, cuts as such."""
+    if volume.config.stage.frames:
+        return []
+    cuts = volume.cuts if volume.config.windows.size > 1 else ()
+    holes = [hole for hole in find_holes(volume.source.time_codes) if hole not in cuts]
+    places = ", ".join(" and ".join(map(format_time_code, hole)) for hole in holes)
+    if not places:
+        return []
+    return [
+        f"<{volume.source.prim_path}> has no density between timeCodes {places}, which is longer "
+        "than its other steps: the frame before is held there. Add the files if they are missing"
     ]
 
 

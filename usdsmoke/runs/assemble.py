@@ -298,8 +298,8 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     return (
         f"<{volume.source.prim_path}>: measured on the selected timeCodes: "
         f"optics.gamma={scene['gamma_w'] * voxel:.6g}, "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}. Set both for other parts of "
-        "the shot"
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}, per density and voxel of the "
+        "source. Set both for other parts of the shot"
     )
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
-from tests.fixtures.usd_fixtures import write_vdb
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
 
@@ -57,6 +64,37 @@ def test_a_frame_without_a_velocity_among_others_is_named(tmp_path: Path) -> Non
     assert "no velocity at timeCode 2:" in notes[0] and "stays in place" in notes[0]
     assert plan_of(shot, "stage.motion=estimate").notes == ()
     assert plan_of(shot, "windows.size=1").notes == ()
+
+
+@pytest.mark.parametrize(
+    ("codes", "hole"), [((0, 1, 3), "1 and 3"), ((1, 2, 3, 4, 6, 7, 8), "4 and 6")]
+)
+def test_a_missing_file_of_a_sequence_is_named(
+    tmp_path: Path, codes: tuple[int, ...], hole: str
+) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    for code in codes:
+        write_vdb(shot.stage.parent / f"cache/smoke.{code:04d}.vdb")
+    write_text(shot.stage, world(volume_prim(density_prim(sequence(codes)))))
+    (note,) = plan_of(shot).notes
+    assert f"timeCodes {hole}," in note
+    (note,) = (item for item in plan_of(shot, f"stage.frames={codes[0]}").notes)
+    assert hole not in note
+
+
+def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
+    tmp_path: Path,
+) -> None:
+    shot = make_shot(tmp_path, n_frames=2, names=("density", "vel"))
+
+    def copies(*settings: str) -> list[str]:
+        omitted = plan_of(shot, *settings).omitted
+        return [item.reason for item in omitted if item.what == "the copy of vel of </World/smoke>"]
+
+    (reason,) = copies()
+    assert "layer.copy_velocity=true" in reason
+    assert copies("layer.copy_velocity=true") == copies("layer.copy_velocity=false") == []
+    assert copies("layer.copy_fields=[all]") == []
 
 
 @pytest.mark.parametrize(

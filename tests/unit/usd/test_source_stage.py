@@ -8,6 +8,7 @@ from tests.fixtures.usd_fixtures import needs_usd, write_vdb
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.ui.cli.main import main
+from usdsmoke.ui.cli.text import source_stage_text
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.source_stage import write_source_stage
 from usdsmoke.usd.stage import find_volumes, open_stage
@@ -46,6 +47,13 @@ def test_the_extent_encloses_whole_voxels(tmp_path):
 @needs_usd(26, 5)
 def test_nothing_is_wrong_with_it(tmp_path):
     assert validate(make(tmp_path).file) == []
+
+
+def test_a_missing_file_is_named(tmp_path):
+    assert "no file between" not in source_stage_text(make(tmp_path))
+    write_vdb(tmp_path / "cache/plume.0012.vdb", ("density", "vel"))
+    made = write_source_stage(str(tmp_path / "cache/plume.####.vdb"), tmp_path / "b.usda", 1.0)
+    assert "no file between 10 and 12" in source_stage_text(made)
 
 
 def test_a_single_file_has_no_time(tmp_path):

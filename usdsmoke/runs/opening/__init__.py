@@ -5,6 +5,7 @@
 """
 
 from usdsmoke.runs.opening.choose import (
+    find_refusal,
     frames_again,
     join_run,
     open_run,
@@ -15,6 +16,7 @@ from usdsmoke.runs.opening.growth import find_growth
 
 __all__ = [
     "find_growth",
+    "find_refusal",
     "frames_again",
     "join_run",
     "open_run",

@@ -285,13 +285,7 @@ def _choose_run(
     _refuse_result(job, identity, growth)
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
-        changes = identity.changes(others[0])
-        raise OutputExists(
-            f"{output} holds an unfinished run with different settings or inputs: {changes}. "
-            "Finish it with its own settings, choose another output folder, or discard it with "
-            "--force.",
-            changes.details,
-        )
+        raise _unfinished_in_the_way(output, others[0], identity)
     for run in given_up:
         run.remove()
     for run in unfinished:
@@ -309,6 +303,25 @@ def refuse_result(job: Job) -> None:
     _refuse_result(job, Identity(job), find_growth(job))
 
 
+def find_refusal(job: Job) -> str:
+    """Why ``open_run`` would refuse a whole job for what is in its output folder; "" where it would
+    not. Nothing is written."""
+    try:
+        if not job.request.force and frames_again(job) is not None:
+            return ""
+        check_delivery(job.plan, job.output)
+        _, runs, results = _results(job)
+        if (runs or results) and not job.request.force:
+            identity = Identity(job)
+            _refuse_result(job, identity, find_growth(job))
+            for run_id, run in runs.items():
+                if run_id not in results and not identity.is_of(run):
+                    raise _unfinished_in_the_way(job.output, run, identity)
+    except (OutputExists, LayerError) as error:
+        return str(error)
+    return ""
+
+
 def _refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
     _, runs, results = _results(job)
     in_the_way = results - ({growth.earlier.run_id} if growth else set())
@@ -323,6 +336,16 @@ def _results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
     runs = {run.run_id: run for run in find_runs(job.output) if run.look == job.config.layer.look}
     results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
     return published, runs, results
+
+
+def _unfinished_in_the_way(output: Path, run: Run, identity: Identity) -> OutputExists:
+    changes = identity.changes(run)
+    return OutputExists(
+        f"{output} holds an unfinished run with different settings or inputs: {changes}. "
+        "Finish it with its own settings, choose another output folder, or discard it with "
+        "--force.",
+        changes.details,
+    )
 
 
 def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:

@@ -30,7 +30,7 @@ class ConsoleProgress:
         self._began: tuple[float, float] | None = None  # time and share at the first iteration
         self._last_line = clock()
         self._last_step = ""
-        self._told: dict[tuple[str, str], str] = {}  # findings by kind
+        self._told: set[tuple[str, str]] = set()  # kinds of findings
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
@@ -72,10 +72,9 @@ class ConsoleProgress:
             self._last_line, self._last_step = now, report.step
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
-    @property
-    def told(self) -> frozenset[str]:
-        """The findings that were said, as sentences."""
-        return frozenset(self._told.values())
+    def repeated(self, findings: Iterable[Finding]) -> frozenset[str]:
+        """The sentences of findings whose kinds were said when their first frame was written."""
+        return frozenset(finding_texts(item for item in findings if item.kind in self._told))
 
     def say(self, message: str) -> None:
         """Write a message above the bar."""
@@ -85,8 +84,9 @@ class ConsoleProgress:
         """Say findings of a new kind: not each frame's again."""
         for finding in findings:
             if finding.kind not in self._told:
-                (self._told[finding.kind],) = finding_texts([finding])
-                self.say(f"note: {self._told[finding.kind]}")
+                self._told.add(finding.kind)
+                (text,) = finding_texts([finding])
+                self.say(f"note: {text}")
 
     def _time_left(self, now: float, share: float) -> str:
         if self._began is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.base.time_codes import format_time_codes, name_time_codes
+from usdsmoke.base.time_codes import find_holes, format_time_codes, name_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
@@ -89,7 +89,9 @@ def result_text(result: "StylizeResult") -> str:
 
 def _extinctions(extinctions: Mapping[str, float]) -> list[tuple[str, str]]:
     """A row for each Volume; without its path where there is one."""
-    rows = [(f"{value:.4g} per density", path) for path, value in extinctions.items()]
+    rows = [
+        (f"{value:.4g} per density and stage unit", path) for path, value in extinctions.items()
+    ]
     return [
         ("extinction gamma_w", f"{text} <{path}>" if len(rows) > 1 else text) for text, path in rows
     ]
@@ -164,6 +166,10 @@ def source_stage_text(made: "SourceStage") -> str:
         [
             f"{made.file}",
             f"  <{made.prim_path}>: {', '.join(made.fields)}{codes}",
+            *(
+                f"  no file between {before} and {after}: that of {before} is held there"
+                for before, after in find_holes(made.time_codes)
+            ),
             *(f"  left out: {item}" for item in made.left_out),
             f"next: usdsmoke inspect {shlex.quote(str(made.file))}",
         ]

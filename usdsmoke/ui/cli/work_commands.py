@@ -30,7 +30,8 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         from usdsmoke.farm import choose_jobs, with_jobs
         from usdsmoke.pipeline import plan_request
 
-        plan = plan_request(_request(arguments))
+        whole = not arguments.coarse and arguments.window is None
+        plan = plan_request(_request(arguments), whole=whole)
         plan = with_jobs(plan, min(arguments.jobs or choose_jobs(plan), len(plan.tasks)))
         if arguments.window is not None:
             plan.task(arguments.window)  # raises where there is no such window
@@ -148,8 +149,10 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
             progress.say(plan_text(plan, arguments.verbose))
 
         result = call(arguments, progress, say_plan)
+        budget = getattr(result, "error_budget", None)
+        repeated = progress.repeated(budget.findings) if budget is not None else ()
         for warning in getattr(result, "warnings", ()):
-            if warning not in progress.told:  # when its frame ended, and of that frame alone
+            if warning not in repeated:
                 progress.say(f"note: {warning}")
     return result
 

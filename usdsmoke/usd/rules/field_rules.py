@@ -1,14 +1,11 @@
 """Rules on a single field of a Volume: its target, its file, its grid, its tokens, its timing."""
 
 import os
-from collections import Counter
-from collections.abc import Sequence
-from itertools import pairwise
 
 from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError, UnsupportedGrid
-from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.time_codes import find_holes, format_time_code
 from usdsmoke.usd.field_samples import FieldSamples, field_targets, target_prim, usd_time
 from usdsmoke.usd.field_tokens import DATA_TYPES, GRID_CLASSES
 from usdsmoke.usd.rules.facts import (
@@ -27,9 +24,6 @@ from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
 _TOKENS = ("fieldDataType", "fieldClass", "vectorDataRoleHint")
-# A step of more than this many usual steps is a gap: a frame or more is missing. A cut, over which
-# nothing is carried, takes more than two steps: see ``planning.windows``.
-_GAP = 1.5
 
 
 def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
@@ -216,7 +210,7 @@ def check_gaps(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             before: f"no sample between the timeCodes {format_time_code(before)} and "
             f"{format_time_code(after)}, so the file of {format_time_code(before)} is held. Add "
             "the files, or block the first missing timeCode (its sample is None) if the smoke ends."
-            for before, after in _holes(codes)
+            for before, after in find_holes(codes)
         }
         problems += grouped(Severity.WARN, field.prim_path, troubles)
     return problems
@@ -273,14 +267,3 @@ def _token(prim: Usd.Prim, name: str, time_code: float | None) -> str:
     if not attribute.HasAuthoredValue():
         return ""
     return str(value_at(attribute, usd_time(time_code)) or "")
-
-
-def _holes(codes: Sequence[float]) -> list[tuple[float, float]]:
-    """Neighbouring timeCodes that lie further apart than most do."""
-    steps = [round(after - before, 6) for before, after in pairwise(codes)]
-    if len(steps) < 2:
-        return []
-    usual, n_usual = min(Counter(steps).items(), key=lambda item: (-item[1], item[0]))
-    if n_usual == 1:
-        return []  # no rhythm at all: files at chosen moments
-    return [(codes[n], codes[n + 1]) for n, step in enumerate(steps) if step > _GAP * usual]
