@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from pxr import Usd, UsdUtils
 
-from tests.fixtures.pipeline_fixtures import Shot, contents, make_style, run
+from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot, make_style, run
 from tests.fixtures.usd_fixtures import sequence, write_text, write_vdb
 from usdsmoke import provenance, verify
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.gate import validate_look
-from usdsmoke.usd.rules import validate
+from usdsmoke.usd.rules import Severity, validate
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -92,6 +92,20 @@ def test_d11_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
     assert message.startswith("takeB/smoke.0002.vdb has other content, written 2033-05-1")
     (change,) = [item for item in verify(result.look_layer) if item.kind == "input-edited"]
     assert "written 2033-05-1" in change.found
+
+
+def test_a_source_written_again_with_the_same_grids_is_a_note(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    result = run(shot, "stage.motion=velocity")
+    cache = shot.stage.parent / "cache/smoke.0001.vdb"
+    for value, severity in ((0.625, Severity.INFO), (0.5, Severity.ERROR)):
+        before = cache.read_bytes()
+        write_vdb(cache, ("density", "vel"), value=value)
+        assert cache.read_bytes() != before
+        os.utime(cache, (2_000_000_000, 2_000_000_000 + value))
+        found = [item for item in validate(result.root_stage) if item.rule == "LookStale"]
+        assert [item.severity for item in found] == [severity]
+    assert "has other content" in found[0].message
 
 
 def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(

@@ -93,13 +93,14 @@ def check_stale(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
             if (value := _selected_variant(volume, spec.path, name)) is not None
         }
         folder = Path(spec.layer.realPath).parent
-        found = [
-            *switched_variants(record, selected),
-            *rewritten_sources(record, folder, str(spec.path)),
-        ]
+        where = str(volume.GetPath())
+        found = [(False, text) for text in switched_variants(record, selected)]
+        found += rewritten_sources(record, folder, str(spec.path))
         problems += [
-            Problem(Severity.ERROR, str(volume.GetPath()), f"{text}. Stylize it again.")
-            for text in found
+            Problem(Severity.INFO, where, f"{text}.")
+            if is_same
+            else Problem(Severity.ERROR, where, f"{text}. Stylize it again.")
+            for is_same, text in found
         ]
     return problems
 

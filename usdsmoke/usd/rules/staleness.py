@@ -6,10 +6,15 @@ from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
 
-from usdsmoke.base.errors import FileUnreadable
-from usdsmoke.base.record_format import RunRecord, hash_file
+from usdsmoke.base.errors import FileUnreadable, GridError, StageError
+from usdsmoke.base.record_format import RunRecord, SourceGrid, hash_file
+from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.base.volume import StageSource
+from usdsmoke.base.volume import GRID_SEPARATORS, StageSource
+from usdsmoke.vdb.content_hash import hash_fields
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.read import GridRequest, read_grids
+from usdsmoke.vdb.velocity import read_velocity
 
 _AT = "%Y-%m-%d %H:%M"
 
@@ -25,23 +30,27 @@ def switched_variants(record: RunRecord, selected: Mapping[str, str]) -> Iterato
             yield f"the variant {name} was {then} when the look was made, and is {selected[name]}"
 
 
-def rewritten_sources(record: RunRecord, folder: Path, prim_path: str = "") -> Iterator[str]:
-    """Source files that were written after the look, with other content.
+def rewritten_sources(
+    record: RunRecord, folder: Path, prim_path: str = ""
+) -> Iterator[tuple[bool, str]]:
+    """Source files that were written after the look, with other bytes.
 
     Args:
         folder: of the look layer.
         prim_path: the Volume whose files are looked at, as recorded; "": all.
+
+    Returns:
+        Whether all grids that decided the look are the same, and a sentence.
     """
     finished = _seconds(record.finished)
     if not (record.stage and finished):
         return
     stage_folder = Path(os.path.normpath(folder / record.stage)).parent
-    used = {
-        os.path.normpath(folder / source.file)
-        for frame in record.frames
-        if prim_path in ("", frame.prim)
-        for source in frame.sources
-    }
+    used: dict[str, set[SourceGrid]] = {}
+    for frame in record.frames:
+        if prim_path in ("", frame.prim):
+            for source in frame.sources:
+                used.setdefault(os.path.normpath(folder / source.file), set()).add(source)
     for name, digest in record.source_files.items():
         path = os.path.normpath(stage_folder / name)
         if path not in used or not os.path.isfile(path):
@@ -54,9 +63,12 @@ def rewritten_sources(record: RunRecord, folder: Path, prim_path: str = "") -> I
                 continue
         except FileUnreadable:
             continue
+        is_same = all(_grid_hash(path, source) == source.hash for source in used[path])
+        what = "was written again with the same grids," if is_same else "has other content, written"
         yield (
-            f"{name} has other content, written {written_at(path)}, after the look "
-            f"({datetime.fromtimestamp(finished).strftime(_AT)})"
+            is_same,
+            f"{name} {what} {written_at(path)}, after the look "
+            f"({datetime.fromtimestamp(finished).strftime(_AT)})",
         )
 
 
@@ -114,6 +126,29 @@ def _seconds(text: str) -> float:
     except ValueError:
         return 0.0
     return moment.replace(tzinfo=timezone.utc).timestamp() + 1  # it has no fraction
+
+
+def _grid_hash(path: str, source: SourceGrid) -> str | None:
+    """The content hash of a recorded grid as the file holds it now; None if it cannot be had.
+
+    A velocity in timeCodes, or one that layer offsets slow down, was hashed in other units and so
+    counts as another one.
+    """
+    try:
+        labels = source.grid.split(", ")
+        grids = [grid for grid in read_header(path).grids if grid.label in labels]
+        if not source.hash or len(grids) != len(labels):
+            return None
+        if source.field != "velocity":
+            requests = [GridRequest(grid.name, grid.index) for grid in grids]
+            return hash_fields(read_grids(path, requests, GridsConfig()))
+        base = grids[0].name
+        if len(labels) > 1:  # one request for three components
+            base = labels[0].removesuffix("x").rstrip("".join(GRID_SEPARATORS))
+        velocity = read_velocity(path, GridRequest(base), GridsConfig())
+        return None if velocity is None else hash_fields([velocity])
+    except (GridError, StageError, ArithmeticError):
+        return None
 
 
 @lru_cache(maxsize=4096)
