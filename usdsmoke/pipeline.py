@@ -86,7 +86,9 @@ def plan_request(request: Request, fits: bool = True, whole: bool = True) -> Pla
     job = prepare_job(request, fits)
     found = plan_with_notes(job)
     if whole and fits and (refusal := find_refusal(job)):
-        found = replace(found, notes=(*found.notes, f"the run would be refused: {refusal}"))
+        found = replace(
+            found, notes=(*found.notes, f"the run would be refused: {refusal.removesuffix('.')}")
+        )
     return found
 
 
