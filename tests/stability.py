@@ -269,14 +269,15 @@ NOT_YET_CHECKED: tuple[str, ...] = ()
 
 INTRODUCTION = """# Extreme input
 
-Each case ends in a finite, sensible result or in a named error. This file is written by
-`python -m tests.stability` from the list of tests, and
-`tests/repository/test_stability_table.py` compares the two.
+Each case ends in a finite, sensible result or in a named error. This file is written by `python -m
+tests.stability` from the list of tests, and `tests/repository/test_stability_table.py` compares the
+two.
 """
 
-FAULTS_FOUND = """W1 to W22 were found in the public code of [Kim2019] and [Kim2020]
-(byungsook/neural-flow-style), most of them by running it. The second column says what usdsmoke does
-in the same case or the closest one.
+FAULTS_FOUND = """\
+W1 to W22 were found in the public code of [Kim2019] and [Kim2020] (byungsook/neural-flow-style),
+most of them by running it. The second column says what usdsmoke does in the same case or the
+closest one.
 """
 
 
