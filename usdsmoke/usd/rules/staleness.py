@@ -40,7 +40,7 @@ def rewritten_sources(
         prim_path: the Volume whose files are looked at, as recorded; "": all.
 
     Returns:
-        Whether all grids that decided the look are the same, and a sentence.
+        Whether all grids are the same whose hashes are recorded, and a sentence.
     """
     finished = _seconds(record.finished)
     if not (record.stage and finished):
@@ -63,12 +63,15 @@ def rewritten_sources(
                 continue
         except FileUnreadable:
             continue
-        is_same = all(_grid_hash(path, source) == source.hash for source in used[path])
+        hashed = [source for source in used[path] if source.hash]
+        is_same = bool(hashed) and all(_grid_hash(path, item) == item.hash for item in hashed)
         what = "was written again with the same grids," if is_same else "has other content, written"
+        others = ", ".join(sorted({item.grid for item in used[path]} - {s.grid for s in hashed}))
+        unknown = f"; no hash is recorded of {others}" if others and is_same else ""
         yield (
             is_same,
             f"{name} {what} {written_at(path)}, after the look "
-            f"({datetime.fromtimestamp(finished).strftime(_AT)})",
+            f"({datetime.fromtimestamp(finished).strftime(_AT)}){unknown}",
         )
 
 
@@ -137,7 +140,7 @@ def _grid_hash(path: str, source: SourceGrid) -> str | None:
     try:
         labels = source.grid.split(", ")
         grids = [grid for grid in read_header(path).grids if grid.label in labels]
-        if not source.hash or len(grids) != len(labels):
+        if len(grids) != len(labels):
             return None
         if source.field != "velocity":
             requests = [GridRequest(grid.name, grid.index) for grid in grids]
