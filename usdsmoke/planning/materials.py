@@ -87,6 +87,7 @@ def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[O
 
 
 def _unused_lights(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
+    """Lights of the stage that light no smoke, and scattering without a light."""
     used = {light for volume in volumes for light in _lights(volume.frames)}
     optics = [own for volume in volumes if (own := volume.config.lit_optics) is not None]
     names = _name_all(path for path in source.lights if path not in used)
@@ -107,10 +108,9 @@ def _unused_lights(source: StageSource, volumes: Sequence[VolumePlan]) -> list[O
 def _bounces_omitted(volumes: Sequence[VolumePlan]) -> list[Omission]:
     """Light that is scattered more than once, where no Volume with lights is painted for it."""
     asked = [volume for volume in volumes if volume.config.optics.bounces]
-    lit = [volume for volume in volumes if _lights(volume.frames)]
-    if asked and not any(volume in lit for volume in asked):
+    if asked and not any(_lights(volume.frames) for volume in asked):
         return [Omission("bounces of light (optics.bounces)", "the smoke scatters no light")]
-    if lit and not asked:
+    if not asked and any(_lights(volume.frames) for volume in volumes):
         return [Omission("light that is scattered more than once", "optics.bounces is off")]
     return []
 
