@@ -27,6 +27,8 @@ def studio(monkeypatch: pytest.MonkeyPatch) -> Studio:
     monkeypatch.setattr(control_pictures, "SMALL_STEPS", ("colour.learning_rate=0.004",))
     monkeypatch.setattr(control_pictures, "ONE_OCTAVE", ("shape.iterations=[2]",))
     monkeypatch.setattr(control_pictures, "DEPTHS", (1, 2))
+    monkeypatch.setattr(control_pictures, "FEW", ())
+    monkeypatch.setattr(control_pictures, "WORDS", {"style.colour": ("1", "0")})
     monkeypatch.setattr(control_studio, "SIDE", 64)
     ball = puff(10)
     frames = {"2-D": frame_of(ball.sum(axis=2, keepdims=True)), "3-D": frame_of(ball)}

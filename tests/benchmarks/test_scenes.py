@@ -34,7 +34,7 @@ def test_half_of_the_smoke_is_half_of_the_work_and_each_camera_has_its_result(
 def test_fades_compute_no_frame_without_a_visible_neighbour(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    settings = ("optimize.iterations=3", "views.pool=2", "views.image_size=16", *PLAIN)
+    settings = ("optimize.iterations=1", "views.pool=1", "views.image_size=16", *PLAIN)
     options = [word for setting in settings for word in ("--set", setting)]
     fades.main(["--resolution", "12", "--frames", "8", *options])
     rows = capsys.readouterr().out.splitlines()[2:]

@@ -2,37 +2,16 @@
 
 import importlib
 import pkgutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 import usdsmoke
-from tests.fixtures.import_graph import PROJECT
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot
 
 FUNCTIONS = (
     "inspect", "plan", "stylize", "preview", "validate", "provenance", "verify", "rerun", "report",
     "settings",
 )  # fmt: skip
-
-SCRIPT = """
-from pathlib import Path
-from pxr import Usd
-import usdsmoke
-
-plan = usdsmoke.plan("shot.usda", style=["a.png", "b.png"], settings={"optimize.iterations": 3})
-n: int = plan.n_frames
-result = usdsmoke.stylize(
-    Usd.Stage.Open("shot.usda"), "a.png", Path("look"), {"optimize": {"iterations": 3}}, force=True
-)
-files: tuple[Path, ...] = result.frames
-findings = [finding.message for finding in usdsmoke.validate("look/look.usda")]
-changes = [change.kind for change in usdsmoke.verify("look/look.usda")]
-page: Path = usdsmoke.report("shot.usda", "a.png", "report").page
-names: list[str] = list(usdsmoke.settings())
-"""
 
 
 def test_every_public_name_is_there_and_no_module_hides_one() -> None:
@@ -42,21 +21,6 @@ def test_every_public_name_is_there_and_no_module_hides_one() -> None:
             importlib.import_module(module.name)  # which sets it as an attribute of the package
     for name in FUNCTIONS:
         assert callable(getattr(usdsmoke, name)), name
-
-
-def test_a_users_script_is_typed(tmp_path: Path) -> None:
-    good, bad = tmp_path / "good.py", tmp_path / "bad.py"
-    good.write_text(SCRIPT)
-    bad.write_text('import usdsmoke\nn: str = usdsmoke.plan("shot.usda").n_frames\n')
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", str(good), str(bad)],
-        capture_output=True,
-        text=True,
-        cwd=PROJECT,
-        check=False,
-    )
-    lines = [line for line in done.stdout.splitlines() if "error:" in line]
-    assert len(lines) == 1 and "bad.py:2" in lines[0], done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
@@ -80,6 +81,18 @@ def test_storage_is_the_difference_between_files(shot: Shot, core: FakeCore) -> 
     assert exact.error_budget is not None and rough.error_budget is not None
     assert exact.error_budget["storage, density"].largest == 0
     assert rough.error_budget["storage, density"].largest == pytest.approx(max(differences))
+
+
+@pytest.mark.usefixtures("core")
+def test_smoke_that_16_bits_lose_is_told(shot: Shot) -> None:
+    for code in (1, 2, 3):
+        faint = np.full((4, 3, 2), 1e-8)
+        write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(faint))
+    result = stylize(shot.stage, shot.style, shot.output, {"grids": {"half": True}})
+    assert result.error_budget is not None
+    assert result.error_budget["storage, density"].largest == 1
+    told = [text for text in result.warnings if "grids.half" in text]
+    assert any("storage, density is 100.0%" in text for text in told)
 
 
 def test_a_real_frame_has_an_estimate_of_everything_in_it() -> None:

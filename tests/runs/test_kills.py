@@ -16,16 +16,16 @@ from usdsmoke.pipeline import StylizeResult
 @pytest.mark.skipif(sys.platform != "linux", reason="forks, process groups and a subreaper")
 def test_after_kills_at_random_moments_the_next_run_ends_in_the_same_bits() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.kills", "--kills", "3", "--seed", "7", "--warm"],
+        [sys.executable, "-m", "benchmarks.kills", "--kills", "2", "--seed", "7", "--warm"],
         cwd=PROJECT,
         capture_output=True,
         text=True,
         timeout=300,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    kills = done.stdout.splitlines()[:3]
-    assert [line.endswith(": same bits") for line in kills] == [True] * 3
-    assert "**0 of 3 went wrong.**" in done.stdout
+    kills = done.stdout.splitlines()[:2]
+    assert [line.endswith(": same bits") for line in kills] == [True] * 2
+    assert "**0 of 2 went wrong.**" in done.stdout
 
 
 @pytest.fixture

@@ -123,15 +123,15 @@ class OpticsConfig(Section):
 
     gamma: float | None = setting(
         None, "extinction of the colour step; higher is more opaque; unset: chosen from "
-        "optics.depth; the paper shows 0.001, 0.1, 0.5, 1", gt=0, unit=_PER_VOXEL, request="gamma",
-        control="gamma")
+        "optics.depth; the paper shows 0.001, 0.1, 0.5, 1", gt=0, le=1e30, unit=_PER_VOXEL,
+        request="gamma", control="gamma")
     gamma_shape: float | None = setting(
         None, "extinction of the shape step's grey images; unset: chosen from optics.depth_shape",
-        gt=0, unit=_PER_VOXEL, request="gammaShape")
+        gt=0, le=1e30, unit=_PER_VOXEL, request="gammaShape")
     depth: float = setting(
         30.0, "optical depth that the thick columns should have; used to choose gamma if it is "
-        "unset", gt=0)
-    depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0)
+        "unset", gt=0, le=1e6)
+    depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0, le=1e6)
     frames: str = setting(
         "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
         "of those that are stylized, and for a look that grows its own")

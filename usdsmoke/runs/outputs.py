@@ -12,7 +12,7 @@ from usdsmoke.base.naming import SCATTERING
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.storage import clip_to_smoke, prune_fields
+from usdsmoke.base.storage import clip_to_smoke, prune_fields, round_to_half
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.pictures import StyleImage
@@ -57,7 +57,8 @@ def result_fields(
     if painted:
         colours = make_colour_grids(density, painted, report.extinction, config, stops)
     lost = storage_errors(fields, config.grids, report.errors, kept)
-    written = int(np.count_nonzero(density.values > 0))
+    stored = round_to_half(density.values) if config.grids.half else density.values
+    written = int(np.count_nonzero(stored > 0))
     report = dataclasses.replace(report, errors=lost, voxels_written=written)
     if config.layer.compact_velocity:
         velocity = [clip_to_smoke(grid, density) for grid in velocity]

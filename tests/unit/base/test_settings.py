@@ -292,9 +292,9 @@ def test_a_missing_or_binary_file_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_float_keeps_every_bit_on_its_way_through_yaml() -> None:
     for value in (0.1, math.pi, 5e-324, 1.7976931348623157e308, 1e-7):
-        config = resolve_config({"optics": {"depth": value}})
+        config = resolve_config({"colour": {"learning_rate": value}})
         again = resolve_config(yaml.safe_load(settings_yaml(config)))
-        assert again.optics.depth == value
+        assert again.colour.learning_rate == value
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def drifting(number: int, factor: float = 1.0) -> VolumeFrame:
     [
         (1.0, ""),
         (1 / 24, "as if it were per frame"),
-        (24.0, "as if it were per second"),
+        (24.0, "with 0.0417 times of it. Check the program"),
         (-1.0, "without any"),
     ],
 )

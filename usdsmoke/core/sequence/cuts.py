@@ -35,7 +35,11 @@ class Passage:
 
 
 def judge_passage(
-    before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, time_codes_per_second: float
+    before: ActiveSmoke,
+    smoke: ActiveSmoke,
+    transit: Transit,
+    time_codes_per_second: float,
+    unit: str = "second",
 ) -> Passage:
     """Compare a frame's density with the one before, carried along.
 
@@ -43,6 +47,7 @@ def judge_passage(
         before, smoke: of both frames; some thousand of their voxels are looked at.
         transit: from the frame before.
         time_codes_per_second: what a velocity per frame is slower than one per second by.
+        unit: ``stage.velocity_unit``, that the velocity was read in.
     """
     before, smoke = coarsen(bounded(before)), coarsen(bounded(smoke))
     given = _difference(before, smoke, transit)
@@ -63,6 +68,8 @@ def judge_passage(
         return Passage(given, "")
     if best == "0":
         cure = "without any. Check its unit and direction, or set stage.motion=estimate"
+    elif best.endswith(unit):
+        cure = f"with {factors[best]:.3g} times of it. Check the program that wrote it"
     else:
         cure = f"with {factors[best]:.3g} times of it, as if it were {best}. Check its unit"
         cure += f", stage.velocity_unit={best.removeprefix('per ')}"

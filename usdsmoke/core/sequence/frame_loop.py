@@ -337,7 +337,9 @@ def _connected(
     way = replace(  # the smoke's, not the pattern's
         context.transit(before, frame), seconds=(frame.time_code - before.time_code) / rate
     )
-    passage = judge_passage(before.source, frame.source, way, rate)
+    passage = judge_passage(
+        before.source, frame.source, way, rate, context.config.stage.velocity_unit
+    )
     texts = [passage.doubt] if passage.doubt else []
     if passage.is_cut:
         texts.append(

@@ -24,6 +24,7 @@ FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
+EXPOSURES = 40.0  # stops: the largest ``optics.exposure`` either way
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
 
@@ -116,7 +117,8 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
                 name,
                 MASS.name,
                 f"{gone:.1%} of the voxels with smoke are empty in the result",
-                "Lower grids.prune, or look for voxels that are much denser than the rest",
+                "Lower grids.prune, unset grids.half, or look for voxels that are much denser than "
+                "the rest",
                 "grids.prune",
             )
     if report.temporal is None:  # a warm frame starts where its neighbour ended
@@ -141,6 +143,8 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     if light is None:
         return
     advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
+    if abs(light.advised) > EXPOSURES:
+        advice = "Change the brightness of the lights"
     if light.share < DIM:
         cause = f"only {light.share:.2%} of the smoke's light comes from lamps, which is not seen"
         advice += ", or optics.albedo=0, which leaves them out"
@@ -176,9 +180,13 @@ def _unmoved(name: str, motionless: float) -> Finding:
         cause = "the shape step moved nothing: no potential moves smoke of this shape"
         remedy, setting = "Set optimize.steps=[colour], which leaves the step out", "optimize.steps"
     else:
-        cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
+        cause = (
+            "the shape step moved nothing: its pictures hardly depend on the displacement, or "
+            "other settings outweigh the style"
+        )
         remedy, setting = (
-            "Unset optics.gamma_shape and shape.learning_rate, or leave the step out with "
+            "Unset what is set of optics.gamma_shape, shape.learning_rate, losses.keep, "
+            "losses.style and optimize.strength, or leave the step out with "
             "optimize.steps=[colour]",
             "optics.gamma_shape",
         )
@@ -243,13 +251,17 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
     for name, depth in _depths(volume, scene).items():
         if depth > DEEPEST or depth < FAINTEST:
             what = "is saturated" if depth > DEEPEST else "is empty"
+            setting, remedy = f"optics.{name}", f"Unset optics.{name}; the smoke then chooses it"
+            if name in chosen:  # by the depth that is asked for
+                setting = setting.replace("gamma", "depth")
+                remedy = f"{'Lower' if depth > DEEPEST else 'Raise'} {setting}"
             yield Finding(
                 place,
                 "",
-                f"the thick columns have an optical depth of {depth:.2g} with optics.{name}: the "
+                f"the thick columns have an optical depth of {depth:.2g} with {setting}: the "
                 f"picture that is optimised {what}",
-                f"Unset optics.{name}; it is then chosen by the smoke",
-                f"optics.{name}",
+                remedy,
+                setting,
             )
 
 

@@ -224,8 +224,9 @@ STORAGE_DENSITY = ErrorRow(
     of_frame=lambda report: report.errors.storage_density,
     why_absent=lambda volume: "",
     without="not measured",
+    most=0.01,  # rounding to 16 bits loses a twentieth of that, unless numbers are too small
     advice="set grids.half=false and grids.prune=0",
-    setting="grids.prune",
+    setting="grids.half",
 )
 STORAGE_EMISSION = ErrorRow(
     name="storage, emission",
@@ -234,8 +235,9 @@ STORAGE_EMISSION = ErrorRow(
     of_frame=lambda report: report.errors.storage_emission,
     why_absent=lambda volume: volume.without_step("colour"),
     without=_NO_COLOUR,
+    most=0.01,  # rounding to 16 bits loses a twentieth of that, unless numbers are too small
     advice="set grids.half=false and grids.prune=0",
-    setting="grids.prune",
+    setting="grids.half",
 )
 
 ROWS = (
