@@ -65,7 +65,7 @@ def schema_text() -> str:
 def _attribute(field: FieldInfo) -> str:
     value, extra, limits = ValueType.of(field), extra_of(field), limits_of(field)
     kind = {int: "int", float: "double", str: "token"}[value.element]
-    if limits.get("le", 0) >= 2**31:
+    if kind == "int" and limits.get("le", 0) >= 2**31:
         kind = "int64"
     text = str(field.description)
     about = [f"{text[0].upper()}{text[1:]}."]
