@@ -216,7 +216,7 @@ def test_an_output_folder_that_may_not_be_read_is_named(
     shot.output.mkdir()
     monkeypatch.setattr("os.access", access)
     for call in (lambda: run(shot), lambda: assemble(shot.output)):
-        with pytest.raises(LayerError, match=r"may not be read.*permissions"):
+        with pytest.raises(LayerError, match=r"read.*permissions"):
             call()
 
 

@@ -32,7 +32,7 @@ def test_what_is_done_is_done_and_assembling_twice_changes_nothing(
 
 def test_missing_windows_are_listed(farm: Shot, capsys: pytest.CaptureFixture[str]) -> None:
     windows_in(farm, [1])
-    with pytest.raises(LayerError, match=r"windows 0,2 of 3 \(counted from 0\) are not finished"):
+    with pytest.raises(LayerError, match=r"windows 0,2 of 3 \(counted from 0\)"):
         assemble(farm.output)
     assert main(["assemble", str(farm.output), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["type"] == "LayerError"
@@ -68,7 +68,7 @@ def test_inputs_that_have_changed_are_not_assembled(farm: Shot) -> None:
 def test_a_folder_without_a_run_is_named(tmp_path: Path, there: bool) -> None:
     if there:
         (tmp_path / "out").mkdir()
-    with pytest.raises(LayerError, match=r"there is no (run in|folder) .*out"):
+    with pytest.raises(LayerError, match=r"(run in|folder) .*out"):
         assemble(tmp_path / "out")
     assert (tmp_path / "out").exists() == there
 
@@ -230,9 +230,9 @@ def test_a_whole_run_and_an_assembly_keep_out_of_a_worker_at_work(
 
     def intrude(time_code: float) -> None:
         core.before_frame = lambda time_code: None
-        with pytest.raises(OutputExists, match="another usdsmoke is writing"):
+        with pytest.raises(OutputExists, match="another usdsmoke"):
             run(farm, *WINDOWS)
-        with pytest.raises(OutputExists, match="another usdsmoke is writing"):
+        with pytest.raises(OutputExists, match="another usdsmoke"):
             assemble(farm.output)
         windows_in(farm, [2])  # another worker may come in
 

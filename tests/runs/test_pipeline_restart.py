@@ -154,7 +154,7 @@ def test_settings_that_do_not_change_the_result_do_not_hinder_going_on(
 
 def test_a_refusal_in_the_last_frame_leaves_nothing_behind(shot: Shot, core: FakeCore) -> None:
     write_nan(shot.stage.parent / "cache/smoke.0003.vdb")
-    with pytest.raises(NonFiniteError, match=r"timeCode 3\) has 2 NaN or infinite voxels"):
+    with pytest.raises(NonFiniteError, match=r"timeCode 3\) has 2 NaN"):
         run(shot)
     assert not shot.output.exists()
     assert core.stylized == []
@@ -218,7 +218,7 @@ def test_a_full_disk_at_any_moment_leaves_the_old_result_and_can_be_gone_on_from
 
 def test_two_runs_do_not_write_to_one_folder(shot: Shot, core: FakeCore) -> None:
     def intrude(time_code: float) -> None:
-        with pytest.raises(OutputExists, match="another usdsmoke is writing to"):
+        with pytest.raises(OutputExists, match="another usdsmoke"):
             run(shot)
 
     core.before_frame = intrude
@@ -228,7 +228,7 @@ def test_two_runs_do_not_write_to_one_folder(shot: Shot, core: FakeCore) -> None
 @pytest.mark.usefixtures("core")
 def test_a_result_cannot_be_written_over_its_own_source(shot: Shot) -> None:
     result = run(shot)
-    with pytest.raises(LayerError, match="is an input of this run"):
+    with pytest.raises(LayerError, match="an input"):
         stylize(result.root_stage, shot.style, shot.output, settings=RESTYLIZE, force=True)
     again = stylize(result.root_stage, shot.style, shot.folder / "second", settings=RESTYLIZE)
     np.testing.assert_allclose(values_of(again.frames[0]), 0.625 / 4)

@@ -71,12 +71,12 @@ def test_windows_of_two_looks_are_assembled_by_name(farm: Shot) -> None:
     for settings in (WINDOWS, [*WINDOWS, "layer.look=ember"]):
         for window in (2, 0, 1):
             run_window(Request(farm.stage, farm.style, farm.output, settings), window)
-    with pytest.raises(LayerError, match=r"several looks: ember, stylized.*--look"):
+    with pytest.raises(LayerError, match=r"stylized.*--look"):
         assemble(farm.output)
     ember = assemble(farm.output, look="ember")
     assert ember.root_stage == farm.output / "shot_look_ember.usda"
     assert assemble(farm.output).root_stage == farm.output / "shot_look.usda"  # the one unfinished
-    with pytest.raises(LayerError, match="no run of the look frost in"):
+    with pytest.raises(LayerError, match="look frost"):
         assemble(farm.output, look="frost")
     assert contents(ember.root_stage) == contents(farm.output / "shot_look.usda")
 
@@ -137,7 +137,7 @@ def test_files_are_known_by_mode_and_look_before_anything_is_written(shot: Shot)
 
 def test_a_name_that_differs_from_another_in_case_alone_is_refused(shot: Shot) -> None:
     run(shot, "layer.look=ember")
-    with pytest.raises(LayerError, match=r"has a look 'ember', which differs from 'Ember' in"):
+    with pytest.raises(LayerError, match=r"'ember',.*'Ember' in"):
         run(shot, "layer.look=Ember")
     assert len(list(shot.output.glob("vdb/*"))) == 1
 
@@ -170,6 +170,6 @@ def variants(asset: Path) -> tuple[str, list[str]]:
 def test_a_name_that_is_too_long_for_a_file_is_refused_before_anything_is_computed(
     shot: Shot, core: FakeCore
 ) -> None:
-    with pytest.raises(LayerError, match=r"a name of \d+ bytes.*layer\.look"):
+    with pytest.raises(LayerError, match=r"\d+ bytes.*layer\.look"):
         run(shot, f"layer.look={'x' * 250}")
     assert core.stylized == [] and not shot.output.exists()

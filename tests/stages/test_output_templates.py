@@ -142,7 +142,7 @@ def test_two_volumes_in_one_file_are_refused_by_name(tmp_path: Path) -> None:
     shot = make_shot(tmp_path / "shot")
     prims = density_prim(sequence(range(1, 4)))
     shot.stage.write_text(world(volume_prim(prims) + volume_prim(prims, "fog")))
-    with pytest.raises(ConfigError, match=r"</World/smoke> and </World/fog> the same file"):
+    with pytest.raises(ConfigError, match=r"</World/smoke> and </World/fog>"):
         run(shot, "layer.files={look}.{frame:04d}.vdb")
 
 
@@ -150,7 +150,7 @@ def test_files_of_other_looks_programs_and_of_the_source_are_not_overwritten(sho
     plain = "layer.files={name}.{frame:04d}.vdb"
     run(shot, plain)
     before = contents(shot.output / "shot_look.usda")
-    with pytest.raises(LayerError, match=r"belongs to the look stylized.*\{look\}"):
+    with pytest.raises(LayerError, match=r"stylized.*\{look\}"):
         run(shot, plain, *EMBER)
     assert contents(shot.output / "shot_look.usda") == before
     foreign = shot.output / "smoke/ember/smoke.0002.vdb"
@@ -159,7 +159,7 @@ def test_files_of_other_looks_programs_and_of_the_source_are_not_overwritten(sho
     with pytest.raises(LayerError, match=rf"{re.escape(str(foreign))} is not of a result"):
         run(shot, TEMPLATE, *EMBER, force=True)
     assert foreign.read_text() == "mine"
-    with pytest.raises(UsdSmokeError, match="input of this run"):
+    with pytest.raises(UsdSmokeError, match="an input"):
         run(
             Shot(shot.folder, shot.stage, shot.style, shot.stage.parent),
             "layer.files=cache/{name}.{frame:04d}.vdb",

@@ -161,7 +161,7 @@ def test_a_look_in_one_asset_of_a_shot_is_left_out_there(tmp_path: Path) -> None
 
 def test_a_look_of_the_given_stage_is_not_written_over(shot: Shot) -> None:
     users = over(shot, run(shot).look_layer, shot.stage)
-    with pytest.raises(LayerError, match="input of this run"):
+    with pytest.raises(LayerError, match="an input"):
         stylize(users, shot.style, shot.output, force=True)
     side = stylize(users, shot.style, shot.output, settings=["layer.look=ember"])
     np.testing.assert_allclose(values_of(side.frames[0]), 0.625 / 2)
@@ -171,7 +171,7 @@ def test_a_flattened_result_is_refused_with_advice_unless_it_is_asked_for(shot: 
     first = run(shot)
     flat = shot.folder / "flat.usda"
     Usd.Stage.Open(str(first.root_stage)).Flatten().Export(str(flat))
-    with pytest.raises(StageError, match=r"</World/smoke> is stylized already: .*--restylize"):
+    with pytest.raises(StageError, match=r"</World/smoke>.*--restylize"):
         again(shot, flat)
     assert not (shot.folder / "second").exists()
     np.testing.assert_allclose(values_of(again(shot, flat, RESTYLIZE).frames[0]), 0.625 / 4)
@@ -181,7 +181,7 @@ def test_flattened_sublayers_keep_the_record_and_are_refused_the_same_way(shot: 
     flat = shot.folder / "flat.usda"
     UsdUtils.FlattenLayerStack(Usd.Stage.Open(str(run(shot).root_stage))).Export(str(flat))
     assert "usdsmoke" in Sdf.Layer.FindOrOpen(str(flat)).customLayerData
-    with pytest.raises(StageError, match=r"</World/smoke> is stylized already: .*--restylize"):
+    with pytest.raises(StageError, match=r"</World/smoke>.*--restylize"):
         again(shot, flat)
     np.testing.assert_allclose(values_of(again(shot, flat, RESTYLIZE).frames[0]), 0.625 / 4)
 
@@ -195,7 +195,7 @@ def test_a_root_whose_look_is_gone_shows_the_source_and_is_stylized_from_it(shot
 def test_a_flattened_result_of_some_frames_is_refused_too(shot: Shot) -> None:
     flat = shot.folder / "flat.usda"
     Usd.Stage.Open(str(run(shot, "stage.frames=2").root_stage)).Flatten().Export(str(flat))
-    with pytest.raises(StageError, match=r"smoke\.0002\.vdb was written by usdsmoke"):
+    with pytest.raises(StageError, match=r"smoke\.0002\.vdb"):
         again(shot, flat)
     again(shot, flat, "stage.frames=1,3")
 
@@ -203,7 +203,7 @@ def test_a_flattened_result_of_some_frames_is_refused_too(shot: Shot) -> None:
 @pytest.mark.parametrize("settings", [[], [RESTYLIZE]])
 def test_a_look_layer_alone_is_no_stage_to_stylize(shot: Shot, settings: list[str]) -> None:
     look = run(shot, "layer.mode=layer").look_layer
-    with pytest.raises(StageError, match="is a look layer alone"):
+    with pytest.raises(StageError, match="look layer"):
         again(shot, look, *settings)
 
 

@@ -121,7 +121,7 @@ def test_writer_that_writes_nothing_is_found_out(tmp_path: Path) -> None:
 
 def test_folder_of_the_targets_name_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.vdb").mkdir()
-    with pytest.raises(WriteFailed, match=r"a\.vdb.*folder has this name"):
+    with pytest.raises(WriteFailed, match=r"a\.vdb.*folder"):
         publish_file(tmp_path / "a.vdb", lambda temporary: temporary.write_text("x"))
     assert os.listdir(tmp_path) == ["a.vdb"]
 
@@ -130,7 +130,7 @@ def test_read_only_folder_is_named(tmp_path: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("root may write into read-only folders")
     tmp_path.chmod(0o555)
-    with pytest.raises(WriteFailed, match="may be written to"):
+    with pytest.raises(WriteFailed, match="be written"):
         publish_file(tmp_path / "a.vdb", lambda temporary: temporary.write_text("x"))
 
 

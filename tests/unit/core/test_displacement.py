@@ -206,5 +206,5 @@ def test_what_does_not_fit_is_refused(call, message):
 
 
 def test_mask_refuses_non_finite_density():
-    with pytest.raises(NonFiniteError, match="density given to the mask"):
+    with pytest.raises(NonFiniteError, match="the mask"):
         smooth_mask(torch.tensor([[[1.0, float("nan")]]]), 1.0)

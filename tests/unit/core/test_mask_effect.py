@@ -150,12 +150,12 @@ def test_values_beyond_the_range_are_clamped_with_a_warning(plain):
 def test_a_mask_that_is_not_finite_is_refused_by_time_code_and_name(bad):
     values = np.ones(DENSITY.shape)
     values[0, 0, 0] = bad
-    with pytest.raises(NonFiniteError, match=r'1 values of grid "fade" at timeCode 1 .*repair_nan'):
+    with pytest.raises(NonFiniteError, match=r'1.*"fade" at timeCode 1 .*repair_nan'):
         run_core([masked(values)], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
 
 
 def test_a_mask_s_background_that_is_not_finite_is_refused_too():
-    with pytest.raises(NonFiniteError, match=r'1 values of grid "fade" at timeCode 1 '):
+    with pytest.raises(NonFiniteError, match=r'1.*"fade" at timeCode 1 '):
         run_core([masked(np.ones((3, 3, 3)), ijk_min=(4, 4, 4), background=np.nan)])
 
 

@@ -205,7 +205,7 @@ def test_unknown_boundary_is_refused():
 def test_non_finite_positions_are_counted_and_refused(bad):
     positions = torch.zeros(10, 3)
     positions[[2, 7], 1] = bad
-    with pytest.raises(NonFiniteError, match="2 of 10 sample positions are NaN or infinite"):
+    with pytest.raises(NonFiniteError, match=r"2 of 10.*NaN or infinite"):
         sample_linear(torch.ones(3, 3, 3), positions)
 
 

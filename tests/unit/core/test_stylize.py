@@ -239,9 +239,7 @@ def test_refinement_gives_finer_voxels_of_the_same_smoke():
 def test_density_that_is_not_finite_is_refused_by_time_code_and_name(bad):
     spoiled = DENSITY.copy()
     spoiled[6, 6, 6] = bad
-    with pytest.raises(
-        NonFiniteError, match=r'1 values of grid "density" at timeCode 7 .*grids\.repair_nan'
-    ):
+    with pytest.raises(NonFiniteError, match=r'1.*"density" at timeCode 7 .*grids\.repair_nan'):
         run_core([frame_of(spoiled, 7.0)], scene=Scene(1.0, 1.0, 1.0, "Y", 1.0, 16))
 
 

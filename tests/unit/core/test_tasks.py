@@ -51,7 +51,7 @@ def test_an_error_in_a_task_is_raised_and_work_goes_on_afterwards(bad: int):
             raise ValueError("the bad one")
         return number
 
-    with pytest.raises(ValueError, match="the bad one"):
+    with pytest.raises(ValueError, match="bad one"):
         run_tasks([lambda n=n: task(n) for n in range(8)])
     assert run_tasks([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
 

@@ -155,7 +155,7 @@ def test_substeps_improve_the_back_trace_of_a_strong_swirl():
 
 @pytest.mark.parametrize("speed", [1e5, 1e12, 1e30])
 def test_absurd_velocity_is_refused_with_its_cfl_number(speed):
-    with pytest.raises(PlanError, match=r"crosses .* voxels in one step .* unit"):
+    with pytest.raises(PlanError, match=r"crosses .* unit"):
         choose_substeps(torch.full((*SHAPE, 3), speed), 1.0)
 
 
@@ -169,9 +169,9 @@ def test_non_finite_inputs_are_counted_and_refused(bad):
         choose_substeps(velocity, 1.0)
     with pytest.raises(NonFiniteError, match=wanted):
         backtrace(velocity, torch.zeros(1, 3), 1.0)
-    with pytest.raises(NonFiniteError, match="numbers of the displacement"):
+    with pytest.raises(NonFiniteError, match="the displacement"):
         warp(torch.ones(SHAPE), velocity)
-    with pytest.raises(NonFiniteError, match=r"1 of 504 numbers of the values"):
+    with pytest.raises(NonFiniteError, match=r"1 of 504"):
         warp(values, torch.zeros(*SHAPE, 3))
     with pytest.raises(NonFiniteError, match="cfl above 0"):
         choose_substeps(torch.zeros(1, 3), bad)

@@ -41,7 +41,7 @@ def test_a_worker_that_does_not_see_a_file_is_refused_by_its_name(
     began = time.monotonic()
     answer = dask._look_around([str(tmp_path / "shot.usda")])
     assert 0.2 <= time.monotonic() - began < 2
-    with pytest.raises(ClusterError, match=r"tcp://w:1 does not see .*/shot\.usda"):
+    with pytest.raises(ClusterError, match=r"tcp://w:1.*/shot\.usda"):
         dask._check_answer("tcp://w:1", answer)
 
 

@@ -110,7 +110,7 @@ def test_whatever_the_stage_is_called_the_job_gets_a_name_that_the_model_takes(n
 
 @pytest.mark.parametrize("command", ["", "  ", "{{Param.Stage}}", "usd\nsmoke"])
 def test_a_command_that_no_queue_can_run_is_refused(command: str) -> None:
-    with pytest.raises(ConfigError, match="cannot be run by a queue"):
+    with pytest.raises(ConfigError, match="a queue"):
         job_template("shot", 1, 1, 1.0, command)
 
 
@@ -128,7 +128,7 @@ def test_a_line_of_a_shell_is_refused_and_a_program_with_a_space_in_its_path_is_
 
 def test_more_styles_than_a_template_can_name_are_refused() -> None:
     decoded(job_template("shot", 1, 45, 1.0))
-    with pytest.raises(PlanError, match="46 style images make 51 job parameters"):
+    with pytest.raises(PlanError, match=r"46.*51 job parameters"):
         job_template("shot", 1, 46, 1.0)
 
 

@@ -30,7 +30,7 @@ def test_png_comes_back_as_it_was_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shape", [(4, 5), (4, 5, 2), (0, 5, 3)])
 def test_pixels_of_another_shape_are_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
-    with pytest.raises(ImageError, match=r"\[H W C\] with C one of 3, 4"):
+    with pytest.raises(ImageError, match=r"\[H W C\].*3, 4"):
         write_png(tmp_path / "a.png", np.zeros(shape))
 
 

@@ -212,7 +212,7 @@ def test_missing_or_damaged_files_of_other_frames_do_not_matter(tmp_path: Path) 
     preview(stage, tmp_path / "a.png", frames="2", width=16)
     (tmp_path / "cache/smoke.0004.vdb").write_bytes(b"no VDB at all")
     preview(stage, tmp_path / "a.png", frames="2", width=16)
-    with pytest.raises(StageError, match=r"no file at timeCode 3|smoke\.0003\.vdb"):
+    with pytest.raises(StageError, match=r"timeCode 3|smoke\.0003\.vdb"):
         preview(stage, tmp_path / "b.png", frames="3", width=16)
     with pytest.raises(DamagedFile, match=r"smoke\.0004\.vdb"):
         preview(stage, tmp_path / "b.png", width=16)

@@ -58,9 +58,9 @@ def test_what_is_not_on_the_stage_is_said_with_what_is(look: Path, tmp_path: Pat
         preview(stage, target, camera="/cameras/top")
     with pytest.raises(StageError, match="/World/smoke> has 1-4"):
         preview(look, target, frames="9")
-    with pytest.raises(VolumeNotFound, match="no Volume on the stage"):
+    with pytest.raises(VolumeNotFound, match="no Volume"):
         preview(write_text(tmp_path / "no.usda", world("")), target)
-    with pytest.raises(StageError, match="made by usdsmoke"):
+    with pytest.raises(StageError, match="by usdsmoke"):
         preview(tmp_path / "in/shot.usda", target, compare=True)
     with pytest.raises(VolumeNotFound, match="root layer"):
         preview(look.with_name("look.usda"), target)

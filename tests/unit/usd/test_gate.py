@@ -54,7 +54,7 @@ def test_faults_of_the_source_are_not_the_look_s(tmp_path, capsys):
 def test_a_stage_without_a_look_is_refused(tmp_path):
     write_sequence(tmp_path, [1])
     body = volume_prim(density_prim(sequence([1])))
-    with pytest.raises(StageError, match="has no look"):
+    with pytest.raises(StageError, match="no look"):
         validate_look(write_text(tmp_path / "shot.usda", world(body)))
 
 

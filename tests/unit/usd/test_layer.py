@@ -160,7 +160,7 @@ def test_a_result_that_does_not_fit_its_source_is_refused(tmp_path, change, reas
     strange = dataclasses.replace(volume, frames=[dataclasses.replace(frame, time_code=9.0)])
     with pytest.raises(LayerError, match=r"timeCode 9\b.* 1-4"):
         author(stage, source, [strange], tmp_path)
-    with pytest.raises(LayerError, match="no stylized Volume to author"):
+    with pytest.raises(LayerError, match="stylized Volume"):
         author(stage, source, [], tmp_path)
     assert not list(tmp_path.glob("look*"))
 
@@ -172,7 +172,7 @@ def test_the_sources_own_layers_are_never_written_over(tmp_path):
     stage, source = read(write_text(tmp_path / "shot.usda", text))
     frame = finish_frame(tmp_path / "vdb/a.0001.vdb", 1.0, False, ["density", "emission"])
     volume = StylizedVolume(source.volumes[0], [frame], 1.0)
-    with pytest.raises(LayerError, match=r"look\.usda is a layer of the source stage itself"):
+    with pytest.raises(LayerError, match=r"look\.usda"):
         author(stage, source, [volume], tmp_path)
     assert (tmp_path / "look.usda").read_text() == HEADER
 
@@ -183,7 +183,7 @@ def test_a_stage_that_was_never_saved_is_refused(tmp_path):
     volume = StylizedVolume(source.volumes[0], [frame], 1.0)
     memory = Usd.Stage.CreateInMemory()
     memory.GetRootLayer().TransferContent(stage.GetRootLayer())
-    with pytest.raises(LayerError, match="has no file that a layer could refer to"):
+    with pytest.raises(LayerError, match="no file"):
         author(memory, source, [volume], tmp_path)
 
 
@@ -192,7 +192,7 @@ def test_a_folder_that_cannot_be_written_to_leaves_nothing(tmp_path, capfd):
     frame = finish_frame(tmp_path / "vdb/a.0001.vdb", 1.0, False, ["density", "emission"])
     volume = StylizedVolume(source.volumes[0], [frame], 1.0)
     not_a_folder = write_text(tmp_path / "file", "")
-    with pytest.raises(WriteFailed, match=r"cannot write look"):
+    with pytest.raises(WriteFailed, match="write look"):
         author(stage, source, [volume], not_a_folder)
     assert os.listdir(tmp_path / "vdb") == ["a.0001.vdb"]
     assert capfd.readouterr().err == ""

@@ -114,7 +114,7 @@ def test_a_text_that_is_no_utf8_is_a_problem_of_the_stage(tmp_path):
     crate = tmp_path / "shot.usdc"
     Sdf.Layer.FindOrOpen(str(write_text(tmp_path / "shot.usda", world(body)))).Export(str(crate))
     crate.write_bytes(crate.read_bytes().replace(b"Zq9xJ", b"Zq\xffxJ"))
-    with pytest.raises(StageError, match=r"a value that cannot be read: .*Zq\ufffdxJ.*no UTF-8"):
+    with pytest.raises(StageError, match=r"Zq\ufffdxJ.*no UTF-8"):
         find_volumes(open_stage(crate), StageConfig())
 
 
@@ -224,7 +224,7 @@ def packed_shot(folder):
 
 
 def test_no_timecode_can_be_left_out_where_all_lie_in_a_package(tmp_path):
-    with pytest.raises(AssetNotResolved, match="inside the package") as caught:
+    with pytest.raises(AssetNotResolved, match="the package") as caught:
         find_volumes(open_stage(packed_shot(tmp_path)), StageConfig())
     assert "--allow-missing" not in str(caught.value)
 
@@ -304,7 +304,7 @@ def test_no_frame_at_all_is_refused_even_where_frames_may_be_missing(tmp_path, f
         find_volumes(open_stage(plume_stage(tmp_path)), config)
     for file_path in (tmp_path / "cache").iterdir():
         file_path.unlink()
-    with pytest.raises(StageError, match=r"no file at timeCodes 1-4.*Choose other frames"):
+    with pytest.raises(StageError, match=r"timeCodes 1-4.*Choose other frames"):
         find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig(allow_missing=True))
 
 
@@ -324,7 +324,7 @@ def test_a_gap_inside_a_range_is_named(tmp_path):
 def test_an_unreadable_stage_is_refused(tmp_path):
     stage_file = plume_stage(tmp_path)
     stage_file.chmod(0)
-    with pytest.raises(StageError, match=r"cannot be read: .*permissions"):
+    with pytest.raises(StageError, match=r"permissions"):
         open_stage(stage_file)
 
 

@@ -93,7 +93,7 @@ def test_file_that_is_no_vdb_is_refused_without_a_process(
 ) -> None:
     (tmp_path / "a.vdb").write_bytes(packed)
     monkeypatch.setattr(child, "_run", lambda *_: pytest.fail("a process was started"))
-    with pytest.raises(DamagedFile, match=r"a\.vdb is not a valid VDB file"):
+    with pytest.raises(DamagedFile, match=r"a\.vdb.*VDB file"):
         read_grids(tmp_path / "a.vdb", DENSITY, TIGHT)
 
 
@@ -103,7 +103,7 @@ def test_memory_limit_ends_a_hungry_file(tmp_path: Path, good_file: bytes) -> No
     file_path = tmp_path / "hungry.vdb"
     file_path.write_bytes(good_file[:place] + b"\xff" * 4 + good_file[place + 4 :])
     patient = HASTY.replace(time_limit_s=120.0)
-    with pytest.raises(DamagedFile, match=r"needs more than 1 GiB of memory.*memory_limit_gib"):
+    with pytest.raises(DamagedFile, match=r"1 GiB of memory.*memory_limit_gib"):
         read_grids(file_path, DENSITY, patient)
 
 

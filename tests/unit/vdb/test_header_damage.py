@@ -80,21 +80,21 @@ def test_offsets_that_do_not_rise_are_damage(tmp_path: Path, small_file: bytes) 
     place = small_file.index(b"Tree_float_5_4_3") + len(b"Tree_float_5_4_3") + 4
     broken = small_file[:place] + struct.pack("<q", 8) + small_file[place + 8 :]
     (tmp_path / "a.vdb").write_bytes(broken)
-    with pytest.raises(DamagedFile, match=r'offsets of grid "density" are 8, '):
+    with pytest.raises(DamagedFile, match=r'"density" are 8, '):
         read_header(tmp_path / "a.vdb")
 
 
 def test_grid_without_offsets_is_refused_with_the_way_out(tmp_path: Path) -> None:
     grid = ("a", "Tree_float_5_4_3", metadata() + SCALE)
     (tmp_path / "a.vdb").write_bytes(vdb(grid, has_offsets=0))
-    with pytest.raises(UnsupportedGrid, match="written as a stream"):
+    with pytest.raises(UnsupportedGrid, match="a stream"):
         read_header(tmp_path / "a.vdb")
 
 
 def test_missing_file_and_folder_are_not_resolved(tmp_path: Path) -> None:
     with pytest.raises(AssetNotResolved, match=r"no file .*none\.vdb"):
         read_header(tmp_path / "none.vdb")
-    with pytest.raises(AssetNotResolved, match="Is a directory"):
+    with pytest.raises(AssetNotResolved, match="a directory"):
         read_header(tmp_path)
 
 
