@@ -4,17 +4,19 @@ import datetime
 import os
 import platform
 import subprocess
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 __all__ = ["circumstances", "publish", "table_page"]
 
+_STARTED = time.monotonic()  # nearly when the benchmark did: it imports this file
 # Whose changes would make another table; results and docs would not.
 _CODE = ("usdsmoke", "benchmarks/*.py", "examples", "constraints.txt")
 
 
 def circumstances(command: Sequence[str]) -> list[str]:
-    """Date, commit, machine and command, as Markdown list items.
+    """Date, commit, machine, command and time taken, as Markdown list items.
 
     The commit is marked ``-dirty`` where code differs from it. Of absolute paths in the command
     the last part alone is told: they are one machine's.
@@ -31,6 +33,7 @@ def circumstances(command: Sequence[str]) -> list[str]:
         f"- {processor_name()} ({platform.machine()}), {len(os.sched_getaffinity(0))} cores, "
         f"{memory:.0f} GiB, Python {platform.python_version()}.",
         f"- `{' '.join(words)}`",
+        f"- It took {(time.monotonic() - _STARTED) / 60:.1f} minutes, {_cpu_minutes():.1f} of CPU.",
     ]
 
 
@@ -54,6 +57,12 @@ def publish(text: str, file_path: Path | None) -> None:
     if file_path:
         file_path.write_text(text, encoding="utf-8")
     print(text)
+
+
+def _cpu_minutes() -> float:
+    used = os.times()
+    own, of_children = used.user + used.system, used.children_user + used.children_system
+    return (own + of_children) / 60
 
 
 def _git(*arguments: str) -> str:

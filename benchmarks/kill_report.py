@@ -42,13 +42,12 @@ class Kill:
     faults: list[str] = field(default_factory=list)
 
 
-def report(kills: Sequence[Kill], warm_s: float, total_s: float, arguments: Sequence[str]) -> str:
+def report(kills: Sequence[Kill], warm_s: float, arguments: Sequence[str]) -> str:
     """Markdown: kills by step and by command, and the circumstances.
 
     Args:
         kills: all of them.
         warm_s: what an uninterrupted run takes.
-        total_s: what all took.
         arguments: of the command.
     """
     n_faults = sum(bool(kill.faults) for kill in kills)
@@ -78,7 +77,7 @@ def report(kills: Sequence[Kill], warm_s: float, total_s: float, arguments: Sequ
         "",
     ]
     lines += [f"- Kill {n}: {'; '.join(k.faults)}" for n, k in enumerate(kills, 1) if k.faults]
-    return "\n".join([*lines, *_circumstances(arguments, total_s)]) + "\n"
+    return "\n".join([*lines, *circumstances(["python -m benchmarks.kills", *arguments])]) + "\n"
 
 
 def _table(
@@ -111,8 +110,3 @@ def _row(name: str, kills: Sequence[Kill]) -> str:
 
 def _span(values: Sequence[float]) -> str:
     return f"{min(values):.2f} to {max(values):.2f}, median {statistics.median(values):.2f}"
-
-
-def _circumstances(arguments: Sequence[str], total_s: float) -> list[str]:
-    made = circumstances(["python -m benchmarks.kills", *arguments])
-    return [*made, f"- It took {total_s / 60:.0f} minutes."]

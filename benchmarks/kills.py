@@ -269,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     warm_up()
-    began, kills = time.monotonic(), []
+    kills = []
     with tempfile.TemporaryDirectory(prefix="kills-") as name:
         tempfile.tempdir = os.environ["TMPDIR"] = name  # killed processes leave things there
         bench = Bench(Path(name), make_tiny_shot(Path(name)), COLD * (not parsed.warm), parsed.keep)
@@ -281,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     command = ["--kills", str(parsed.kills), "--seed", str(parsed.seed)]
     command += ["--warm"] if parsed.warm else []
-    text = report(kills, bench.warm.seconds, time.monotonic() - began, command)
+    text = report(kills, bench.warm.seconds, command)
     print(text)
     if parsed.report is not None:
         parsed.report.write_text(text, encoding="utf-8")

@@ -21,7 +21,7 @@ from usdsmoke.runs.opening import (
     open_run,
     open_run_to_assemble,
 )
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
@@ -146,7 +146,7 @@ def stylize_job(
         UsdSmokeError: see ``stylize``.
         Interrupted: by Ctrl-C.
     """
-    clock, tell = clock or PartClock(), progress or _ignore_progress
+    clock, tell = clock or PartClock(), progress or ignore_progress
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
         with clock.part("preparing"):  # loads torch
@@ -185,7 +185,7 @@ def run_coarse(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = _prepare(request, planned), progress or _ignore_progress
+    job, tell = _prepare(request, planned), progress or ignore_progress
     with join_run(job, tell) as opened:
         opened.check_disk(())
         had_scenes = bool(opened.run.scenes)
@@ -223,7 +223,7 @@ def run_window(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = prepare(request), progress or _ignore_progress
+    job, tell = prepare(request), progress or ignore_progress
     task = job.plan.task(window)  # refused before the plan is shown
     if planned is not None:
         planned(plan_with_notes(job))
@@ -265,7 +265,7 @@ def assemble(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    clock, tell = PartClock(), progress or _ignore_progress
+    clock, tell = PartClock(), progress or ignore_progress
     with open_run_to_assemble(resolve_output(output), look, mode, tell) as opened:
         if is_whole(opened):
             return summarize_result(opened)
@@ -301,7 +301,3 @@ def plan_with_notes(job: Job) -> Plan:
     """The plan, with a note where a result is made longer."""
     growth = find_growth(job)
     return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, growth.note))
-
-
-def _ignore_progress(report: RunProgress) -> None:
-    """Takes the place of a progress callback that was not given."""

@@ -237,7 +237,7 @@ def submit(
         WriteFailed: the operating system refused.
     """
     _check_program(command)
-    request = request.with_config(_with_network_file(request.config)).settled()
+    request = request.with_config(_with_absolute_files(request.config)).settled()
     job = prepare_job(request, fits=False)
     folder = Path(request.output)
     target = Path(template).absolute() if template is not None else folder / "job/template.yaml"
@@ -276,7 +276,7 @@ def _check_program(command: str) -> None:
         )
 
 
-def _with_network_file(config: Config) -> Config:
+def _with_absolute_files(config: Config) -> Config:
     """The paths of files absolute: the queue's machines look up none of their own."""
     features, optimize = config.features, config.optimize
     if file := features.vgg19_file:

@@ -34,6 +34,10 @@ RunProgressCallback = Callable[[RunProgress], None]
 WAITING = RunProgress("wait", 0.0, 0, 0, 0.0)
 
 
+def ignore_progress(report: RunProgress) -> None:
+    """Takes the place of a progress callback that was not given."""
+
+
 class WorkMeter:
     """The share of a run that is done, counted in iterations weighted by what an octave costs.
 

@@ -16,7 +16,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.coarse import measure_scenes
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
 from usdsmoke.usd.stage import StageOrFile
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def train(
         Interrupted: by Ctrl-C; likewise.
     """
     prepare_torch_environment()
-    started, target, tell = time.monotonic(), Path(output).absolute(), progress or _tell_nobody
+    started, target, tell = time.monotonic(), Path(output).absolute(), progress or ignore_progress
     # the folder is not made; only the checks of a run's inputs are wanted
     request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
     job = prepare_job(request, fits=False)
@@ -120,7 +120,3 @@ def _choose(plan: Plan) -> tuple[VolumePlan, Sequence[FramePlan], FramePlan]:
     spread = [frames[round(place * last / max(n - 1, 1))] for place in range(n)]
     held_out = spread[n // 2]
     return volume, [frame for frame in spread if frame is not held_out] or [held_out], held_out
-
-
-def _tell_nobody(report: RunProgress) -> None:
-    """Takes the place of a progress callback that was not given."""
