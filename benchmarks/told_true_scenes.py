@@ -85,7 +85,10 @@ def _blob(places: np.ndarray) -> np.ndarray:
 
 
 def _filaments(places: np.ndarray) -> np.ndarray:
-    """Twelve helices about three voxels thick, of Gaussian section."""
+    """Twelve helices of Gaussian section, which fade out before the grid ends.
+
+    They are three voxels across, and less than one where they are steepest.
+    """
     across, height = places[..., [0, 2]] - (N - 1) / 2, places[..., 1]
     values = np.zeros(places.shape[:-1])
     for n in range(12):
@@ -93,4 +96,6 @@ def _filaments(places: np.ndarray) -> np.ndarray:
         radius = N * (0.12 + 0.025 * n)
         centre = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         values += np.exp(-((across - centre) ** 2).sum(-1) / (2 * 1.2**2))
+    inside = np.clip(np.minimum(height - 1.5, N - 2.5 - height) / 6, 0, 1)
+    values *= np.sin(np.pi / 2 * inside) ** 2
     return np.where(values > 1e-2, values, 0.0)

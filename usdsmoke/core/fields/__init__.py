@@ -4,6 +4,7 @@
 - ``sample``: linear and cubic interpolation
 - ``transport``: warps by a displacement, back-traces along a velocity, correction of mass
 - ``richardson``: errors estimated from results with 2 and 4 times the step
+- ``warp_error``: the error of a transported field, from its voxels
 - ``lattice``: a dense box around the smoke
 - ``resample``: upsampling, smoothing, smaller voxels
 - ``sparse_map``: sparse linear maps between nodes of lattices

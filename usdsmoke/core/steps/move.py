@@ -15,8 +15,8 @@ from usdsmoke.core.fields.flow import flow
 from usdsmoke.core.fields.folding import measure_evenness
 from usdsmoke.core.fields.lattice import Lattice, field_from_box, surround
 from usdsmoke.core.fields.potential import Displacement, border_mask
-from usdsmoke.core.fields.richardson import warp_error
 from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
+from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.views.visibility import EffectMask
@@ -198,9 +198,7 @@ def _scheme_errors(
         linear = differs / total if total > 0 else 0.0
     started = time.perf_counter()
     error = warp_error(box, u, moved, scheme)
-    # where the voxels are too coarse for Richardson's rule, the linear scheme's error is a bound
-    value = error.value if linear is None else min(error.value, linear)
-    return linear, Estimate(value, time.perf_counter() - started, error.order)
+    return linear, Estimate(error, time.perf_counter() - started)
 
 
 def moves_along(lengths: Sequence[int], kind: str) -> bool:
