@@ -9,11 +9,22 @@ import pytest
 from PIL import Image
 
 from tests.fixtures.grids_fixtures import check_content
-from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of, write_nan
+from tests.fixtures.pipeline_fixtures import (
+    FakeCore,
+    Shot,
+    contents,
+    copied,
+    make_shot,
+    run,
+    shown_files,
+    values_of,
+    write_nan,
+)
 from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
 from usdsmoke.base import publish
 from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
 from usdsmoke.pipeline import stylize
+from usdsmoke.runs.budget import Finding
 
 RESTYLIZE = ["stage.restylize=true"]
 
@@ -91,15 +102,45 @@ def test_a_stopped_run_goes_on_with_its_first_unfinished_window(shot: Shot, core
     assert len(shown_files(result.root_stage)) == 3
 
 
-def test_a_window_with_an_unfinished_frame_is_done_again_as_a_whole(
-    shot: Shot, core: FakeCore
-) -> None:
+def stopped_in_a_window(shot: Shot, core: FakeCore) -> Path:
+    """Ctrl-C in the third of a window's four frames; its checkpoint."""
     stop_at(core, 3.0)
-    with pytest.raises(Interrupted):
+    with pytest.raises(Interrupted, match=r"0 of 1 windows and a part of others"):
         run(shot)
     stop_no_more(core)
-    run(shot)
+    (checkpoint,) = shot.output.glob("vdb/*/checkpoints/*")
+    return checkpoint
+
+
+def test_a_window_goes_on_behind_its_last_finished_frame(tmp_path: Path, core: FakeCore) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=4)
+    whole = contents(run(copied(shot, "whole")).root_stage)
+    stopped_in_a_window(shot, core)
+    result = run(shot)
+    assert core.stylized == [3.0, 4.0]
+    assert contents(result.root_stage) == whole
+    temporal = [row.n_frames for row in result.error_budget.estimates if "temporal" in row.name]
+    assert set(temporal) == {3}
+    assert not list(result.frames[0].parent.glob("checkpoints"))
+
+
+@pytest.mark.parametrize("change", ["checkpoint", "frame", "processor"])
+def test_a_window_whose_checkpoint_is_of_no_use_is_done_again_and_told(
+    shot: Shot, core: FakeCore, change: str
+) -> None:
+    checkpoint = stopped_in_a_window(shot, core)
+    if change == "processor":
+        core.processor = "another"
+    else:
+        changed = checkpoint
+        if change == "frame":
+            (changed,) = shot.output.glob("vdb/*/smoke.0001.vdb")
+        changed.write_bytes(changed.read_bytes()[:-7])
+    told: list[Finding] = []
+    result = run(shot, progress=lambda state: told.extend(state.findings))
     assert core.stylized == [1.0, 2.0, 3.0]
+    assert [item for item in told if "checkpoint of window 0" in item.cause]
+    check_content(result.frames[0])
 
 
 def test_a_finished_frame_that_was_damaged_since_is_done_again(shot: Shot, core: FakeCore) -> None:

@@ -146,7 +146,7 @@ def coarse_starts(
     """
     if not volume.coarse_frames:
         return None
-    from usdsmoke.core.sequence.coarse import load_start
+    from usdsmoke.core.sequence.start_files import load_start
 
     names = {
         frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
@@ -179,7 +179,8 @@ def _run_chain(
     The manifest is written after every frame: a process that continues begins with the last frame
     that is there and that others start from.
     """
-    from usdsmoke.core.sequence.coarse import coarse_frames, save_start
+    from usdsmoke.core.sequence.coarse import coarse_frames
+    from usdsmoke.core.sequence.start_files import save_start
     from usdsmoke.core.smoke.device import describe_machine
 
     (number, volume, frames), (done, n_frames) = chain, counted
@@ -222,7 +223,7 @@ def _resumed(
     Args:
         here: the machine; a sequence of another kind of processor is not continued.
     """
-    from usdsmoke.core.sequence.coarse import load_carried
+    from usdsmoke.core.sequence.start_files import load_carried
 
     names = [coarse_file_name(frame.file_name) for frame in frames]
     n_done = next((n for n, name in enumerate(names) if name not in record.frames), len(names))

@@ -95,13 +95,15 @@ class OpenRun:
         if self.task:
             return f"stopped in {self.task}. Run the command again."
         if self.run.is_useless():
-            return "stopped before the first window was finished. Nothing was left behind."
+            return "stopped before the first frame was finished. Nothing was left behind."
         tasks = self.plan.tasks
         done = [task for task in tasks if self.run.window(task.number) is not None]
         n_frames = sum(len(task.window.time_codes) for task in done)
+        more = " and a part of others" if self.run.has_checkpoints else ""
         return (
             f"stopped with {n_frames} of {self.plan.n_frames} frames finished, {len(done)} of "
-            f"{len(tasks)} windows, in {self.run.folder}. Run the same command again to continue."
+            f"{len(tasks)} windows{more}, in {self.run.folder}. Run the same command again to "
+            "continue."
         )
 
 

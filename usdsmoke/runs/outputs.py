@@ -12,9 +12,13 @@ from usdsmoke.base.naming import SCATTERING
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.storage import clip_to_smoke, prune_fields, round_to_half
+from usdsmoke.base.storage import (
+    clip_to_smoke,
+    prune_fields,
+    round_to_half,
+    storage_errors,
+)
 from usdsmoke.base.volume import DenseField, WrittenFrame
-from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask

@@ -4,6 +4,7 @@
     OUT/vdb/<key>/scenes.json          what was measured once for all windows, until then
     OUT/vdb/<key>/NAME.####.vdb        the frames; ``delivery`` gives them other paths too
     OUT/vdb/<key>/windows/KKKK.json    the manifest of a finished window: see ``manifests``
+    OUT/vdb/<key>/checkpoints/KKKK.npz what an unfinished window goes on with
     OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
     OUT/vdb/<key>/coarse/, coarse.json what windows start from, where there are several
     *.lock                             held by the process that computes a task
@@ -39,6 +40,7 @@ from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 _SCENES = "scenes.json"
 _DIGEST = "sha256"  # of the other values of a file
 _COARSE = "coarse.json"
+_CHECKPOINTS = "checkpoints"
 _KEY_LENGTH = 12
 
 _Manifest = TypeVar("_Manifest", WindowRecord, CoarseRecord)
@@ -163,6 +165,7 @@ class Run:
         for folder in {(self.output / name).parent for name in self.files}:
             remove_leftovers(folder, of=self.files)
         self.tidy(alone)
+        shutil.rmtree(self.folder / _CHECKPOINTS, ignore_errors=True)
         if (self.folder / _SCENES).exists():
             self.save()  # scenes and all
             (self.folder / _SCENES).unlink()
@@ -204,6 +207,15 @@ class Run:
         """Where the manifest of a window, or without a number of the coarse step, belongs."""
         return self.folder / (_COARSE if window is None else f"windows/{window:04d}.json")
 
+    def checkpoint_path(self, window: int) -> Path:
+        """Where the state of an unfinished window belongs, until it is finished."""
+        return self.folder / _CHECKPOINTS / f"{window:04d}.npz"
+
+    @property
+    def has_checkpoints(self) -> bool:
+        """Whether a window was stopped behind a finished frame."""
+        return any((self.folder / _CHECKPOINTS).glob("[0-9]*.npz"))  # not temporaries
+
     def keep(self, manifest: WindowRecord | CoarseRecord) -> None:
         """Write a manifest, after its files."""
         window = manifest.window if isinstance(manifest, WindowRecord) else None
@@ -238,9 +250,10 @@ class Run:
         return found
 
     def is_useless(self) -> bool:
-        """Whether nothing is finished: neither a window nor a coarse frame nor a result."""
+        """Whether nothing is finished: not a frame, and not a frame of the coarse step."""
         manifests = any((self.folder / "windows").glob("[0-9]*.json"))  # not temporaries
-        return not (self.frames or manifests or self.manifest_path().is_file())
+        is_begun = manifests or self.has_checkpoints or self.manifest_path().is_file()
+        return not (self.frames or is_begun)
 
     def is_unchanged(self, file_name: str, digest: str) -> bool:
         """Whether a file of this folder has this SHA-256."""

@@ -1,11 +1,15 @@
 """The work itself: every frame checked, every window stylized, every frame written."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.planning.frame_reader import hash_sources
@@ -18,10 +22,12 @@ from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
+from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
     from usdsmoke.base.frame_report import Progress
+    from usdsmoke.core.sequence.start import Carried
 
 
 def hash_frames(
@@ -77,7 +83,8 @@ def stylize_windows(
 ) -> None:
     """Stylize windows, write their frames and, behind each window, its manifest.
 
-    A window that another process has finished meanwhile is left as it is.
+    A window that another process has finished meanwhile is left as it is; one that it has begun
+    goes on behind its last finished frame, with the same bits.
 
     Args:
         opened: the run; it has begun, and the coarse step is done.
@@ -94,8 +101,11 @@ def stylize_windows(
     for place, task in enumerate(tasks):
         with opened.run.claim(task.number):
             if redo or opened.run.window(task.number) is None:
-                progress = _Counter(meter, done, len(warm), tell)
+                codes = (frame.source.time_code for frame in task.frames)
+                places = {code: done + number for number, code in enumerate(codes)}
+                progress = _Counter(meter, places, len(warm), tell)
                 _stylize_window(opened, task, source_hashes, progress)
+            opened.run.checkpoint_path(task.number).unlink(missing_ok=True)
         done += len(task.frames)
         later = [frame for other in tasks[place + 1 :] for frame in other.frames]
         opened.reader.release(task.frames, [*later, *_frames_to_assemble(opened.plan)])
@@ -124,44 +134,42 @@ def _never_back(tell: RunProgressCallback) -> RunProgressCallback:
 
 @dataclass(frozen=True)
 class _Counter:
-    """The core counts frames within a window; the run counts all of them."""
+    """Tells how far a window is, as a part of the run."""
 
     meter: WorkMeter
-    first: int
+    places: Mapping[float, int]  # by timeCode, among the frames of the run
     n_frames: int
     tell: RunProgressCallback
 
-    def writing(self, time_code: float, place: int) -> None:
-        frame = self.first + place
+    def writing(self, time_code: float) -> None:
+        frame = self.places[time_code]
         share = self.meter.share_before(frame + 1)
         self.tell(RunProgress("write", time_code, frame, self.n_frames, share))
 
-    def found(self, time_code: float, place: int, findings: Iterable[Finding]) -> None:
+    def found(self, time_code: float, findings: Iterable[Finding]) -> None:
         """Tell what deserves a look as soon as it is known, hours before the run ends."""
-        frame, findings = self.first + place, tuple(findings)
+        frame, findings = self.places[time_code], tuple(findings)
         if findings:
             share = self.meter.share_before(frame)
             self.tell(
                 RunProgress("found", time_code, frame, self.n_frames, share, findings=findings)
             )
 
-    def translate(self) -> Callable[["Progress"], None]:
-        def report(state: "Progress") -> None:
-            frame = self.first + state.frame
-            self.tell(
-                RunProgress(
-                    step=state.step,
-                    time_code=state.time_code,
-                    frame=frame,
-                    n_frames=self.n_frames,
-                    share=self.meter.share(state, frame),
-                    octave=state.octave,
-                    n_octaves=state.n_octaves,
-                    loss=state.loss,
-                )
+    def core(self, state: "Progress") -> None:
+        """What the core tells."""
+        frame = self.places[state.time_code]
+        self.tell(
+            RunProgress(
+                step=state.step,
+                time_code=state.time_code,
+                frame=frame,
+                n_frames=self.n_frames,
+                share=self.meter.share(state, frame),
+                octave=state.octave,
+                n_octaves=state.n_octaves,
+                loss=state.loss,
             )
-
-        return report
+        )
 
 
 def _stylize_window(
@@ -170,45 +178,109 @@ def _stylize_window(
     source_hashes: Mapping[str, Mapping[str, str]],
     progress: _Counter,
 ) -> None:
-    from usdsmoke.core.sequence.stylize import stylize_window
-    from usdsmoke.core.smoke.device import describe_machine
+    """One window, from its first frame or from behind the last one that is finished."""
+    from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
 
     job, run = opened.job, opened.run
     config, clock = task.volume.config, PartClock()
     scene, before = run.scenes[task.volume_number], frames_before(task.volume)
     progress.found(
-        task.frames[0].source.time_code, 0, find_scene(PlannedVolume(task.volume, (), scene))
+        task.frames[0].source.time_code, find_scene(PlannedVolume(task.volume, (), scene))
     )
-    sources = (opened.reader.read(task.volume, frame) for frame in task.frames)
+    record, carried = _begun(opened, task, progress)
+    frames = _from(task.frames, carried)
+    sources = (opened.reader.read(task.volume, frame) for frame in frames)
+    to_do = frames if carried is None else frames[1:]
     results = stylize_window(
         timed_items(clock, "reading", sources),
         job.pictures(task.volume),
         read_scene(run, task.volume_number),
         config,
-        progress.translate(),
+        progress.core,
         job.plan.source.time_codes_per_second,
-        coarse_starts(run, task.volume, task.frames),
+        WindowStart(coarse_starts(run, task.volume, task.frames), carried),
     )
-    records, reports = {}, dict[str, FrameReport]()
-    for place, (frame, stylized) in enumerate(zip(task.frames, results, strict=True)):
-        progress.writing(frame.source.time_code, place)
+    reports = {Path(name).name: report for name, report in record.reports.items()}
+    for place, (frame, stylized) in enumerate(zip(to_do, results, strict=True)):
+        progress.writing(frame.source.time_code)
         with clock.part("writing"):
             hashes = source_hashes[frame.file_name]
-            name, record = write_result(opened, task, frame, stylized, hashes)
-        records[name] = record
-        reports[frame.file_name] = FrameReport.from_json(record["report"])
+            name, entry = write_result(opened, task, frame, stylized, hashes)
+        record.frames[name] = entry
+        reports[frame.file_name] = FrameReport.from_json(entry["report"])
         told = find_written(frame.file_name, reports, before.get(frame.file_name))
-        progress.found(frame.source.time_code, place, told)
+        progress.found(frame.source.time_code, told)
+        if stylized.carried is not None and place < len(to_do) - 1:
+            with clock.part("writing"):
+                _keep_checkpoint(run, _timed(record, clock), stylized.carried)
         give_back_memory()
-    manifest = WindowRecord(
+    run.keep(_timed(record, clock))
+
+
+def _begun(
+    opened: OpenRun, task: WindowTask, progress: _Counter
+) -> tuple[WindowRecord, "Carried | None"]:
+    """What an earlier process has done of a window, and what the next frame starts from; an empty
+    record and None where it begins with its first frame. A checkpoint that is of no use is told.
+    """
+    from usdsmoke.core.sequence.start_files import load_checkpoint
+    from usdsmoke.core.smoke.device import describe_machine
+
+    run, number = opened.run, task.number
+    here = describe_machine(task.volume.config.optimize).processor
+    new = WindowRecord(
         run_id=run.run_id,
-        window=task.number,
+        window=number,
         volume=task.volume.source.prim_path,
         time_codes=list(task.window.time_codes),
         overlap=list(task.window.overlap),
-        frames=records,
-        seconds=clock.total,
-        timings=clock.parts,
-        processor=describe_machine(config.optimize).processor,
+        frames={},
+        seconds=0.0,
+        processor=here,
     )
-    run.keep(manifest)
+    if not run.checkpoint_path(number).is_file():
+        return new, None
+    try:
+        carried, text = load_checkpoint(run.checkpoint_path(number))
+        record = WindowRecord(**json.loads(text))
+        changed = [n for n, f in record.frames.items() if not run.is_unchanged(n, f["sha256"])]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        why = f"is damaged ({error})"
+    else:
+        if replace(record, frames={}, seconds=0.0, timings={}) == new and not changed:
+            return record, carried
+        why = f"is of no use: {changed[0]} has changed" if changed else "is another machine's"
+    finding = Finding(
+        task.volume.source.prim_path,
+        "",
+        f"the checkpoint of window {number} {why}",
+        "The window is computed again from its first frame",
+    )
+    progress.found(task.frames[0].source.time_code, [finding])
+    return new, None
+
+
+def _from(frames: Sequence[FramePlan], carried: "Carried | None") -> Sequence[FramePlan]:
+    """The frames of a window from the one that it goes on behind."""
+    if carried is None:
+        return frames
+    codes = [frame.source.time_code for frame in frames]
+    return frames[codes.index(carried.time_code) :]
+
+
+def _timed(record: WindowRecord, clock: PartClock) -> WindowRecord:
+    """The record with the time of this process added."""
+    parts = {
+        part: record.timings.get(part, 0.0) + clock.parts.get(part, 0.0)
+        for part in {**record.timings, **clock.parts}
+    }
+    return replace(record, seconds=record.seconds + clock.total, timings=parts)
+
+
+def _keep_checkpoint(run: Run, record: WindowRecord, carried: "Carried") -> None:
+    """Note what a window goes on with, in one step with what is finished of it."""
+    from usdsmoke.core.sequence.start_files import save_checkpoint
+
+    target = run.checkpoint_path(record.window)
+    make_folders(target.parent)
+    publish_file(target, partial(save_checkpoint, carried, json.dumps(asdict(record))))

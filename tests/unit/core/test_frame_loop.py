@@ -12,19 +12,20 @@ from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, sc
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
-from usdsmoke.core.sequence.coarse import (
-    coarse_frames,
-    coarsen_field,
-    load_carried,
-    load_start,
-    save_start,
-)
+from usdsmoke.core.sequence.coarse import coarse_frames, coarsen_field
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
-from usdsmoke.core.sequence.start import start_displacement
+from usdsmoke.core.sequence.start import Carried, start_displacement
+from usdsmoke.core.sequence.start_files import (
+    load_carried,
+    load_checkpoint,
+    load_start,
+    save_checkpoint,
+    save_start,
+)
 from usdsmoke.core.sequence.steadiness import Steadiness
-from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
 from usdsmoke.core.sequence.transit import Transit
 
 BOX = (20, 16, 16)
@@ -168,7 +169,7 @@ def test_windows_that_share_a_coarse_step_start_alike():
     starts = {s.time_code: s for s in coarse_frames(FRAMES, [random_style()], scene, config)}
     assert sorted(starts) == [0.0, 1.0, 2.0, 3.0]
     (frame,) = stylize_window(
-        FRAMES[2:3], [random_style()], scene, config, starts=lambda code: starts[code]
+        FRAMES[2:3], [random_style()], scene, config, start=WindowStart(lambda code: starts[code])
     )
     assert len(frame.report.colour.iterations) == 1
     assert len(frame.report.shape.iterations) == 1
@@ -217,6 +218,41 @@ def test_a_coarse_step_that_was_cut_goes_on_with_the_bits_of_one_that_was_not(
             save_start(start, tmp_path / name)
         assert (tmp_path / "found").read_bytes() == (tmp_path / "wanted").read_bytes(), number
     assert whole[first].time_code not in seen and 4.0 in seen
+
+
+@pytest.mark.parametrize(
+    ("steps", "last"), [(["shape", "colour"], 1), (["shape"], 0), (["colour"], 0)]
+)
+def test_a_window_that_was_cut_goes_on_with_the_bits_of_one_that_was_not(tmp_path, steps, last):
+    """Its fields and its temporal errors, over the frames before the cut too."""
+    config = quick_config(optimize={"steps": steps})
+    frames = [*FRAMES[:3], EMPTY, replace(drifting(3), time_code=4.0)]
+    scene, style = scene_of(FRAMES, config, "Y"), [random_style()]
+    whole = list(stylize_window(frames, style, scene, config))
+    assert [frame.carried is None for frame in whole] == [False, False, False, True, False]
+    save_checkpoint(whole[last].carried, "so far", tmp_path / "cut.npz")
+    carried, text = load_checkpoint(tmp_path / "cut.npz")
+    seen, start = set(), WindowStart(carried=carried)
+    rest = stylize_window(
+        frames[last:], style, scene, config, lambda state: seen.add(state.time_code), start=start
+    )
+    for found, wanted in zip(rest, whole[last + 1 :], strict=True):
+        for field in ("density", "emission"):
+            one, other = getattr(found, field), getattr(wanted, field)
+            assert (one is None and other is None) or np.array_equal(one.values, other.values)
+        assert found.report.temporal == wanted.report.temporal
+    assert text == "so far" and frames[last].time_code not in seen and 4.0 in seen
+
+
+def test_a_damaged_checkpoint_is_not_read(tmp_path):
+    lattice = Lattice(np.zeros(3), (6, 6, 6), np.eye(4))
+    file_path = tmp_path / "cut.npz"
+    save_checkpoint(Carried(1.0, Displacement(torch.ones(6, 6, 6, 3), lattice)), "", file_path)
+    whole = file_path.read_bytes()
+    for damaged in (whole[:-9], whole[:999] + bytes([whole[999] ^ 1]) + whole[1000:], b""):
+        file_path.write_bytes(damaged)
+        with pytest.raises((OSError, ValueError, KeyError)):
+            load_checkpoint(file_path)
 
 
 def test_the_start_of_an_empty_frame_is_empty(tmp_path):

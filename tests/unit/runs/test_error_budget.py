@@ -16,9 +16,8 @@ from usdsmoke.base.frame_report import (
     TransportReport,
 )
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.storage import prune_fields
+from usdsmoke.base.storage import prune_fields, storage_errors
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.sequence.storage_error import storage_errors
 from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget
 from usdsmoke.ui.cli.text import budget_text
 

@@ -11,7 +11,8 @@
 - ``cuts``: smoke that jumps, and velocities that do not explain it
 - ``coherence``: results carried along by the velocity, averaged
 - ``steadiness``: the temporal error: what does not move with the smoke
-- ``coarse``: the shared coarse step and its files
+- ``coarse``: the shared coarse step
+- ``start_files``: its results, and checkpoints of windows, as files
 - ``motion``, ``motion_energy``: the velocity of smoke that comes without one
-- ``error_estimates``, ``picture_errors``, ``storage_error``: what is left of a frame's errors
+- ``error_estimates``, ``picture_errors``: what is left of a frame's errors
 """

@@ -8,17 +8,12 @@ a sixty-fourth of the voxels and a sixteenth of the pixels.
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 
 from usdsmoke.base.frame_report import ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.fields.lattice import Lattice
-from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.controls import coarse_factor, without_network
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import (
@@ -28,7 +23,6 @@ from usdsmoke.core.sequence.frame_state import (
     open_frame,
 )
 from usdsmoke.core.sequence.start import Carried, CoarseStart
-from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.scene import Scene
 
 
@@ -62,14 +56,15 @@ def coarse_frames(
         time_codes_per_second, None, n_frames,
     )  # fmt: skip
     known = known.to(context.device) if known is not None else None
-    context = dataclasses.replace(context, keeps_carried=True, known=known)
+    context = dataclasses.replace(context, known=known)
     for frame in run_frames(frames, context, partial(_open_coarse, factor)):
         time_code = frame.time_code
         if frame.left_out:
             yield CoarseStart(time_code, factor)
             continue
-        carried = frame.carried if frame.in_effect else None
-        yield CoarseStart(time_code, factor, frame.unclamped, frame.painted, frame.colours, carried)
+        yield CoarseStart(
+            time_code, factor, frame.unclamped, frame.painted, frame.colours, frame.checkpoint
+        )  # fmt: skip
 
 
 def coarsen_field(field: DenseField, factor: int) -> DenseField:
@@ -100,75 +95,6 @@ def coarsen_field(field: DenseField, factor: int) -> DenseField:
         ijk_min=(int(low[0]), int(low[1]), int(low[2])),
         index_to_world=block_to_index @ field.index_to_world,
     )
-
-
-def save_start(start: CoarseStart, file_path: Path) -> None:
-    """Write a start as .npz; ``load_start`` and ``load_carried`` give it back bit for bit."""
-    arrays: dict[str, Any] = {"time_code": start.time_code, "factor": start.factor}
-    if start.displacement is not None:
-        lattice = start.displacement.lattice
-        arrays["displacement"] = start.displacement.values.cpu().numpy()
-        arrays["displacement_low"] = lattice.low
-        arrays["displacement_to_stage"] = lattice.index_to_stage
-    if start.smoke is not None and start.colours is not None:
-        arrays["ijk"] = start.smoke.ijk.cpu().numpy()
-        arrays["density"] = start.smoke.density.cpu().numpy()
-        arrays["smoke_to_stage"] = start.smoke.index_to_stage
-        arrays["colours"] = start.colours.cpu().numpy()
-    if (carried := start.carried) is not None:
-        arrays["carried"] = True
-        if carried.unclamped is not None:  # on the same box
-            arrays["carried_displacement"] = carried.unclamped.values.cpu().numpy()
-        if carried.colours is not None:
-            arrays["carried_colours"] = carried.colours.cpu().numpy()
-    with open(file_path, "wb") as stream:  # savez would add .npz to a temporary name
-        np.savez(stream, **arrays)
-
-
-def load_start(file_path: Path, device: torch.device | None = None) -> CoarseStart:
-    """Read what ``save_start`` wrote, except ``carried``.
-
-    Raises:
-        OSError, ValueError, KeyError: it is missing, damaged or of another kind.
-    """
-    with np.load(file_path, allow_pickle=False) as arrays:
-        displacement = smoke = colours = None
-        if "displacement" in arrays:
-            values = torch.from_numpy(arrays["displacement"]).to(device)
-            i, j, k = values.shape[:3]
-            lattice = Lattice(
-                arrays["displacement_low"], (i, j, k), arrays["displacement_to_stage"]
-            )
-            displacement = Displacement(values, lattice)
-        if "ijk" in arrays:
-            smoke = ActiveSmoke(
-                torch.from_numpy(arrays["ijk"]).to(device),
-                torch.from_numpy(arrays["density"]).to(device),
-                arrays["smoke_to_stage"],
-            )
-            colours = torch.from_numpy(arrays["colours"]).to(device)
-        return CoarseStart(
-            float(arrays["time_code"]), int(arrays["factor"]), displacement, smoke, colours
-        )
-
-
-def load_carried(file_path: Path) -> Carried | None:
-    """The ``carried`` of what ``save_start`` wrote.
-
-    Raises:
-        OSError, ValueError, KeyError: see ``load_start``.
-    """
-    start = load_start(file_path)
-    with np.load(file_path, allow_pickle=False) as arrays:
-        if "carried" not in arrays:
-            return None
-        unclamped = colours = None
-        if "carried_displacement" in arrays and start.displacement is not None:
-            values = torch.from_numpy(arrays["carried_displacement"])
-            unclamped = Displacement(values, start.displacement.lattice)
-        if "carried_colours" in arrays:
-            colours = torch.from_numpy(arrays["carried_colours"])
-        return Carried(start.time_code, unclamped, colours)
 
 
 def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> OpenedFrame:

@@ -148,7 +148,7 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
             problem, iterations, start, watch, rate_share, steadiness
         )  # fmt: skip
         report = replace(report, shape=_step_report(ends, frame, started))
-    kept = Carried(frame.time_code, unclamped) if context.keeps_carried else None
+    kept = Carried(frame.time_code, unclamped)
     return advance(
         frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report, is_cold=is_cold
     )
@@ -223,9 +223,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, light=light_report(problem, painted, colours))
         report = replace(report, colour=_step_report(ends, frame, started))
-    kept = frame.carried
-    if context.keeps_carried:
-        kept = Carried(frame.time_code, kept.unclamped if kept is not None else None, colours)
+    kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
         is_cold=is_cold,
@@ -268,17 +266,21 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
         if later is not None and paint is not None and later.paint is not None and share:
             averaged = average_colours(*paint, later.paint, context.transit(frame, later), share)
             frame = replace(frame, colours=averaged)
-        report = frame.report
-        if not frame.left_out:
+        report, known = frame.report, context.known_of(frame)
+        if known is not None and known.clouds:  # they were compared before the cut
+            moves.clouds, colours.clouds = known.clouds
+        elif not frame.left_out:
             temporal = _temporal_errors(moves, colours, before, frame, context)
             if before is not None:
                 report = replace(report, temporal=temporal)
         if not frame.left_out and (before is not None or later is not None):
             report = report.with_transport_time(time.perf_counter() - started)
         frame = replace(frame, report=report)
-        yield frame
+        if (carried := frame.carried) is not None:
+            carried = replace(carried, clouds=(moves.clouds, colours.clouds))
+        yield replace(frame, carried=carried)
         if not frame.left_out:
-            before = frame
+            before = replace(frame, carried=None)
         elif frame.ends_chain:
             before = None
 
@@ -329,8 +331,8 @@ def _connected(
 ) -> tuple[Result | None, FrameReport, bool]:
     """The frame before, unless the smoke jumps; the report, with what is wrong with the velocity,
     and whether the frame starts cold for that."""
-    if before is None or context.known_of(frame) is not None:
-        return before, frame.report, False
+    if before is None:
+        return None, frame.report, False
     if isinstance(frame, ShapedFrame) and frame.unclamped is not None:  # the shape step has looked
         return (None if frame.is_cold else before), frame.report, frame.is_cold
     rate = context.time_codes_per_second

@@ -51,7 +51,6 @@ class WindowContext:
     time_codes_per_second: float
     starts: Callable[[float], CoarseStart | None]
     watch: Callable[[float], Watch]  # by timeCode
-    keeps_carried: bool = False  # whether frames keep what their next ones start from
     known: Carried | None = None  # of a frame that is not optimised again
     generator: Generator | None = None  # paints what colours start from, without a neighbour
 
@@ -151,7 +150,7 @@ class ShapedFrame(OpenedFrame):
 
     unclamped: Displacement | None = None  # the frame's own; averaged with the next one's later
     is_cold: bool = False  # next to none of its smoke comes from the frame before
-    carried: Carried | None = None  # where the context asks for it
+    carried: Carried | None = None  # what the next frame starts from
 
     @property
     def is_start(self) -> bool:
@@ -185,6 +184,15 @@ class PaintedFrame(MovedFrame):
         if self.painted is None or self.colours is None or len(self.painted.ijk) == 0:
             return None
         return self.painted, self.colours
+
+    @property
+    def checkpoint(self) -> Carried | None:
+        """What a sequence goes on with behind the frame; None where it takes earlier frames too."""
+        steps, carried = self.config.optimize.steps, self.carried
+        if carried is None or not self.in_effect:
+            return None
+        is_whole = "shape" not in steps or carried.unclamped is not None
+        return carried if is_whole and ("colour" not in steps or self.paint is not None) else None
 
 
 Phase = TypeVar("Phase", bound=OpenedFrame)

@@ -14,6 +14,7 @@ from torch import Tensor
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import carry_colours, carry_displacement, fill_colours
+from usdsmoke.core.sequence.steadiness import Clouds
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
@@ -30,13 +31,17 @@ class Carried:
     time_code: float
     unclamped: Displacement | None = None  # neither clamped nor averaged
     colours: Tensor | None = None  # display-encoded [N 3] of the painted voxels, not averaged
+    # What displacements and colours of later frames are compared with; empty: nothing is.
+    clouds: tuple[tuple[Clouds, ...], ...] = ()
 
     def to(self, device: torch.device) -> "Carried":
         """The same on a device."""
         unclamped, colours = self.unclamped, self.colours
         if unclamped is not None:
             unclamped = Displacement(unclamped.values.to(device), unclamped.lattice)
-        return Carried(self.time_code, unclamped, None if colours is None else colours.to(device))
+        clouds = tuple(tuple(one.to(device) for one in kind) for kind in self.clouds)
+        colours = None if colours is None else colours.to(device)
+        return Carried(self.time_code, unclamped, colours, clouds)
 
 
 @dataclass(frozen=True)

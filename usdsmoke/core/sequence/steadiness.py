@@ -38,7 +38,7 @@ LEAST_PATTERN = 1e-6  # of the values' square: what varies less is no pattern
 
 
 @dataclass(frozen=True)
-class _Clouds:
+class Clouds:
     """Points of one frame's smoke on their way, with what the pattern was at their start."""
 
     positions: Tensor  # [M 27 3] float64, stage space; where they are now (a slab has 9 a cloud)
@@ -49,9 +49,23 @@ class _Clouds:
     floor: float = 0.0  # squared
     age: int = 0  # steps
 
+    def to(self, device: torch.device) -> "Clouds":
+        """The same on a device."""
+        return replace(
+            self,
+            positions=self.positions.to(device),
+            values=self.values.to(device),
+            inside=self.inside.to(device),
+            mass=self.mass.to(device),
+            weights=self.weights.to(device),
+        )
+
 
 class Steadiness:
     """The temporal error of one pattern, frame after frame.
+
+    ``clouds`` is all that it keeps of the frames so far: another one with the same clouds goes on
+    alike.
 
     Args:
         seed: of the points' places within their voxels.
@@ -59,11 +73,11 @@ class Steadiness:
 
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
-        self._clouds: list[_Clouds] = []
+        self.clouds: tuple[Clouds, ...] = ()
 
     def restart(self) -> None:
         """Compare the next frame with none before it."""
-        self._clouds = []
+        self.clouds = ()
 
     def compare(
         self, smoke: ActiveSmoke, values: Tensor, transit: Transit | None
@@ -82,17 +96,17 @@ class Steadiness:
             self.restart()
         else:
             trace = transit.reverse.tracer(smoke.ijk.device)
-            self._clouds = [_carried(clouds, trace) for clouds in self._clouds]
+            self.clouds = tuple(_carried(clouds, trace) for clouds in self.clouds)
         found = {}
-        for clouds in self._clouds:
+        for clouds in self.clouds:
             if clouds.age in LAGS and (error := _error(clouds, smoke, values)) is not None:
                 found[clouds.age] = error
-        kept = [clouds for clouds in self._clouds if clouds.age < LAGS[-1]]
-        self._clouds = [*kept, _start(smoke, values, self._seed)]
+        kept = (clouds for clouds in self.clouds if clouds.age < LAGS[-1])
+        self.clouds = (*kept, _start(smoke, values, self._seed))
         return dict(sorted(found.items()))
 
 
-def _start(smoke: ActiveSmoke, values: Tensor, seed: int) -> _Clouds:
+def _start(smoke: ActiveSmoke, values: Tensor, seed: int) -> Clouds:
     """Clouds around some voxels, each at a random place in its voxel."""
     some = slice(None, None, max(1, len(smoke.ijk) // N_CLOUDS))
     ijk = smoke.ijk[some]
@@ -102,18 +116,18 @@ def _start(smoke: ActiveSmoke, values: Tensor, seed: int) -> _Clouds:
     near_values, inside = _look_up(smoke, values, index)
     mass = bounded(smoke).density[some].double()
     few = slice(None, None, FLOOR_EVERY)
-    here = _Clouds(_to_stage(smoke, index), near_values, inside, mass, weights)
+    here = Clouds(_to_stage(smoke, index), near_values, inside, mass, weights)
     part = replace(here, values=near_values[few], inside=inside[few], mass=mass[few])
     return replace(here, floor=_floor(smoke, values, index[few], part))
 
 
-def _carried(clouds: _Clouds, trace: Callable[[Tensor], Tensor]) -> _Clouds:
+def _carried(clouds: Clouds, trace: Callable[[Tensor], Tensor]) -> Clouds:
     """The clouds a frame later."""
     moved = trace(clouds.positions.view(-1, 3)).view(clouds.positions.shape)
     return replace(clouds, positions=moved, age=clouds.age + 1)
 
 
-def _error(clouds: _Clouds, smoke: ActiveSmoke, values: Tensor) -> float | None:
+def _error(clouds: Clouds, smoke: ActiveSmoke, values: Tensor) -> float | None:
     """The error above the floor; None where the frames have no smoke in common."""
     shape = clouds.positions.shape
     found, near = sample_colours(smoke, values, clouds.positions.view(-1, 3))
@@ -124,7 +138,7 @@ def _error(clouds: _Clouds, smoke: ActiveSmoke, values: Tensor) -> float | None:
     return (max(squared - clouds.floor, 0.0) / (1 - clouds.floor)) ** 0.5
 
 
-def _floor(smoke: ActiveSmoke, values: Tensor, index: Tensor, clouds: _Clouds) -> float:
+def _floor(smoke: ActiveSmoke, values: Tensor, index: Tensor, clouds: Clouds) -> float:
     """The squared error of a frame against itself, brought to other voxels and back.
 
     Args:
@@ -147,7 +161,7 @@ def _floor(smoke: ActiveSmoke, values: Tensor, index: Tensor, clouds: _Clouds) -
     return min(_squared_error(clouds, back, there) or 0.0, MOST_FLOOR)
 
 
-def _squared_error(clouds: _Clouds, now: Tensor, there: Tensor) -> float | None:
+def _squared_error(clouds: Clouds, now: Tensor, there: Tensor) -> float | None:
     """e^2 of the values now [M n C]; None where no cloud counts.
 
     Args:

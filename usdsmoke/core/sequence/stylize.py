@@ -15,7 +15,7 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.error_estimates import frame_errors
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
-from usdsmoke.core.sequence.start import CoarseStart
+from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.views.scene import Scene
@@ -45,6 +45,15 @@ class StylizedFrame:
         return next((field for field in self.painted if field.name == SCATTERING), None)
 
     moved_by: Displacement | None = None  # what moved the density; None where it stays
+    carried: Carried | None = None  # see ``PaintedFrame.checkpoint``
+
+
+@dataclass(frozen=True)
+class WindowStart:
+    """What a window starts from."""
+
+    coarse: Callable[[float], CoarseStart | None] | None = None  # by timeCode
+    carried: Carried | None = None  # of a frame that is finished: the window goes on behind it
 
 
 def stylize_window(
@@ -54,7 +63,7 @@ def stylize_window(
     config: Config,
     progress: ProgressCallback | None = None,
     time_codes_per_second: float = 24.0,
-    starts: Callable[[float], CoarseStart | None] | None = None,
+    start: WindowStart | None = None,
 ) -> Iterator[StylizedFrame]:
     """The stylized frames of one window, one by one, with a few of them in memory.
 
@@ -74,16 +83,24 @@ def stylize_window(
         scene: see ``scene.measure_scene``; the same for every window of the shot.
         progress: called after every iteration.
         time_codes_per_second: of the stage, for the velocity.
-        starts: the shared coarse step's result by timeCode, see ``coarse.coarse_frames``.
+        start: the shared coarse step's results, see ``coarse.coarse_frames``; and, in a window that
+            was cut, the ``carried`` of the first of these frames. It is not optimised again, and
+            the results begin behind it, with the bits of a window that was not cut.
 
     Raises:
         NonFiniteError: a frame holds NaN or infinity, or the optimisation diverges beyond rescue.
         FeatureError, ConfigError: see ``make_targets``; a frame's controls are out of range.
     """
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
-    context = make_context(styles, scene, config, progress, time_codes_per_second, starts, n_frames)
+    start = start or WindowStart()
+    context = make_context(
+        styles, scene, config, progress, time_codes_per_second, start.coarse, n_frames
+    )
+    known = start.carried.to(context.device) if start.carried is not None else None
+    context = replace(context, known=known)
     for frame in run_frames(frames, context):
-        yield stylized_frame(frame, context)
+        if known is None or frame.time_code != known.time_code:
+            yield stylized_frame(frame, context)
 
 
 def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame:
@@ -97,7 +114,9 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         for field in painted:
             _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
     report = replace(frame.report, errors=frame_errors(frame))
-    return StylizedFrame(frame.time_code, frame.density, painted, report, frame.moved_by)
+    return StylizedFrame(
+        frame.time_code, frame.density, painted, report, frame.moved_by, frame.checkpoint
+    )  # fmt: skip
 
 
 def _per_extinction(frame: PaintedFrame, name: str) -> Tensor:
