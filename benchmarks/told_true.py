@@ -115,9 +115,8 @@ def _pictures(
     for where, seen in (("", view), (", at 45 degrees", turned)):
         found = painted.picture(seen, gamma_w).numpy()
         exact = _marched(density, emission, gamma_w, seen)
-        error = quadrature_error(painted, seen, gamma_w, frame.smoke.voxel_size).value
-        remark = "true: with the splat instead of trilinear interpolation" if where else ""
-        yield Row(name, f"quadrature{where}", error, _difference(found, exact), remark)
+        error = quadrature_error(painted, seen, gamma_w)
+        yield Row(name, f"quadrature{where}", error, _difference(found, exact))
     centre = _marched(density, emission, gamma_w, view)
     offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
     moved = [_moved(view, x, y) for x in offsets for y in offsets]

@@ -88,7 +88,7 @@ class LightReport:
 class FrameErrors:
     """What is estimated or measured of a finished frame; None where it does not apply."""
 
-    quadrature: Estimate | None = None  # of the sums along the rays, relative to the picture
+    quadrature: Estimate | None = None  # of voxels on pixels and slabs, relative to the picture
     resolution: Estimate | None = None  # of voxels and pixels, relative to the picture
     pixel_filter: Estimate | None = None  # of points for pixels, relative to the picture
     unseen_views: Estimate | None = None  # style loss of other views, relative to that of the pool

@@ -49,12 +49,12 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     quadrature = unseen = None
     view = fit_blocks(_views(frame, 1, optimize.seed)[0])
     painted = painted_frame(frame, view)
-    gamma_w, step = frame.scene.gamma_w, frame.smoke.voxel_size
+    gamma_w = frame.scene.gamma_w
     if frame.paint is None:
         gamma_w = frame.scene.gamma_w_shape
     with torch.no_grad():
         if frame.paint is not None:
-            quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, step))
+            quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w))
         if frame.smoke.thin_axis is None and frame.config.losses.style > 0:

@@ -52,7 +52,7 @@ _BEFORE_BLENDING = "measured before they are blended"
 QUADRATURE = ErrorRow(
     name="quadrature",
     relative_to=_PICTURE,
-    how="slabs of 1, 2 and 4 steps",
+    how="measured against rays through the smoke",
     of_frame=lambda report: report.errors.quadrature,
     why_absent=lambda volume: (
         f"{text}: opacity needs no sum along the ray"
