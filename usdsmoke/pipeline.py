@@ -65,6 +65,9 @@ def plan(
 ) -> Plan:
     """What ``stylize`` with the same arguments would do. No voxel is read, no file is written.
 
+    Where the output folder holds a run, source files that are larger, smaller or newer than it
+    found them are read for their hash.
+
     Args:
         stage, style, output, settings: as in ``stylize``.
         fits: whether the memory and disk of this machine must be sufficient.
@@ -298,6 +301,6 @@ def _prepare(request: Request, planned: _Planned | None) -> Job:
 
 
 def plan_with_notes(job: Job) -> Plan:
-    """The plan, with a note where a result is made longer."""
+    """The plan, with notes where a result goes on."""
     growth = find_growth(job)
-    return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, growth.note))
+    return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, *growth.notes))

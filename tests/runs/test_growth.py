@@ -224,3 +224,98 @@ def test_d11_a_refusal_names_the_variant_that_was_switched(long_shot: Shot) -> N
     select("a")
     with pytest.raises(OutputExists, match=r"the variant </smoke>\{take\}"):
         run(shot)
+
+
+ALONE = ("windows.size=4", "windows.overlap=0", "windows.shared_octaves=0")
+
+
+def rewrite_source(shot: Shot, code: int) -> None:
+    """Write one frame of the source again, with other smoke."""
+    write_vdb(shot.folder / f"in/cache/smoke.{code:04d}.vdb", ("density",), value=0.0625)
+
+
+def test_one_rewritten_source_file_redoes_its_window_alone(
+    long_shot: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = run(long_shot, *ALONE)
+    inodes = [path.stat().st_ino for path in first.frames]
+    rewrite_source(long_shot, 6)
+    core.stylized.clear()
+    more = [text for setting in ALONE for text in ("--set", setting)]
+    assert main(long_shot.arguments(*more, "--jobs", "1")) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "smoke.0006.vdb has other content" in said
+    assert "Frames 5-8 are done again" in said and "Frames 1-4,9-12, extinction" in said
+    assert core.stylized == [5, 6, 7, 8]
+    (found,) = find_records(long_shot.output)
+    files = [found.place(frame.file) for frame in found.record.frames]
+    stay = [path.stat().st_ino == inode for path, inode in zip(files, inodes, strict=True)]
+    assert stay == [True] * 4 + [False] * 4 + [True] * 4
+    assert verify(found.file) == []
+    with pytest.raises(OutputExists, match="already holds this result"):
+        run(long_shot, *ALONE)
+    (root,) = long_shot.output.glob("shot_look.usda")
+    fresh = run(dataclasses.replace(long_shot, output=long_shot.folder / "at_once"), *ALONE)
+    assert contents(root) == contents(fresh.root_stage)
+
+
+def test_a_rewritten_source_file_redoes_what_starts_from_it(
+    long_shot: Shot, core: FakeCore
+) -> None:
+    """Coarse starts look three frames ahead, and go on to the end."""
+    run(long_shot, *WINDOWS)
+    rewrite_source(long_shot, 9)
+    core.coarse.clear(), core.stylized.clear()
+    result = run(long_shot, *WINDOWS)
+    assert core.coarse == [6, 7, 8, 9, 10, 11, 12]  # from the last one that stays on
+    assert core.stylized[0] == 5 and {1, 2, 3, 4} & {*core.stylized} == set()
+    fresh = run(dataclasses.replace(long_shot, output=long_shot.folder / "at_once"), *WINDOWS)
+    assert contents(result.root_stage) == contents(fresh.root_stage)
+
+
+def test_a_rewritten_source_file_leaves_the_extinction_that_was_measured_on_it(
+    long_shot: Shot, core: FakeCore, tmp_path: Path
+) -> None:
+    run(long_shot, *ALONE)
+    rewrite_source(long_shot, 12)
+    core.scene = dataclasses.replace(core.scene, gamma_w=3.0)
+    result = run(long_shot, *ALONE)
+    assert result.extinction == {"/World/smoke": 2.0}
+    (found,) = find_records(rerun(result.look_layer, tmp_path / "again").result.look_layer)
+    assert found.record.extinction["/World/smoke"].colour == 2.0
+
+
+def test_rewritten_source_files_of_all_windows_are_a_refusal(
+    long_shot: Shot, core: FakeCore
+) -> None:
+    run(long_shot, *ALONE)
+    for code in (1, 5, 9):
+        rewrite_source(long_shot, code)
+    with pytest.raises(OutputExists, match="has other content"):
+        run(long_shot, *ALONE)
+
+
+def test_a_rewritten_source_file_redoes_windows_of_a_farm(long_shot: Shot, core: FakeCore) -> None:
+    run(long_shot, *ALONE)
+    rewrite_source(long_shot, 6)
+    core.stylized.clear()
+    request = Request(long_shot.stage, long_shot.style, long_shot.output, ALONE)
+    assert [run_window(request, window).was_done for window in (2, 0, 1)] == [True, True, False]
+    assemble(long_shot.output)
+    assert core.stylized == [5, 6, 7, 8]
+
+
+@pytest.mark.usefixtures("core")
+def test_a_plan_beside_a_result_does_not_read_files_that_look_as_they_did(
+    long_shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = sorted((long_shot.folder / "in/cache").glob("*.vdb"))
+    for file_path in files:
+        os.utime(file_path, (1_000_000_000, 1_000_000_000))
+    run(long_shot)
+    rewrite_source(long_shot, 2)
+    read = []
+    monkeypatch.setattr("usdsmoke.runs.identity.hash_file", lambda name: read.append(name) or "0")
+    found = make_plan(long_shot.stage, long_shot.style, long_shot.output)
+    assert read == [str(files[1])]
+    assert any("smoke.0002.vdb" in note for note in found.notes)

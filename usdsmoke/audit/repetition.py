@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -12,7 +12,13 @@ from usdsmoke.audit.verification import verify_inputs
 from usdsmoke.base.errors import LayerError, OutputExists
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.pipeline import StylizeResult, stylize
+from usdsmoke.pipeline import (
+    Request,
+    StylizeResult,
+    plan_with_notes,
+    prepare,
+    stylize_job,
+)
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.progress import RunProgressCallback
 
@@ -68,16 +74,12 @@ def rerun(
             raise OutputExists(
                 f"{output} holds the result that is to be repeated. Give another folder with -o."
             )
+    styles = [item.place(name) for name in record.style_request]
     config = recorded_config(item)
-    result = stylize(
-        item.place(record.stage),
-        [item.place(name) for name in record.style_request],
-        output,
-        config,
-        force=force,
-        progress=progress,
-        planned=planned,
-    )
+    job = prepare(Request(item.place(record.stage), styles, output, config, force))
+    if planned is not None:
+        planned(plan_with_notes(job))
+    result = stylize_job(replace(job, scenes=record.scenes), progress)
     (again,) = find_records(result.look_layer)
     frames = _frame_hashes(record)
     differences = _differences(frames, _frame_hashes(again.record))

@@ -92,7 +92,7 @@ class RunRecord(JsonRecord):
     tool: str = "usdsmoke"
     created: str = ""  # when the run was begun, UTC, ISO 8601
     finished: str = ""  # when the record was made
-    grown_from: tuple[str, ...] = ()  # UUIDs of the runs of fewer frames before it
+    grown_from: tuple[str, ...] = ()  # UUIDs of the runs that it went on from
     look: str = ""  # name of the look
     stage: str = ""  # the source; "" where it is not known
     packages: Mapping[str, str] = field(default_factory=dict)  # versions by name
@@ -112,6 +112,9 @@ class RunRecord(JsonRecord):
     frames: tuple[FrameRecord, ...] = ()
     results: Mapping[str, str] = field(default_factory=dict)  # content hash by file written
     extinction: Mapping[str, Extinction] = field(default_factory=dict)  # by Volume
+    # What was measured of each Volume's shot, where files that it was measured on have been written
+    # again since; none: a rerun measures it.
+    scenes: tuple[Mapping[str, Any], ...] = ()
     omitted: tuple[str, ...] = ()  # what was left out and why
     seconds: Mapping[str, float] = field(default_factory=dict)  # all work, coarse step, steps
     figures: Mapping[str, Figure] = field(default_factory=dict)  # over the frames

@@ -92,6 +92,14 @@ class Request:
 
 
 @dataclass(frozen=True)
+class FileDigest:
+    """SHA-256 of an input file, and what the file looked like from outside when it was taken."""
+
+    sha256: str
+    stamp: tuple[int, int] | None  # bytes, and when it was written (ns); None: too recently
+
+
+@dataclass(frozen=True)
 class Job:
     """A prepared run: its stage, headers and images are read and checked."""
 
@@ -105,7 +113,10 @@ class Job:
     earlier: EarlierLooks  # existing looks of the stage
     files: tuple[Path, ...]  # all files that the run reads: layers, VDB files, style images
     fits: bool = True  # True if the machine was checked: see ``prepare_job``
-    digests: dict[str, str] = dataclasses.field(default_factory=dict, compare=False)  # of files
+    # Of each Volume, in the place of those that would be measured: those that a result was begun
+    # with, whose files have been written again; none: they are measured.
+    scenes: tuple[Mapping[str, Any], ...] = ()
+    digests: dict[str, FileDigest] = dataclasses.field(default_factory=dict, compare=False)
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
         """The pixels of a Volume's style images."""
@@ -123,7 +134,8 @@ class Job:
 
     def with_config(self, config: Config) -> "Job":
         """The same job with other settings, prepared anew."""
-        return prepare_job(self.request.with_config(config), self.fits)
+        job = prepare_job(self.request.with_config(config), self.fits)
+        return dataclasses.replace(job, digests=self.digests)
 
 
 def prepare_job(request: Request, fits: bool = True) -> Job:

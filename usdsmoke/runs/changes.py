@@ -35,6 +35,8 @@ class Changes:
     words: tuple[str, ...] = ()  # the most telling first
     details: str = ""  # all of them, with the beginnings of hashes
     frames: bool = False  # whether the selected frames differ
+    files: frozenset[str] = frozenset()  # VDB files with other content, by their recorded names
+    only_files: bool = False  # nothing else differs
 
     def __bool__(self) -> bool:
         return bool(self.details)
@@ -83,7 +85,12 @@ def find_changes(
     details = "\n".join(
         f"{name}: was {_shown(before, name)}, now {_shown(after, name)}" for name in names
     )
-    return Changes(tuple(words), details, range_differs)
+    files = frozenset(
+        name.removeprefix("files.")
+        for name in names
+        if name.startswith("files.") and name in before and name in after
+    )
+    return Changes(tuple(words), details, range_differs, files, len(files) == len(names))
 
 
 def _frames(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:

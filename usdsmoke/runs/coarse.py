@@ -47,7 +47,7 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     describe_machine(plan.config.optimize)  # and use its threads
     scenes = []
     for volume in plan.volumes:
-        frames = [reader.read(volume, frame) for frame in _measured_frames(volume)]
+        frames = [reader.read(volume, frame) for frame in measured_frames(volume)]
         config = volume.config
         scene = measure_scene(
             frames, config.views, config.optics, plan.source.up_axis, config.grids.refine
@@ -60,7 +60,7 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
     return scenes
 
 
-def _measured_frames(volume: VolumePlan) -> list[FramePlan]:
+def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
     none of this Volume's."""
     ranges = parse_frames(volume.config.optics.frames)
@@ -84,6 +84,9 @@ def record_scenes(opened: OpenRun) -> None:
         WriteFailed: the operating system refused.
     """
     if not opened.run.scenes:
+        if known := opened.job.scenes:
+            opened.run.keep_scenes(known)
+            return
         scenes = measure_scenes(opened.reader, opened.plan)
         for volume, scene in zip(opened.plan.volumes, scenes, strict=True):
             if words := _try_network(opened, volume, scene):
@@ -93,7 +96,7 @@ def record_scenes(opened: OpenRun) -> None:
 
 def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
     """Why the network that frames should start from does not suit a Volume; "" where it does."""
-    config, frames = volume.config, _measured_frames(volume)
+    config, frames = volume.config, measured_frames(volume)
     if not (config.optimize.start and "colour" in config.optimize.steps and frames):
         return ""
     from usdsmoke.core.training.frames import find_misfit

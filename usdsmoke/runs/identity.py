@@ -7,6 +7,7 @@ What a job leaves to the machine (the device) is as the run has settled it: see
 import copy
 import json
 import os
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
-from usdsmoke.planning.job import Job, selected_variants
+from usdsmoke.planning.job import FileDigest, Job, selected_variants
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
 from usdsmoke.runs.changes import Changes, find_changes
@@ -40,6 +41,8 @@ _NEUTRAL = {
     "optimize": ("threads", "memory_limit_gib", "error_budget", "start"),
     "layer": ("mode", "contact_sheet"),
 }
+
+_RECENT_NS = 2 * 10**9  # file systems tell times to two seconds at worst
 
 # What follows from which frames are selected, of a description's ``stage``.
 _FOLLOW_FRAMES = ("startTimeCode", "endTimeCode", "leftOut")
@@ -71,10 +74,20 @@ class Identity:
         here = {"settings": {"optimize": {"device": machine.device}}}
         return _as_stored(_settled(describe_run(self._job, self._features), here))
 
+    @property
+    def stamps(self) -> dict[str, tuple[int, int]]:
+        """Of the files that the description names, as far as these have been read."""
+        folder, digests = Path(self._job.plan.source.file_path).parent, self._job.digests
+        return {
+            os.path.relpath(file_path, folder): digest.stamp
+            for file_path, digest in digests.items()
+            if digest.stamp is not None
+        }
+
     def beside(self, run: Run) -> dict[str, Any]:
         """The description as it compares with a run's."""
-        known, requested = run.description.get("files", {}), self._reads(run)
-        described = describe_run(self._job, self._features, known, requested)
+        requested = self._reads(run)
+        described = describe_run(self._job, self._features, run, requested)
         return _as_stored(_settled(described, run.description))
 
     def is_of(self, run: Run) -> bool:
@@ -98,7 +111,7 @@ class Identity:
 def describe_run(
     job: Job,
     features_hash: str,
-    known: Mapping[str, str] | None = None,
+    earlier: Run | None = None,
     requested: Collection[str] | None = None,
 ) -> dict[str, Any]:
     """Everything that decides a result, as JSON values: equal descriptions give equal results.
@@ -107,20 +120,23 @@ def describe_run(
     device stand there as asked for; they may be left to the machine.
 
     Args:
-        known: digests of an earlier description's ``files``, for those that are not read.
-        requested: the files that are read and compared, named as in the plan; None: all.
+        earlier: has the digests of files that are not read again: those that are as large and as
+            old as it found them, and those that are not requested.
+        requested: the files that are compared, named as in the plan; None: all.
     """
     source = job.plan.source
     folder = Path(source.file_path).parent
     requests = requested_values(job.plan, job.styles)
     start = job.config.optimize.start
+    known = {} if earlier is None else earlier.description.get("files", {})
+    stamps = {} if earlier is None else earlier.stamps
     files = {}
     for file_path in source.grid_files:
         name = os.path.relpath(file_path, folder)
-        if requested is None or known is None or file_path in requested or name not in known:
-            files[name] = _file_digest(job, file_path)
-        else:
+        if name in known and requested is not None and file_path not in requested:
             files[name] = known[name]
+        else:
+            files[name] = _file_digest(job, file_path, known.get(name), stamps.get(name))
     return {
         **({"requests": requests} if requests else {}),
         "version": __version__,
@@ -130,14 +146,36 @@ def describe_run(
         "styles": [f"{style.name} {style.sha256}" for style in job.styles],
         "features_hash": features_hash,
         **({"start_hash": _file_digest(job, start)} if start else {}),
+        **({"scenes": [dict(scene) for scene in job.scenes]} if job.scenes else {}),
     }
 
 
-def _file_digest(job: Job, file_path: str) -> str:
-    """SHA-256 of a file, taken once."""
+def _file_digest(
+    job: Job, file_path: str, known: str | None = None, stamp: Sequence[int] | None = None
+) -> str:
+    """SHA-256 of a file, taken once.
+
+    Args:
+        known, stamp: of an earlier run; the digest stands where the file is as it was then.
+    """
     if file_path not in job.digests:
-        job.digests[file_path] = hash_file(file_path)
-    return job.digests[file_path]
+        now = _stamp(file_path)
+        if known and stamp and now == tuple(stamp):
+            job.digests[file_path] = FileDigest(known, now)
+        else:
+            job.digests[file_path] = FileDigest(hash_file(file_path), now)
+    return job.digests[file_path].sha256
+
+
+def _stamp(file_path: str) -> tuple[int, int] | None:
+    """Size and time of writing (ns); None for a file written a moment ago, which may be written
+    once more within the clock's resolution, and for one that cannot be read."""
+    try:
+        status = os.stat(file_path)
+    except OSError:
+        return None
+    is_old = time.time_ns() - status.st_mtime_ns > _RECENT_NS
+    return (status.st_size, status.st_mtime_ns) if is_old else None
 
 
 def requested_values(plan: Plan, styles: Sequence[StyleImage]) -> dict[str, Any]:
@@ -187,6 +225,8 @@ def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
 def _settled(description: dict[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:
     """A description in which what is left to the machine is as it was when a run began."""
     taken = copy.deepcopy(description)
+    if "scenes" in earlier:
+        taken.setdefault("scenes", earlier["scenes"])
     for section, values in _OPEN.items():
         before = earlier.get("settings", {}).get(section, {})
         for name, value in values.items():

@@ -96,6 +96,7 @@ def make_record(
         features=", ".join(networks),
         features_hash=run.description["features_hash"],
         start_hash=run.description.get("start_hash", ""),
+        scenes=tuple(run.description.get("scenes", ())),
         stage_values=stage_values(plan.source),
         variants=request["variants"],
         source_files=run.description["files"],

@@ -55,12 +55,15 @@ class Run:
 
     folder: Path
     description: Mapping[str, Any]  # settings and inputs, JSON values
+    # Size and time of writing (ns) of ``files`` in the description, as they were read: one that has
+    # the same is taken to be the same.
+    stamps: Mapping[str, Sequence[int]] = field(default_factory=dict)
     run_id: str = field(default_factory=new_run_id)
     created: str = field(default_factory=utc_now)
     frames: dict[str, dict[str, Any]] = field(default_factory=dict)  # of the result, by file name
     files: list[str] = field(default_factory=list)  # outside this folder, relative to the output
     complete: bool = False  # the look points here and nothing is left to do
-    grown_from: Sequence[str] = ()  # ids of the runs of fewer frames that it was made longer from
+    grown_from: Sequence[str] = ()  # ids of the runs that it went on from
     plan: Mapping[str, Any] = field(default_factory=dict)  # what was planned, for the record
     request: Mapping[str, Any] = field(default_factory=dict)  # what it takes to make the job again
     scenes: Sequence[Mapping[str, Any]] = ()  # measured once, one for each Volume; empty: not yet
@@ -302,13 +305,15 @@ def find_runs(output: Path) -> Iterator[Run]:
             continue  # not a record of ours
 
 
-def new_run(output: Path, description: Mapping[str, Any]) -> Run:
+def new_run(
+    output: Path, description: Mapping[str, Any], stamps: Mapping[str, Sequence[int]]
+) -> Run:
     """A run that has not begun, in a folder of its own."""
     key = _digest(description)[:_KEY_LENGTH]
     folder, number = output / RUNS_FOLDER / key, 2
     while (folder / RUN_RECORD).exists():  # a result with the same key is being replaced
         folder, number = output / RUNS_FOLDER / f"{key}-{number}", number + 1
-    return Run(folder, description)
+    return Run(folder, description, stamps)
 
 
 def _record_names() -> list[str]:

@@ -72,6 +72,8 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
             whole = job.with_config(config)
             if numbers := _windows_of(whole.plan, job.plan):
                 if changes := Identity(whole).changes(run):
+                    if changes.only_files and whole.plan.n_frames == job.plan.n_frames:
+                        return None  # see ``find_growth``
                     raise _other_result(run.output, changes)
                 return with_settled(whole, run), run, numbers
     return None
@@ -109,8 +111,8 @@ def join_run(
     Args:
         job: what was asked for; with ``force`` begun beside a result of other settings.
         tell: called if other processes at work have to be waited for, some minutes at most.
-        task: the window that is to be done: no other inputs are read where the run has begun and
-            this window's coarse starts are there. None: the coarse step.
+        task: the window that is to be done: no other inputs are read where the run has begun, is
+            not a result yet, and this window's coarse starts are there. None: the coarse step.
 
     Raises:
         OutputExists: the folder holds a run or result of other settings or inputs, without
@@ -120,7 +122,12 @@ def join_run(
     """
 
     def reads(run: Run) -> set[str] | None:
-        if task is None or not run.scenes or missing_starts(run, job.plan, task.frames):
+        if (
+            task is None
+            or run.complete
+            or not run.scenes
+            or missing_starts(run, job.plan, task.frames)
+        ):
             return None
         return {field.file_path for frame in task.frames for field in frame.source.fields.values()}
 
@@ -293,8 +300,8 @@ def _choose_run(
             run.complete = False
             return run
     if growth is not None:  # the machine stays the same too
-        return new_run(output, identity.beside(growth.earlier))
-    return new_run(output, identity.alone())
+        return new_run(output, identity.beside(growth.earlier), identity.stamps)
+    return new_run(output, identity.alone(), identity.stamps)
 
 
 def refuse_result(job: Job) -> None:
@@ -374,6 +381,11 @@ def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -
 
 def _other_result(output: Path, changes: Changes) -> OutputExists:
     longer = "select the result's frames and more to make it longer, " if changes.frames else ""
+    if changes.only_files:
+        longer = (
+            "select all of the result's frames to do those windows again that they reach (none "
+            "would stay where extinction is measured on one of them), "
+        )
     return OutputExists(
         f"{output} already holds a result with different settings or inputs: {changes}. "
         f"Restore them, {longer}choose another output folder or look, or replace the result with "

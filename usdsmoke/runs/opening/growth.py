@@ -1,48 +1,155 @@
-"""A look that grows: a result of some frames becomes one of more frames of the same settings.
+"""A result that goes on: it gets more frames, or some source files have been written again.
 
-The scenes, and with them the extinction, are those of the earlier run. Windows whose frames and
-starts are the same are taken over; the others are done. The result has the bits of a run of all
-frames whose ``optics.frames`` are the earlier run's.
+The scenes, and with them the extinction, are those of the earlier run. Windows whose frames, source
+files and starts are the same are taken over; the others are done. The result has the bits of a run
+of all frames whose ``optics.frames`` are the earlier run's; where a frame that these name has been
+written again, of a run with the earlier scenes, which the job and the record then name.
 """
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from usdsmoke.base.errors import UsdSmokeError, count_text
 from usdsmoke.base.publish import share_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.sequence.controls import FRAMES_AHEAD
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import Plan, VolumePlan, WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
+from usdsmoke.runs.coarse import measured_frames
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, part_file_name
 from usdsmoke.runs.run import Run, find_runs
 from usdsmoke.usd.look import published_runs
+from usdsmoke.vdb.header import read_header
 
 
 @dataclass(frozen=True)
 class Growth:
-    """A job that makes a result longer, and the run that it starts from."""
+    """A job that a result goes on with, and the run that it starts from."""
 
     job: Job  # measured on the frames that the earlier run was measured on
     earlier: Run
     before: Plan  # the earlier run's
+    rewritten: frozenset[str] = frozenset()  # source files with other content than it read
 
     @property
-    def note(self) -> str:
+    def notes(self) -> Iterator[str]:
         """For the plan."""
-        then, now = (_frames_text(plan) for plan in (self.before, self.job.plan))
+        then, now = (_frames_text(plan.tasks) for plan in (self.before, self.job.plan))
         codes = self.job.config.optics.frames
-        return (
-            f"the look grows from the frames {then} to {now}; extinction and picture size stay "
-            f"those of {codes}. Windows with the same frames and starts stay, the others are done."
-        )
+        if then != now:
+            yield (
+                f"the look grows from the frames {then} to {now}; extinction and picture size stay "
+                f"those of {codes}. Windows with the same frames and starts stay, the others are "
+                "done."
+            )
+        if self.rewritten:
+            names = sorted(os.path.basename(path) for path in self.rewritten)
+            more = f" and {count_text(len(names) - 1, 'more file')}" if names[1:] else ""
+            has = "have" if names[1:] else "has"
+            stay = [task for task, _ in self.windows]
+            done = [task for task in self.job.plan.tasks if task not in stay]
+            yield (
+                f"{names[0]}{more} {has} other content than when the look was made. Frames "
+                f"{_frames_text(done)} are done again: their windows read it or start from frames "
+                f"that do. Frames {_frames_text(stay)}, extinction and picture size stay"
+            )
+
+    @property
+    def starts(self) -> set[str]:
+        """The files of the coarse starts that stay the same and are there."""
+        before = {volume.source.prim_path: volume for volume in self.before.volumes}
+        names = set()
+        for volume in self.job.plan.volumes:
+            old = before.get(volume.source.prim_path)
+            frames = {frame.source.time_code: frame for frame in volume.frames}
+            for chain in volume.coarse_runs:
+                for codes in () if old is None else old.coarse_runs:
+                    if codes == chain[: len(codes)]:
+                        same = self._same_starts(codes, chain, frames)
+                        names |= {coarse_file_name(frames[code].file_name) for code in same}
+        return {name for name in names if (self.earlier.folder / name).is_file()}
+
+    def _same_starts(
+        self,
+        codes: Sequence[float],
+        chain: Sequence[float],
+        frames: Mapping[float, FramePlan],
+    ) -> Sequence[float]:
+        """The timeCodes before all that is new in a sequence, as far as starts look ahead."""
+        others = (n for n, code in enumerate(codes) if self._is_rewritten(frames[code]))
+        end = next(others, len(codes) if len(codes) < len(chain) else None)
+        return codes if end is None else codes[: max(end - FRAMES_AHEAD, 0)]
+
+    def _is_rewritten(self, frame: FramePlan) -> bool:
+        return any(field.file_path in self.rewritten for field in frame.source.fields.values())
+
+    @property
+    def windows(self) -> list[tuple[WindowTask, WindowTask]]:
+        """The windows that stay the same, each with the earlier run's."""
+        before = {
+            (task.volume.source.prim_path, task.window.time_codes): task
+            for task in self.before.tasks
+        }
+        starts, found = self.starts, []
+        for task in self.job.plan.tasks:
+            old = before.get((task.volume.source.prim_path, task.window.time_codes))
+            rewritten = any(self._is_rewritten(frame) for frame in task.frames)
+            if old is None or rewritten or not _is_same(task, old, starts):
+                continue
+            if self._is_there(old) and (not self.rewritten or self._has_copies(task)):
+                found.append((task, old))
+        return found
+
+    def _is_there(self, old: WindowTask) -> bool:
+        names = [
+            part_file_name(old.number, frame.file_name) if old.is_part(frame) else frame.file_name
+            for frame in old.frames
+        ]
+        return all((self.earlier.folder / name).is_file() for name in names)
+
+    def _has_copies(self, task: WindowTask) -> bool:
+        """Whether the grids beside the density that a window has are those it would get now: a file
+        that was written again may have fewer or more, and all frames get the same."""
+        copies, left_out = {grid.name for grid in task.frames[0].others}, task.volume.not_copied
+        if not copies and not left_out:
+            return True
+        try:
+            grids = read_header(self.earlier.folder / task.frames[0].file_name).grids
+        except UsdSmokeError:
+            return False
+        names = {grid.name for grid in grids}
+        return copies <= names and not names & left_out.keys()
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether measuring the scenes again would give the earlier run's: no frame that they are
+        measured on has other content.
+
+        Frames without smoke are not measured, so one that was empty or is empty now may change
+        which frames are.
+        """
+        for volume in self.job.plan.volumes:
+            others = [frame for frame in volume.frames if self._is_rewritten(frame)]
+            measured = {frame.file_name for frame in measured_frames(volume)}
+            for frame in others:
+                was = self.earlier.frames.get(frame.file_name)
+                was_empty = was is not None and was["extent_min"] is None
+                if frame.is_empty or was_empty or frame.file_name in measured:
+                    return False
+        return True
 
 
 def find_growth(job: Job) -> Growth | None:
-    """The growth that a job asks for; None where its output folder holds no result of fewer of its
-    frames that is otherwise the same."""
+    """The growth that a job asks for.
+
+    None where its output folder holds no result of fewer of its frames, or of all of them with
+    other content in some source files, that is otherwise the same; and where no window of it would
+    stay.
+    """
     if job.request.force:
         return None
     asked = {
@@ -54,29 +161,37 @@ def find_growth(job: Job) -> Growth | None:
     for run in find_runs(job.output):
         is_result = run.complete and run.run_id in published
         done = {(frame["prim_path"], frame["time_code"]) for frame in run.frames.values()}
-        if not (is_result and run.look == job.config.layer.look and done < asked):
+        if not (is_result and run.look == job.config.layer.look and done <= asked):
             continue
         codes = format_time_codes(sorted({code for _, code in done}))
-        stage = job.config.stage.replace(frames=codes)
-        before = job.with_config(job.config.replace(stage=stage))
-        if before.plan.n_frames != len(done) or Identity(before).changes(run, whatever_frames=True):
+        before = job
+        if done < asked:
+            stage = job.config.stage.replace(frames=codes)
+            before = job.with_config(job.config.replace(stage=stage))
+        if before.plan.n_frames != len(done):
             return None
-        measured = run.description["settings"]["optics"].get("frames") or codes
-        return Growth(_measured_on(job, measured), run, before.plan)
+        changes = Identity(before).changes(run, whatever_frames=True)
+        if not (changes.only_files if changes else done < asked):
+            return None
+        recorded = run.description["settings"]["optics"].get("frames")
+        measured = recorded or (codes if done < asked else "")
+        folder = Path(job.plan.source.file_path).parent
+        files = job.plan.source.grid_files
+        rewritten = frozenset(f for f in files if os.path.relpath(f, folder) in changes.files)
+        growth = Growth(_measured_on(job, measured), run, before.plan, rewritten)
+        if rewritten and not growth.windows:
+            return None
+        if run.description.get("scenes") or not growth.is_measured:
+            growth = replace(growth, job=replace(growth.job, scenes=tuple(run.scenes)))
+        return growth
     return None
 
 
 def take_over(growth: Growth, run: Run) -> None:
     """Bring what stays the same from the earlier run's folder into that of a run that has begun."""
     run.keep_scenes(growth.earlier.scenes)
-    before = {
-        (task.volume.source.prim_path, task.window.time_codes): task for task in growth.before.tasks
-    }
-    starts = _take_over_starts(growth, run)
-    for task in growth.job.plan.tasks:
-        old = before.get((task.volume.source.prim_path, task.window.time_codes))
-        if old is None or not _is_same(task, old, starts):
-            continue
+    _take_over_starts(growth, run)
+    for task, old in growth.windows:
         record = growth.earlier.window(old.number)
         if record is None:
             continue
@@ -88,31 +203,13 @@ def take_over(growth: Growth, run: Run) -> None:
         run.keep(replace(record, run_id=run.run_id, window=task.number, frames=frames))
 
 
-def _take_over_starts(growth: Growth, run: Run) -> set[str]:
-    """Take over the coarse starts that stay the same; their files."""
+def _take_over_starts(growth: Growth, run: Run) -> None:
     earlier = growth.earlier
-    before = {volume.source.prim_path: volume for volume in growth.before.volumes}
-    names = set()
-    for volume in growth.job.plan.volumes:
-        old = before.get(volume.source.prim_path)
-        chains = () if old is None else old.coarse_runs
-        for chain in volume.coarse_runs:
-            for codes in chains:
-                if codes == chain:
-                    names |= _start_names(volume, codes)
-                elif codes == chain[: len(codes)]:
-                    names |= _start_names(volume, codes[:-FRAMES_AHEAD])
-    record = earlier.coarse(names)
+    record = earlier.coarse(growth.starts)
     if record.frames:
         for name in record.frames:
             share_file(earlier.folder / name, run.folder / name)
         run.keep(CoarseRecord(run.run_id, record.frames, record.seconds, record.processor))
-    return set(record.frames)
-
-
-def _start_names(volume: VolumePlan, codes: tuple[float, ...]) -> set[str]:
-    frames = {frame.source.time_code: frame.file_name for frame in volume.frames}
-    return {coarse_file_name(frames[code]) for code in codes}
 
 
 def _is_same(task: WindowTask, old: WindowTask, starts: set[str]) -> bool:
@@ -149,8 +246,5 @@ def _measured_on(job: Job, codes: str) -> Job:
     return replace(job, plan=plan)
 
 
-def _frames_text(plan: Plan) -> str:
-    codes: Mapping[float, None] = dict.fromkeys(
-        frame.source.time_code for volume in plan.volumes for frame in volume.frames
-    )
-    return format_time_codes(codes)
+def _frames_text(tasks: Sequence[WindowTask]) -> str:
+    return format_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))
