@@ -1,8 +1,13 @@
 """Lengths on a stage: what one unit of a Volume's own space is in stage units."""
 
+import math
 from collections.abc import Iterable
 
 from pxr import Usd, UsdGeom
+
+from usdsmoke.usd.schema import STAGE_UNITS
+
+_METRES = "metersPerUnit"
 
 
 def stage_units(prim: Usd.Prim, time_code: float) -> float:
@@ -19,3 +24,22 @@ def stage_units_over_time(
     samples = {code: stage_units(prim, code) for code in time_codes}
     changes = any(value != default for value in samples.values())
     return default, samples if changes else {}
+
+
+def units_since(volume: Usd.Prim) -> tuple[float, float]:
+    """How the units that a Volume's look was made for have changed since, at the first time.
+
+    Returns:
+        How many times as many stage units a length of the Volume is, and how many times as long a
+        stage unit is; 1 where nothing is known. The latter is known from the look's layer, and not
+        from a flattened one.
+    """
+    first, stage = Usd.TimeCode.EarliestTime(), volume.GetStage()
+    attribute = volume.GetAttribute(STAGE_UNITS)
+    made_for = attribute.Get(first) if attribute and attribute.HasAuthoredValue() else None
+    if not made_for or not (math.isfinite(made_for) and made_for > 0):
+        return 1.0, 1.0
+    scale = stage_units(volume, first.GetValue()) / float(made_for)
+    layer = attribute.GetPropertyStack(first)[0].layer
+    metres = layer.pseudoRoot.GetInfo(_METRES) if layer.pseudoRoot.HasInfo(_METRES) else 0.0
+    return scale, UsdGeom.GetStageMetersPerUnit(stage) / metres if metres > 0 else 1.0

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdVol
 
-from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames, parts, pixels
+from tests.fixtures.preview_fixtures import (
+    add_camera,
+    look_of_four_frames,
+    parts,
+    pixels,
+    referenced,
+)
 from tests.fixtures.usd_fixtures import (
     density_prim,
     file_hashes,
@@ -49,6 +55,18 @@ def test_a_look_is_drawn_with_its_extinction_and_emission(look: Path, tmp_path: 
     assert middle["emission"] == pytest.approx([LIGHT] * 3, rel=1e-5)
     assert middle["rgba"] == pytest.approx([LIGHT] * 3 + [ALPHA], rel=1e-5)
     assert found["rgba"][1][0, 0] == pytest.approx([0.0] * 4)
+
+
+@pytest.mark.parametrize("units", [(100, 0.01), (100, 1), (1, 0.01)], ids=str)
+def test_a_look_under_another_scale_or_unit_has_the_same_picture(
+    look: Path, tmp_path: Path, units: tuple[float, float]
+) -> None:
+    pictures = []
+    for stage in (look, referenced(look, *units)):
+        (file_path,) = preview(stage, tmp_path / "a.exr", frames="2", size=(61, 41)).files
+        pictures.append(parts(file_path)["rgba"][1])
+    assert pictures[0].max() > 0.5
+    assert pictures[1] == pytest.approx(pictures[0], abs=1e-4)
 
 
 def test_exr_parts_and_channels_are_what_the_document_says(look: Path, tmp_path: Path) -> None:

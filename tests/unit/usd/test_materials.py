@@ -3,6 +3,7 @@
 import pytest
 from pxr import Sdf, Usd, UsdShade
 
+from tests.fixtures.preview_fixtures import referenced
 from tests.fixtures.usd_fixtures import (
     density_prim,
     finish_frame,
@@ -332,12 +333,7 @@ def test_no_material_of_an_earlier_look_is_left_under_a_look_without(tmp_path, t
 
 def test_a_look_under_another_scale_is_rescaled_for_previews(tmp_path):
     root = look(shot(tmp_path), tmp_path / "out").root_stage
-    scaled = write_text(
-        tmp_path / "scaled.usda",
-        '#usda 1.0\ndef Xform "World" (\nprepend references = @out/shot_look.usda@</World>\n)\n'
-        "{\ndouble3 xformOp:scale = (8, 8, 8)\n"
-        'uniform token[] xformOpOrder = ["xformOp:scale"]\n}\n',
-    )
+    scaled = referenced(root, scale=8)
     found = {}
     for stage_file in (root, scaled):
         stage = open_stage(stage_file)
@@ -346,3 +342,19 @@ def test_a_look_under_another_scale_is_rescaled_for_previews(tmp_path):
     assert (found[root].extinction, found[root].rescale) == (0.5, 1.0)
     assert found[scaled].rescale == pytest.approx(1 / 8)
     assert found[scaled].extinction == pytest.approx(0.5 / 8)
+
+
+@needs_usd(26, 5)
+@pytest.mark.parametrize(("scale", "unit", "factors"), [
+    (1, 0.5, ""), (50, 0.01, "for Arnold and RenderMan by 0.02."),
+    (1, 0.01, "for MaterialX and Karma by 50."),
+    (4, 1, "for Arnold and RenderMan by 0.25, and for MaterialX and Karma by 0.125."),
+])  # fmt: skip
+def test_the_factors_of_renderers_that_do_not_adapt_to_another_unit_are_told(
+    tmp_path, scale, unit, factors
+):
+    source = shot(tmp_path)
+    assert opened(source).GetMetadata("metersPerUnit") == 0.5
+    root = look(source, tmp_path / "out").root_stage
+    told = [f for f in validate(referenced(root, scale, unit)) if f.rule == "LookUnits"]
+    assert [item.message.endswith(factors) for item in told] == ([True] if factors else [])

@@ -61,6 +61,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
         volume_rules.check_look_seen,
         "The material of a Volume with a look reads the look's colours.",
     ),
+    "LookUnits": (
+        volume_rules.check_look_units,
+        "A look is referenced in the units that it was made for.",
+    ),
     "RequestInvalid": (volume_rules.check_request, "A Volume's style request can be read."),
     "RequestNotApplied": (
         volume_rules.check_request_applied,

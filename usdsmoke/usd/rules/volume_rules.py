@@ -19,10 +19,12 @@ from usdsmoke.usd.rules.facts import (
     sample_grid,
 )
 from usdsmoke.usd.schema import LOOK_API, STYLE_API
+from usdsmoke.usd.units import units_since
 from usdsmoke.usd.values import file_name
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
 _COLOURS = (*COLOUR_VECTORS, *COLOUR_CHANNELS)
+_SAME_UNITS = 1e-4  # of a factor on extinction and emission
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
@@ -148,6 +150,31 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
         f"show the look. {advice}"
     )
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
+
+
+def check_look_units(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """A look is seen in the units that it was made for; else by which factors renderers differ."""
+    if LOOK_API not in volume.GetPrimTypeInfo().GetAppliedAPISchemas():
+        return []
+    scale, metres = units_since(volume)
+    per_unit, per_metre = 1 / scale, 1 / (scale * metres)
+    factors = [
+        f"{names} by {factor:.6g}"
+        for names, factor in (
+            ("Arnold and RenderMan", per_unit),
+            ("MaterialX and Karma", per_metre),
+        )
+        if abs(factor - 1) > _SAME_UNITS
+    ]
+    if not factors:
+        return []
+    message = (
+        f"the look was made for another unit: lengths are {scale:.6g} times as many stage units as "
+        f"then, and a stage unit is {metres:.6g} times as long. usdsmoke's preview, Storm and "
+        "Cycles show the same picture. For others, multiply the extinction and the strength of the "
+        f"emission in the look's material: for {', and for '.join(factors)}"
+    )
+    return [Problem(Severity.INFO, str(volume.GetPath()), message + ".")]
 
 
 def check_request(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
