@@ -12,6 +12,7 @@ from usdsmoke.base.setting_model import Section, setting
 
 Weights = list[Annotated[float, Field(ge=0)]]
 Iterations = list[Annotated[int, Field(ge=0)]]
+MOST_STOPS = 40.0  # of optics.exposure, either way
 _PER_VOXEL = "1/(voxel of the source grid) per unit of density"
 
 
@@ -150,7 +151,7 @@ class OpticsConfig(Section):
     exposure: float | None = setting(
         None, "exposure at which the lit smoke shows the style; the emission is divided by it; "
         "unset: 0, or, with colour.target=albedo, chosen so that white smoke in the light is white",
-        ge=-40, le=40, unit="stops")
+        ge=-MOST_STOPS, le=MOST_STOPS, unit="stops")
     sun: list[float] = setting(
         [], "direction from the smoke to a distant light, x y z of the stage, which takes the "
         "place of the stage's lights; empty: the stage's lights")

@@ -21,6 +21,7 @@ from usdsmoke.base.resolve import (
     settings_record,
     style_paths,
 )
+from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
@@ -28,6 +29,7 @@ from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.features import check_features
 from usdsmoke.planning.make_plan import check_plan, make_plan
+from usdsmoke.planning.materials import front_brightness
 from usdsmoke.planning.output_folder import (
     check_output_folder,
     check_writable,
@@ -269,7 +271,7 @@ def _check_names(volume: VolumeSource, config: Config) -> None:
 
 
 def _check_lights(volume: VolumeSource, config: Config) -> None:
-    """Refuse to paint an albedo that no light shows."""
+    """Refuse to paint an albedo that no light shows, or one that no exposure shows."""
     target = config.colour.target
     if SCATTERING not in config.painted:
         return
@@ -291,6 +293,16 @@ def _check_lights(volume: VolumeSource, config: Config) -> None:
             f"colour.target={target} paints what lit smoke scatters, but <{volume.prim_path}> has "
             f"{found}. Name a light with optics.sun or optics.sky, or set colour.target=emission."
         )
+    for frame in volume.frames:
+        brightness = front_brightness(config, frame.lights)
+        if not 2.0**-MOST_STOPS <= brightness <= 2.0**MOST_STOPS:
+            names = ", ".join(light.prim_path for light in frame.lights)
+            raise ConfigError(
+                f"in the light of {names}, smoke of <{volume.prim_path}> is {brightness:.2g} times "
+                f"as bright as white at timeCode {frame.time_code:g}, and optics.exposure reaches "
+                f"{MOST_STOPS:g} stops. Change the brightness of the lights, or set "
+                "colour.target=emission."
+            )
 
 
 def _read_files(

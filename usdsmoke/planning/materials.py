@@ -70,8 +70,9 @@ def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
     names = _light_names(volume.frames)
     if not names:
         return []
-    brightest = max(_front(config, frame.source.lights) for frame in volume.frames)
     stops = config.optics.exposure or 0.0
+    brightest = max(front_brightness(config, frame.source.lights) for frame in volume.frames)
+    brightest *= 2.0**stops
     exposed = f" at optics.exposure={stops:g}" if stops else ""
     exposed += ", and brighter with bounces" if config.optics.bounces else ""
     return [
@@ -148,8 +149,10 @@ def _name_all(paths: Iterable[str]) -> str:
     return ", ".join(f"<{path}>" if path.startswith("/") else path for path in paths)
 
 
-def _front(config: Config, lights: Sequence[LightSource]) -> float:
+def front_brightness(config: Config, lights: Sequence[LightSource]) -> float:
     """Radiance of a thick wall of smoke that faces all of its lights; of the brightest channel.
+
+    At an exposure of 0 stops.
 
     Scattered once, a sun behind the eye gives E p(180 degrees) albedo / 2, and a dome albedo L
     (1 - ln 2) / 2: the integrals of exp(-2 t), and of exp(-t) E_2(t) / 2.
@@ -160,4 +163,4 @@ def _front(config: Config, lights: Sequence[LightSource]) -> float:
         sum(share * light.colour[channel] for share, light in zip(shares, lights, strict=True))
         for channel in range(3)
     ]
-    return config.albedo * max(total) * 2.0 ** (config.optics.exposure or 0.0)
+    return config.albedo * max(total)

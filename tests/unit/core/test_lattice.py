@@ -37,6 +37,13 @@ def test_smoke_in_places_far_apart_is_refused_with_a_way_out():
         surround(smoke, 1)
 
 
+def test_the_room_around_flat_voxels_is_not_called_smoke_far_apart():
+    smoke = smoke_of(puff(9), np.diag([1.0, 1.0, 1e-12, 1.0]))
+    with pytest.raises(PlanError, match=r"1 x 1 x 1e-12 stage units.*transform") as refused:
+        surround(smoke, (2, 2, 10**7))
+    assert "far apart" not in str(refused.value)
+
+
 def test_positions_are_those_of_the_smoke_s_voxels():
     smoke = smoke_of(puff(9), affine(2, mirrored=True))
     lattice = surround(smoke, 1)

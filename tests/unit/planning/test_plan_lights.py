@@ -115,3 +115,15 @@ def test_an_albedo_is_painted_where_light_shows_it_and_refused_where_none_does(
             plan(shot.stage, shot.style, shot.output, uneven)
     else:
         plan(shot.stage, shot.style, shot.output, uneven)
+
+
+@pytest.mark.parametrize("sky", ["1e-45", "1e-30", "1e30"])
+@pytest.mark.parametrize("target", ["albedo", "both"])
+def test_an_albedo_in_light_that_no_exposure_shows_is_refused(
+    shot: Shot, target: str, sky: str
+) -> None:
+    """Or it is the noise that it starts from, with no word of it."""
+    settings = [f"colour.target={target}", f"optics.sky=[{sky},{sky},{sky}]"]
+    with pytest.raises(ConfigError, match=r"optics\.sky.* 40 stops"):
+        plan(shot.stage, shot.style, shot.output, settings)
+    plan(shot.stage, shot.style, shot.output, [settings[0], "optics.sky=[1e-9,1e9,1]"])

@@ -108,18 +108,28 @@ def surround(smoke: ActiveSmoke, padding: int | Sequence[int]) -> Lattice:
     Axes one voxel thick get no padding: flat smoke moves in its plane.
 
     Raises:
-        PlanError: the box is too long to be dense; smoke in places far apart.
+        PlanError: the box is too long to be dense; smoke in places far apart, or flat voxels.
     """
     low, high = smoke.box
     margin = np.where(high > low, padding, 0)
     shape = tuple(int(n) for n in high - low + 1 + 2 * margin)
     if max(shape) > LONGEST:
+        what = "Split smoke in places far apart into Volumes of their own"
+        if max(high - low) < LONGEST:  # the room around it is what is long
+            what = (
+                f"Its voxels are {_edges_text(smoke)} stage units long: correct their transform "
+                "if that is not meant"
+            )
         raise PlanError(
             f"the shape step needs a dense box of {' x '.join(map(str, shape))} voxels around the "
-            f"smoke, more than {LONGEST} along an axis. Split smoke in places far apart into "
-            "Volumes of their own, or leave the shape step out with optimize.steps=[colour]."
+            f"smoke, more than {LONGEST} along an axis. {what}, or leave the shape step out with "
+            "optimize.steps=[colour]."
         )
     return Lattice(low - margin, cast(tuple[int, int, int], shape), smoke.index_to_stage)
+
+
+def _edges_text(smoke: ActiveSmoke) -> str:
+    return " x ".join(f"{edge:.3g}" for edge in np.linalg.norm(smoke.edges, axis=1))
 
 
 def grow(mask: Tensor) -> Tensor:

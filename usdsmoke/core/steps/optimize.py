@@ -280,7 +280,8 @@ class _State:
             raise NonFiniteError(
                 f"the optimisation diverged at iteration {iteration} (loss {value:.3g}, best "
                 f"{self._best:.3g}), although the learning rate was halved {MOST_ROLLBACKS} times. "
-                f"Lower it from {self._first_rate:g}, or check the inputs for extreme values."
+                f"Lower it from {self._first_rate:g}, or check the smoke for extreme values, and "
+                "what is set of losses and optics."
             )
         self._put(self._good[0])
         self.adam.restore(self._good[1])
@@ -305,7 +306,8 @@ class _State:
         if latest is None:
             raise NonFiniteError(
                 f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations. "
-                "Check the inputs for extreme values."
+                "Check the smoke for extreme values, and what is set of losses, optics and "
+                "learning rates."
             )
         worse = self.rollbacks > 0 and not self._is_sound(last_loss())
         restored = worse or self.smoothed > WORSE * self._kept_loss

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport, StepReport
+from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER, MASS, MOTIONLESS, ROWS, SHAPE_OPTIMISER
@@ -24,7 +25,6 @@ FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
-EXPOSURES = 40.0  # stops: the largest ``optics.exposure`` either way
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
 
@@ -143,7 +143,7 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     if light is None:
         return
     advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
-    if abs(light.advised) > EXPOSURES:
+    if abs(light.advised) > MOST_STOPS:
         advice = "Change the brightness of the lights"
     if light.share < DIM:
         cause = f"only {light.share:.2%} of the smoke's light comes from lamps, which is not seen"

@@ -217,28 +217,25 @@ OVERLAP_EMISSION = ErrorRow(
     advice="set a larger windows.overlap",
     setting="windows.overlap",
 )
-STORAGE_DENSITY = ErrorRow(
-    name="storage, density",
-    relative_to=_DENSITY,
-    how="measured: half floats and pruning",
-    of_frame=lambda report: report.errors.storage_density,
-    why_absent=lambda volume: "",
-    without="not measured",
-    most=0.01,  # rounding to 16 bits loses a twentieth of that, unless numbers are too small
-    advice="set grids.half=false and grids.prune=0",
-    setting="grids.half",
-)
-STORAGE_EMISSION = ErrorRow(
-    name="storage, emission",
-    relative_to="the emission",
-    how="measured: half floats and pruning",
-    of_frame=lambda report: report.errors.storage_emission,
-    why_absent=lambda volume: volume.without_step("colour"),
-    without=_NO_COLOUR,
-    most=0.01,  # rounding to 16 bits loses a twentieth of that, unless numbers are too small
-    advice="set grids.half=false and grids.prune=0",
-    setting="grids.half",
-)
+
+
+def _storage(kind: str, relative_to: str, without: str) -> ErrorRow:
+    """What writing a grid loses."""
+    return ErrorRow(
+        name=f"storage, {kind}",
+        relative_to=relative_to,
+        how="measured: half floats and pruning",
+        of_frame=lambda report: getattr(report.errors, f"storage_{kind}"),
+        why_absent=lambda volume: volume.without_step("colour") if kind == "emission" else "",
+        without=without,
+        most=0.01,  # rounding to 16 bits loses a twentieth of that, unless numbers are too small
+        advice="set grids.half=false and grids.prune=0",
+        setting="grids.half",
+    )
+
+
+STORAGE_DENSITY = _storage("density", _DENSITY, "not measured")
+STORAGE_EMISSION = _storage("emission", "the emission", _NO_COLOUR)
 
 ROWS = (
     QUADRATURE,
