@@ -21,6 +21,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.device import computing_threads
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.style.safetensors import safetensors_bytes
+from usdsmoke.core.training import canvas
 from usdsmoke.core.training.canvas import MOST_VOXELS, Canvas, crop
 from usdsmoke.core.training.frames import find_misfit, train_on_frames
 from usdsmoke.core.training.train import Trained
@@ -178,6 +179,18 @@ def test_large_smoke_is_cropped_to_pieces_around_different_voxels() -> None:
     assert one.smoke.ijk.tolist() != other.smoke.ijk.tolist()
     small = problem_of(puff(12))
     assert crop(small, 0) is small
+
+
+def test_a_crop_of_a_speck_and_a_far_sheet_is_not_the_speck_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All of the sheet is equally far from the speck."""
+    monkeypatch.setattr(canvas, "MOST_VOXELS", 100)
+    density = np.zeros((40, 12, 12), np.float32)
+    density[0, 6, 6], density[39] = 1, 1
+    problem = problem_of(density)
+    sizes = [len(crop(problem, number).smoke.ijk) for number in range(600)]  # some: the speck's
+    assert 50 <= min(sizes) and max(sizes) <= 100
 
 
 def test_a_file_gives_the_same_parameters_and_equal_generators_equal_bytes(

@@ -61,8 +61,11 @@ def crop(problem: StepProblem, number: int) -> StepProblem:
     painted = painted_part(problem).ijk
     middle = painted[int(white_noise(painted, 1, seed + HELD_OUT + number)[:, 0].argmax())]
     away = (smoke.ijk - middle).abs().amax(dim=1)
-    farthest = away.kthvalue(MOST_VOXELS).values
-    return replace(problem, smoke=smoke.take(away < farthest))
+    kept = away < away.kthvalue(MOST_VOXELS).values
+    if 2 * int(kept.sum()) < MOST_VOXELS:  # much smoke is equally far: a sheet, or all of the rest
+        kept = torch.zeros_like(kept)
+        kept[away.argsort(stable=True)[:MOST_VOXELS]] = True
+    return replace(problem, smoke=smoke.take(kept))
 
 
 def cold_loss(problem: StepProblem, canvas: Canvas) -> float:
