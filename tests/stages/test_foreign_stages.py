@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 from pxr import Usd
 
-from tests.fixtures.pipeline_fixtures import Shot, make_style, run
+from tests.fixtures.pipeline_fixtures import Shot, make_style, run, stand_in
 from tests.fixtures.usd_fixtures import write_vdb
 from usdsmoke import inspect
 from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.pictures.preview import preview
 from usdsmoke.pipeline import plan as make_plan
 from usdsmoke.usd.gate import validate_look
 
@@ -127,6 +128,8 @@ STAGES = {
     ),
 }  # fmt: skip
 
+DRAWN = {"index_colormap", "openfoam", "blender", "arnold_sequence", "shared_fields", "renderman"}
+
 REFUSED = {
     "nurec": r"OmniNuRecFieldAsset\. usdsmoke reads OpenVDB files alone",
     "houdini_volumes": r"HoudiniFieldAsset\. .*convert the volume to \.vdb",
@@ -136,6 +139,10 @@ REFUSED = {
     "index_colormap": r"--set stage\.density=fog",
     "openfoam": r"--set stage\.density=temperature",
 }
+
+
+# with a look, emission is another field; it is not the density
+NAMED = {"index_colormap": "fog", "openfoam": "temperature"}
 
 
 def foreign_shot(folder: Path, name: str, files: Mapping[str, Sequence[str]] = {}) -> Shot:
@@ -149,7 +156,7 @@ def foreign_shot(folder: Path, name: str, files: Mapping[str, Sequence[str]] = {
     return Shot(folder, inputs / f"{name}.usda", style, folder / "out")
 
 
-@pytest.mark.usefixtures("core")
+@pytest.mark.usefixtures("quick_grids")
 @pytest.mark.parametrize("name", STAGES)
 def test_a_foreign_stage_is_read_stylized_and_its_look_stands_the_gate(
     tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
@@ -160,7 +167,9 @@ def test_a_foreign_stage_is_read_stylized_and_its_look_stands_the_gate(
     found = {volume["prim_path"]: tuple(volume["time_codes"]) for volume in seen["volumes"]}
     assert found == expected.volumes
 
-    result = run(shot, *expected.settings)
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in(patch)
+        result = run(shot, *expected.settings)
     assert len(result.frames) == sum(map(len, expected.volumes.values()))
     told = [*result.plan.notes, *(f"{item.what}: {item.reason}" for item in result.plan.omitted)]
     for part in expected.says:
@@ -174,6 +183,13 @@ def test_a_foreign_stage_is_read_stylized_and_its_look_stands_the_gate(
         (density,) = stage.GetPrimAtPath(path).GetRelationship(field).GetTargets()
         shown = stage.GetPrimAtPath(density).GetAttribute("filePath").Get(codes[0])
         assert Path(shown.resolvedPath).is_relative_to(shot.output)
+    if name in NAMED:
+        with pytest.raises(UsdSmokeError, match=rf"--set stage\.density={NAMED[name]}\."):
+            preview(result.root_stage, tmp_path / "a.png")
+    if name in DRAWN:
+        selected = [text for text in expected.settings if text.startswith("stage.")]
+        drawn = preview(result.root_stage, tmp_path / "a.png", width=24, settings=selected)
+        assert set(drawn.extinctions) == set(expected.volumes)
     printed = capfd.readouterr()
     assert "Warning" not in printed.err + printed.out  # nothing of OpenUSD's own
 

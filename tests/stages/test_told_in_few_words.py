@@ -1,6 +1,7 @@
 """What a person reads of a run, and small faults of stages that stay out of results (td.md D17,
 D21)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from pxr import Sdf
 from tests.fixtures.pipeline_fixtures import Shot, make_shot, run
 from usdsmoke.pictures import compose_sheet
 from usdsmoke.pipeline import plan
-from usdsmoke.ui.cli.text import budget_text, plan_text
+from usdsmoke.runs.budget import Finding
+from usdsmoke.ui.cli.budget_text import budget_text
+from usdsmoke.ui.cli.text import plan_text
 
 
 def test_d17_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(
@@ -35,6 +38,19 @@ def test_d17_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) ->
               if name in line}  # fmt: skip
     assert listed == set(budget.left_out)
     assert any("4 frames" in line and "there are no 5 frames" in line for line in lines)
+
+
+@pytest.mark.usefixtures("core")
+def test_errors_that_are_fine_are_a_line_and_rows_on_request(shot: Shot) -> None:
+    budget = run(shot).error_budget
+    assert budget is not None
+    bad, *fine = (item.name for item in budget.estimates)
+    budget = replace(budget, findings=(Finding("smoke.0001.vdb", bad, "it is large", "Look"),))
+    few = budget_text(budget, everything=False).splitlines()
+    assert [line.split("  ")[0] for line in few[:2]] == ["error", bad]
+    assert few[1].endswith("look at it") and all(name in few[2] for name in fine)
+    rows = budget_text(budget).splitlines()
+    assert all(any(row.startswith(name) for row in rows) for name in (bad, *fine))
 
 
 def test_d21_the_title_of_a_narrow_sheet_is_whole() -> None:

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
+_NARROW = 1 / 32  # shorter over longer side of a picture in which little is seen
+
+
 @dataclass(frozen=True)
 class PreviewResult:
     """What was drawn."""
@@ -85,6 +88,7 @@ def preview(
               PNG only and nothing to compare).
             - turn: pictures of one frame, evenly around the up axis.
             - threads: CPU threads. One picture gains little from more.
+            - settings: of ``stage``, as in ``stylize``, such as ``stage.density=fog``.
 
     Raises:
         ConfigError: an option is wrong, or two contradict each other.
@@ -155,7 +159,7 @@ def _open(request: PreviewRequest) -> dict[str, Smoke]:
 
 
 def _find(request: PreviewRequest, stage: "Usd.Stage") -> Smoke:
-    return find_smoke(stage, request.prims or (), request.frames, request.allow_missing)
+    return find_smoke(stage, request.stage_config)
 
 
 def _shots(
@@ -184,6 +188,10 @@ def _shots(
     if len(angles) > 1:
         points = box_around(points)  # the middle of the picture stays in its place
     tall, wide = fitted_size(directions, points)
+    if min(tall, wide) < _NARROW * max(tall, wide) and len(look.selected.volumes) > 1:
+        look.notes["the Volumes are far apart and small in the picture; name one with --prim"] = (
+            None
+        )
     views = fit_views(directions, points, *request.pixels(wide / tall))
     return [
         PreviewShot(code, angle, view)

@@ -9,6 +9,8 @@ from typing import TypedDict
 from pxr import Usd
 
 from usdsmoke.base.errors import ConfigError, WriteFailed
+from usdsmoke.base.resolve import Settings, resolve_settings
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import parse_frames
 from usdsmoke.usd.stage import StageOrFile
 
@@ -32,6 +34,7 @@ class PreviewOptions(TypedDict, total=False):
     background: str
     turn: int | None
     threads: int
+    settings: Settings
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class PreviewRequest:
     background: str = BACKGROUNDS[0]  # of PNG and WebP; none is transparent, for one PNG only
     turn: int | None = None  # pictures of one frame around the up axis; None: one from the front
     threads: int = 1
+    settings: Settings = None  # of ``stage`` alone, such as ``stage.density=fog``
 
     def __post_init__(self) -> None:
         target = Path(self.output).absolute()
@@ -76,7 +80,7 @@ class PreviewRequest:
         self._check_turn()
         if self.width is not None and self.size is not None:
             raise ConfigError("--width and --size exclude each other. Give only one.")
-        parse_frames(self.frames)
+        parse_frames(self.stage_config.frames)
         if self.width is not None:
             if self.width < 1:
                 raise ConfigError(f"--width is {self.width}. Give at least 1 pixel.")
@@ -99,6 +103,24 @@ class PreviewRequest:
             raise ConfigError("--turn and --camera exclude each other. Give only one.")
         if self.is_exr:
             raise ConfigError("a turn cannot be an .exr file. Use .png for a sheet, or .webp.")
+
+    @property
+    def stage_config(self) -> StageConfig:
+        """What is read of the stage.
+
+        Raises:
+            ConfigError: the settings are wrong, or of another section.
+        """
+        config = resolve_settings(self.settings)
+        if others := sorted(n for n in config.explicit if not n.startswith("stage.")):
+            raise ConfigError(
+                f"a preview has no use for {', '.join(others)}. Give settings of stage alone."
+            )
+        found = config.stage.replace(frames=self.frames or config.stage.frames)
+        return found.replace(
+            prims=list(self.prims or found.prims),
+            allow_missing=self.allow_missing or found.allow_missing,
+        )
 
     @property
     def stage_name(self) -> str:

@@ -286,29 +286,24 @@ def _share_lattice(
     return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
 
 
-def find_smoke(
-    stage: Usd.Stage, prims: Iterable[str], frames: str, allow_missing: bool = False
-) -> Smoke:
+def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
     """The Volumes of a stage at the requested timeCodes.
 
     Args:
         stage: from ``open_stage``.
-        prims: Volume prim paths; none means all.
-        frames: a selection such as ``1-24``; empty means all there are.
-        allow_missing: leave out requested timeCodes that do not exist.
+        config: which Volumes, timeCodes and fields; no timeCodes means all there are.
 
     Raises:
         StageError: no Volume, an unknown one, a timeCode or file that is not there; or a look
             layer without its source.
     """
-    everything = StageConfig(prims=list(prims), allow_missing=allow_missing)
     problems: list[str] = []
-    if frames or everything.prims:  # what is named must be there
-        selected = _find(stage, everything.replace(frames=frames))
+    if config.frames or config.prims:  # what is named must be there
+        selected = _find(stage, config)
     else:
-        selected = _find(stage, everything, problems)
+        selected = _find(stage, config, problems)
     try:
-        whole = _find(stage, everything) if frames else selected
+        whole = _find(stage, config.replace(frames="")) if config.frames else selected
     except (AssetNotResolved, FieldNotFound):
         whole = selected  # files of frames that are not requested may be missing
     smoke = Smoke(stage, selected, whole)

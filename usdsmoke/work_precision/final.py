@@ -19,6 +19,7 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.base.machine import check_packages, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles, resolve_config, style_paths
+from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
@@ -79,7 +80,9 @@ def check_final(
 
     started = time.perf_counter()
     config = resolve_config(settings).with_values({"views.image_size": SIZE})
-    smoke = find_smoke(open_stage(stage), config.stage.prims, config.stage.frames)
+    ours = config.stage
+    selected = StageConfig(prims=ours.prims, frames=ours.frames, density=ours.density)
+    smoke = find_smoke(open_stage(stage), selected)
     codes = smoke.time_codes
     code = codes[len(codes) // 2]
     volume = _first_look(smoke.shown(code), code)

@@ -173,6 +173,16 @@ def test_all_volumes_are_in_one_picture_hidden_ones_are_not(tmp_path: Path) -> N
 # An open stage
 
 
+def test_volumes_too_far_apart_to_be_seen_are_told(tmp_path: Path) -> None:
+    def drawn(shift: float) -> tuple[str, ...]:
+        stage = two_volumes(tmp_path)
+        text = stage.read_text().replace("(20, 0, 0)", f"({shift}, 0, 0)")
+        return preview(write_text(stage, text), tmp_path / "a.png", width=64).notes
+
+    assert not any("--prim" in note for note in drawn(20))
+    assert any("--prim" in note for note in drawn(800))
+
+
 def test_an_open_stage_is_drawn_with_its_unsaved_edits(look: Path, tmp_path: Path) -> None:
     stage = Usd.Stage.Open(str(look))
     extinction = stage.GetPrimAtPath("/World/smoke").GetAttribute("usdSmoke:extinctionPerDensity")

@@ -10,7 +10,7 @@ from usdsmoke import pipeline
 from usdsmoke.base.frame_report import FrameReport, TemporalErrors
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.budget import ErrorBudget, run_budget
-from usdsmoke.ui.cli.text import budget_text
+from usdsmoke.ui.cli.budget_text import budget_text
 
 ALONE = FrameReport(voxels=5)
 PAIR = FrameReport(temporal=TemporalErrors(0.1, 0.2))

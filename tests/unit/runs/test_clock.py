@@ -12,7 +12,7 @@ from usdsmoke.base.frame_report import (
 from usdsmoke.planning.plan import Omission
 from usdsmoke.runs.budget import ELSEWHERE, PartClock, make_budget, run_seconds, timed_items
 from usdsmoke.runs.manifests import WindowRecord
-from usdsmoke.ui.cli.text import budget_text
+from usdsmoke.ui.cli.budget_text import budget_text
 
 
 class FakeTime:

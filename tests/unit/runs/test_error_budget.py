@@ -19,7 +19,7 @@ from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.storage import prune_fields, storage_errors
 from usdsmoke.base.volume import DenseField
 from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget
-from usdsmoke.ui.cli.text import budget_text
+from usdsmoke.ui.cli.budget_text import budget_text
 
 FIRST = FrameReport(
     shape=StepReport(seconds=2.0, loss=(9.0, 4.0), fallen=3.0, remaining=1.0, view_spread=0.5),

@@ -19,7 +19,7 @@ from usdsmoke.base.frame_report import (
 )
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.budget import ErrorBudget, Finding, run_budget
-from usdsmoke.ui.cli.text import budget_text
+from usdsmoke.ui.cli.budget_text import budget_text
 
 GOOD = FrameReport(
     voxels=1000,

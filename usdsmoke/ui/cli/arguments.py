@@ -14,6 +14,7 @@ from usdsmoke.ui.cli.options import (
     add_option,
     add_preset,
     add_selection,
+    add_set,
     add_settings,
     add_style,
     settings_summary,
@@ -207,6 +208,7 @@ def _add_preview(commands: Any) -> None:
         "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last; "
         "all for an animation; the middle for a turn)",
     )
+    add_set(parser, "one setting of stage, such as stage.density=fog; may be repeated")
     parser.add_argument(
         "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"
     )

@@ -140,6 +140,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
             background=arguments.background,
             turn=arguments.turn,
             threads=arguments.threads,
+            settings=arguments.set,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     for note in result.notes:
@@ -153,9 +154,10 @@ def _preview_text(result: "PreviewResult") -> str:
     if len(result.angles) > 1:
         seen = f"{len(result.angles)} views around the up axis"
     lines = [str(file_path) for file_path in result.files]
+    each = " each" if len(result.time_codes) * len(result.angles) > 1 else ""
     lines.append(
         f"  {name_time_codes(result.time_codes)}, "
-        f"{seen}, {result.width} x {result.height} pixels each"
+        f"{seen}, {result.width} x {result.height} pixels{each}"
     )
     for path, extinction in result.extinctions.items():
         lines.append(f"  <{path}>: extinction {extinction:.4g} per density and stage unit")

@@ -73,7 +73,7 @@ def add_command(
     parser.add_argument("--json", action="store_true", help="print one JSON value on stdout")
     what = "show the traceback of an error"
     if plans:
-        what = f"list everything in the plan; {what}"
+        what = f"list everything in the plan and all estimated errors; {what}"
     parser.add_argument("--verbose", action="store_true", help=what)
     return parser
 
@@ -143,15 +143,17 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.yaml",
         help="settings file that overrides requests on Volumes, as command-line options do",
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="one setting, such as windows.size=3; may be repeated; overrides everything else",
+    add_set(
+        parser,
+        "one setting, such as windows.size=3; may be repeated; overrides everything else",
     )
     add_option(parser, "--camera", metavar="PATH")
     add_option(parser, "--seed", type=int, metavar="N")
+
+
+def add_set(parser: argparse.ArgumentParser, summary: str) -> None:
+    """Single settings."""
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=summary)
 
 
 def add_client_options(parser: argparse.ArgumentParser) -> None:

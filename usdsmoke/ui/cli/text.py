@@ -16,8 +16,7 @@ from usdsmoke.ui.cli.progress_bar import format_seconds
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
-    from usdsmoke.planning.plan import Omission, Plan, VolumePlan
-    from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
+    from usdsmoke.planning.plan import Plan, VolumePlan
     from usdsmoke.runs.train import TrainResult
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
@@ -83,7 +82,8 @@ def result_text(result: "StylizeResult") -> str:
         *_measured("difference of windows", result.overlap_difference),
     ]
     checked = result.root_stage or result.look_layer
-    check = f"check: usdsmoke validate {checked}"
+    only = "--look-only " if result.root_stage else ""  # what is wrong with the source is no news
+    check = f"check: usdsmoke validate {only}{checked}"
     return "\n".join([*columns(rows), "", *_use_of(result), check])
 
 
@@ -275,64 +275,6 @@ def _box(shape: Iterable[int]) -> str:
 
 def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1e6:,.0f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.0f} kB"
-
-
-def budget_text(
-    budget: "ErrorBudget",
-    seconds: Mapping[str, float] | None = None,
-    omitted: Sequence["Omission"] = (),
-) -> str:
-    """The error budget as a table, with what was left out and the time that the parts took.
-
-    Args:
-        seconds: of all parts of the run; None or empty takes the budget's.
-        omitted: what the plan left out; the reasons stand there.
-    """
-    rows: list[tuple[str, ...]] = [("error", "mean", "largest", "of", "frames", "took", "verdict")]
-    rows += [
-        (
-            estimate.name,
-            f"{estimate.mean:.2%}",
-            f"{estimate.largest:.2%}",
-            estimate.relative_to,
-            str(estimate.n_frames),
-            f"{estimate.seconds:.2f} s" if estimate.seconds else "-",
-            budget.verdict(estimate.name),
-        )
-        for estimate in sorted(budget.estimates, key=_least_urgent(budget))
-    ]
-    notes = [f"{name}: {note}" for name, note in budget.notes.items()]
-    reasons: dict[str, list[str]] = {}
-    for name, why in budget.left_out.items():
-        reasons.setdefault(why, []).append(name)
-    left_out = [f"without {'; '.join(names)}: {why}" for why, names in reasons.items()]
-    parts = dict(seconds or budget.seconds)
-    whole = parts.pop("all", None)
-    took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())
-    time = f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
-    unusual = [item for item in omitted if not item.expected]
-    rest = [_left_out(unusual)] if unusual else []
-    return "\n".join([*columns(rows), *notes, *left_out, *rest, time])
-
-
-def _least_urgent(budget: "ErrorBudget") -> Callable[["ErrorEstimate"], int]:
-    """Puts rows that ask for a setting first, then those that deserve a look, then the others."""
-
-    def urgency(estimate: "ErrorEstimate") -> int:
-        verdict = budget.verdict(estimate.name)
-        return 2 if verdict == "fine" else 1 if verdict == "look at it" else 0
-
-    return urgency
-
-
-def _short(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds < 60 else format_seconds(seconds)
-
-
-def _left_out(omitted: Sequence["Omission"]) -> str:
-    """What was not read, computed or written, without the reasons."""
-    names = "; ".join(dict.fromkeys(item.what for item in omitted))
-    return f"left out, for the reasons in the plan and the record: {names}"
 
 
 _WORDS = {"config": "configuration", "option": "option", "default": "default"}

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.text import (
-    budget_text,
     job_text,
     plan_text,
     result_text,
@@ -160,7 +160,8 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
 def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
     texts = [result_text(result)]
     if result.error_budget is not None:
-        texts.append(budget_text(result.error_budget, result.seconds, result.plan.omitted))
+        omitted, everything = result.plan.omitted, arguments.verbose
+        texts.append(budget_text(result.error_budget, result.seconds, omitted, everything))
     show(arguments, lambda: result_as_dict(result), lambda: "\n\n".join(texts))
 
 

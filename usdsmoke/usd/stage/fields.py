@@ -9,6 +9,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
+from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES, FieldSource
 from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets, target_prim
@@ -169,7 +170,8 @@ def _density_advice(names: dict[str, list[Sdf.Path]]) -> str:
     """What to do about a Volume without a field of the density's name."""
     if not names:
         return "Give it a field, or leave it out by naming the other Volumes with --prim."
-    name = next(iter(names)) if len(names) == 1 else "NAME"
+    others = [name for name in names if name not in (*COLOUR_VECTORS, *COLOUR_CHANNELS)]
+    name = others[0] if len(others) == 1 else "NAME"
     return f"Say which one is the density: --set stage.density={name}."
 
 
