@@ -121,13 +121,45 @@ def test_smoke_that_scatters_nothing_has_no_lights(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "values",
-    ["float inputs:intensity = -1", "float inputs:intensity = inf", "float inputs:exposure = 3000"],
+    ("values", "said"),
+    [
+        ("float inputs:intensity = -1", "emits"),
+        ("float inputs:exposure = 3000", "emits"),
+        ("float inputs:exposure = 200", "emits"),  # more than single precision holds
+        ("float inputs:exposure = -130", "emits"),
+        ("float inputs:intensity = inf", "inputs:intensity"),
+        ("float inputs:angle = nan", "inputs:angle"),
+        ("float inputs:exposure = nan", "inputs:exposure"),
+        ('string inputs:intensity = "bright"', "inputs:intensity"),
+        ("float inputs:color = 2", "inputs:color"),
+        (
+            "bool inputs:enableColorTemperature = 1\nfloat inputs:colorTemperature = nan",
+            "inputs:colorTemperature",
+        ),
+    ],
 )
-def test_light_that_is_no_light_is_left_out_by_its_path(tmp_path, values):
+def test_light_that_is_no_light_is_left_out_by_its_path(tmp_path, values, said):
     source = lit(tmp_path, SUN % values)
-    assert "emits" in source.unused_lights["/World/sun"]
+    assert said in source.unused_lights["/World/sun"]
     assert source.volumes[0].frames[0].lights == ()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"sun": [0.0, 0.0, 1.0], "sun_colour": [1e300, 0.0, 0.0]},
+        {"sun": [0.0, 0.0, 1.0], "sun_colour": [1e-45, 0.0, 0.0]},
+        {"sky": [0.0, 1e10, 0.0], "exposure": 40.0},
+    ],
+)
+def test_light_of_the_settings_that_cannot_be_computed_is_refused_by_its_name(tmp_path, settings):
+    with pytest.raises(ConfigError, match=r"optics\.(sun_colour|sky) is"):
+        lit(tmp_path, optics=OpticsConfig(**settings))
+
+
+def test_a_light_that_is_off_is_off_at_any_exposure(tmp_path):
+    source = lit(tmp_path, SUN % "float inputs:intensity = 0\nfloat inputs:exposure = 3000")
+    assert source.unused_lights == {} and source.volumes[0].frames[0].lights == ()
 
 
 def test_lights_of_the_settings_take_the_place_of_the_stage_s(tmp_path):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdLux
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from usdsmoke.base.errors import ConfigError, count_text
 from usdsmoke.base.sections import OpticsConfig
@@ -16,6 +16,11 @@ from usdsmoke.usd.values import authored_path
 _DISTANT, _DOMES = "DistantLight", ("DomeLight", "DomeLight_1")
 _DIRECTION = Gf.Vec3d(0, 0, 1)  # to a distant light, in its own space
 
+# Exposed light: beyond, no ``optics.exposure`` brings it to white, or losses overflow.
+DIMMEST, BRIGHTEST = 1e-15, 1e15
+
+Colour = tuple[float, float, float]
+
 
 @readable_values()
 def lit_by(
@@ -25,20 +30,22 @@ def lit_by(
 
     Args:
         optics: of each Volume; None for one whose smoke scatters no light, which gets none.
+            A light counts as it is exposed by ``exposure``, 0 stops where that is unset.
 
     Raises:
-        ConfigError: ``optics.sun`` or ``optics.sky`` is no direction and no colour.
+        ConfigError: ``optics.sun`` is no direction, or the light of the settings is no colour, or
+            is too bright or too dim to be computed.
     """
     prims = _light_prims(stage)
-    known: dict[tuple[str, float], LightSource | str | None] = {}
+    known: dict[tuple[str, float, float], LightSource | str | None] = {}
     left_out: dict[str, str] = {}
 
-    def lights(volume: VolumeSource, frame: FrameSource) -> tuple[LightSource, ...]:
+    def lights(volume: VolumeSource, frame: FrameSource, stops: float) -> tuple[LightSource, ...]:
         found = []
         for prim in prims:
-            key = (str(prim.GetPath()), frame.time_code)
+            key = (str(prim.GetPath()), frame.time_code, stops)
             if key not in known:
-                known[key] = _read_light(prim, frame.time_code)
+                known[key] = _read_light(prim, frame.time_code, stops)
             light = known[key]
             if isinstance(light, str):
                 left_out[key[0]] = light
@@ -50,7 +57,10 @@ def lit_by(
     for volume, own in zip(source.volumes, optics, strict=True):
         if own is not None:
             named = named_lights(own)
-            frames = tuple(replace(f, lights=named or lights(volume, f)) for f in volume.frames)
+            frames = tuple(
+                replace(f, lights=named or lights(volume, f, own.exposure or 0.0))
+                for f in volume.frames
+            )
             volume = replace(volume, frames=frames)
         volumes.append(volume)
     paths = tuple(str(prim.GetPath()) for prim in prims)
@@ -63,7 +73,7 @@ def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
     Raises:
         ConfigError: see ``lit_by``.
     """
-    found = []
+    found, stops = [], optics.exposure or 0.0
     if optics.sun:
         x, y, z = _three("optics.sun", optics.sun)
         length = math.hypot(x, y, z)
@@ -71,22 +81,36 @@ def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
             raise ConfigError(
                 f"optics.sun={optics.sun} has no direction. Give x, y and z towards the light."
             )
-        colour = _three("optics.sun_colour", optics.sun_colour)
+        colour = _colour("optics.sun_colour", optics.sun_colour, stops)
         found.append(LightSource("optics.sun", colour, (x / length, y / length, z / length)))
     if optics.sky:
-        found.append(LightSource("optics.sky", _three("optics.sky", optics.sky)))
+        found.append(LightSource("optics.sky", _colour("optics.sky", optics.sky, stops)))
     return tuple(light for light in found if max(light.colour) > 0)
 
 
-def _three(name: str, numbers: Sequence[float]) -> tuple[float, float, float]:
+def _three(name: str, numbers: Sequence[float]) -> Colour:
     if len(numbers) != 3:
         raise ConfigError(f"{name} has {count_text(len(numbers), 'number')}. Give three.")
     return numbers[0], numbers[1], numbers[2]
 
 
-def read_lights(stage: Usd.Stage, prim_path: str, time_code: float) -> tuple[LightSource, ...]:
-    """The lights that light a Volume at any timeCode; those that cannot be used are passed over."""
-    found = [_read_light(p, time_code) for p in _light_prims(stage) if _links(p, prim_path)]
+def _colour(name: str, numbers: Sequence[float], stops: float) -> Colour:
+    colour = _three(name, numbers)
+    if problem := _out_of_range(colour, stops):
+        raise ConfigError(f"{name} is {problem}. Give another colour.")
+    return colour
+
+
+def read_lights(
+    stage: Usd.Stage, prim_path: str, time_code: float, stops: float
+) -> tuple[LightSource, ...]:
+    """The lights that light a Volume at any timeCode; those that cannot be used are passed over.
+
+    Args:
+        stops: exposure that the light is seen at.
+    """
+    prims = [prim for prim in _light_prims(stage) if _links(prim, prim_path)]
+    found = [_read_light(prim, time_code, stops) for prim in prims]
     return tuple(light for light in found if isinstance(light, LightSource))
 
 
@@ -101,52 +125,116 @@ def _links(light: Usd.Prim, volume_path: str) -> bool:
     return bool(collection.ComputeMembershipQuery().IsPathIncluded(volume_path))
 
 
-def _read_light(prim: Usd.Prim, time_code: float) -> LightSource | str | None:
+def _read_light(prim: Usd.Prim, time_code: float, stops: float) -> LightSource | str | None:
     """The light; why it is left out; or None where it is switched off."""
-    path, kind = str(prim.GetPath()), prim.GetTypeName()
     if UsdGeom.Imageable(prim).ComputeVisibility(time_code) == UsdGeom.Tokens.invisible:
         return None
+    try:
+        light = _used_light(prim, time_code)
+        if light is not None and (problem := _out_of_range(light.colour, stops)):
+            raise _LeftOut(f"it emits {problem}")
+        return light
+    except _LeftOut as why:
+        return str(why)
+
+
+class _LeftOut(Exception):
+    """Why a light is left out."""
+
+
+def _used_light(prim: Usd.Prim, time_code: float) -> LightSource | None:
+    """The light, None where it is black.
+
+    Raises:
+        _LeftOut: it cannot be used.
+    """
+    path, kind = str(prim.GetPath()), prim.GetTypeName()
     if kind != _DISTANT and kind not in _DOMES:
-        return f"it is of type {kind or 'none'}; DistantLight and DomeLight are used"
-    texture = UsdLux.DomeLight(prim).GetTextureFileAttr().Get(time_code) if kind in _DOMES else None
-    if texture and authored_path(texture):
-        return "it has a texture (inputs:texture:file); domes of one colour are used"
+        raise _LeftOut(f"it is of type {kind or 'none'}; DistantLight and DomeLight are used")
+    if kind in _DOMES and _has_texture(prim, time_code):
+        raise _LeftOut("it has a texture (inputs:texture:file); domes of one colour are used")
     colour = _emission(prim, time_code)
-    if not (math.isfinite(sum(colour)) and min(colour) >= 0):
-        red, green, blue = colour
-        return f"it emits ({red:g}, {green:g}, {blue:g}), not finite numbers of 0 or more"
-    if not max(colour) > 0:
+    if max(colour) == 0:
         return None
     if kind in _DOMES:
         return LightSource(path, colour)
-    red, green, blue = (channel * _size_factor(prim, time_code) for channel in colour)
+    size = _size_factor(prim, time_code)
+    red, green, blue = (channel * size for channel in colour)
     place = UsdGeom.XformCache(time_code).GetLocalToWorldTransform(prim)
     towards = np.array(place.TransformDir(_DIRECTION))
     length = float(np.linalg.norm(towards))
     if not (math.isfinite(length) and length > 0):
-        return "its transform is singular or not finite, so it has no direction"
+        raise _LeftOut("its transform is singular or not finite, so it has no direction")
     x, y, z = (towards / length).tolist()
     return LightSource(path, (red, green, blue), (x, y, z))
 
 
-def _emission(prim: Usd.Prim, time_code: float) -> tuple[float, float, float]:
-    """Intensity, exposure, colour and temperature together: radiance before the light's size."""
+def _has_texture(dome: Usd.Prim, time_code: float) -> bool:
+    texture = UsdLux.DomeLight(dome).GetTextureFileAttr().Get(time_code)
+    return bool(authored_path(texture) if isinstance(texture, Sdf.AssetPath) else texture)
+
+
+def _out_of_range(colour: Sequence[float], stops: float) -> str:
+    """What is wrong with the light that smoke would scatter; "" for nothing, and for black."""
+    is_light = all(channel >= 0 for channel in colour)  # which NaN is not
+    if is_light and (max(colour) == 0 or DIMMEST <= max(colour) * 2.0**stops <= BRIGHTEST):
+        return ""
+    exposed = f" at optics.exposure={stops:g}" if stops else ""
+    wanted = (
+        f"with its largest 0 or from {DIMMEST:g} to {BRIGHTEST:g}{exposed}"
+        if is_light
+        else "three numbers of 0 or more"
+    )
+    red, green, blue = colour
+    return f"({red:g}, {green:g}, {blue:g}), not {wanted}"
+
+
+def _emission(prim: Usd.Prim, time_code: float) -> Colour:
+    """Intensity, exposure, colour and temperature together: radiance before the light's size.
+
+    Raises:
+        _LeftOut: one of them is no finite number.
+    """
     light = UsdLux.LightAPI(prim)
-    numbers = [light.GetIntensityAttr().Get(time_code), light.GetExposureAttr().Get(time_code)]
-    colour = np.array(light.GetColorAttr().Get(time_code), float)
-    if light.GetEnableColorTemperatureAttr().Get(time_code):
-        temperature = light.GetColorTemperatureAttr().Get(time_code)
+    (intensity,) = _numbers(light.GetIntensityAttr(), time_code)
+    colour = _numbers(light.GetColorAttr(), time_code, 3)
+    if intensity == 0 or not colour.any():
+        return 0.0, 0.0, 0.0  # at any exposure
+    (exposure,) = _numbers(light.GetExposureAttr(), time_code)
+    if _numbers(light.GetEnableColorTemperatureAttr(), time_code)[0]:
+        (temperature,) = _numbers(light.GetColorTemperatureAttr(), time_code)
         colour = colour * np.array(UsdLux.BlackbodyTemperatureAsRgb(temperature), float)
     with np.errstate(over="ignore", invalid="ignore"):
-        red, green, blue = (colour * numbers[0] * np.exp2(numbers[1])).tolist()
+        red, green, blue = (colour * intensity * np.exp2(exposure)).tolist()
     return red, green, blue
 
 
 def _size_factor(prim: Usd.Prim, time_code: float) -> float:
-    """Irradiance of a surface that faces a distant light, for an emission of 1 [UsdLux]."""
-    light = UsdLux.DistantLight(prim)
-    half = math.radians(min(max(float(light.GetAngleAttr().Get(time_code)), 0.0), 360.0)) / 2
-    if half == 0 or UsdLux.LightAPI(prim).GetNormalizeAttr().Get(time_code):
+    """Irradiance of a surface that faces a distant light, for an emission of 1 [UsdLux].
+
+    Raises:
+        _LeftOut: see ``_emission``.
+    """
+    (angle,) = _numbers(UsdLux.DistantLight(prim).GetAngleAttr(), time_code)
+    half = math.radians(min(max(angle, 0.0), 360.0)) / 2
+    if half == 0 or _numbers(UsdLux.LightAPI(prim).GetNormalizeAttr(), time_code)[0]:
         return 1.0
     cap = math.pi * math.sin(half) ** 2
     return cap if half <= math.pi / 2 else 2 * math.pi - cap
+
+
+def _numbers(attribute: Usd.Attribute, time_code: float, count: int = 1) -> np.ndarray:
+    """The attribute's value as an array of ``count`` numbers.
+
+    Raises:
+        _LeftOut: it has another type, or is not finite.
+    """
+    value = attribute.Get(time_code)
+    try:
+        numbers = np.array(value, float).reshape(-1)
+    except (TypeError, ValueError):
+        numbers = np.array([])
+    if isinstance(value, str) or len(numbers) != count or not np.isfinite(numbers).all():
+        what = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise _LeftOut(f"its {attribute.GetName()} is {value}, not {what}")
+    return numbers
