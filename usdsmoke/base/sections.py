@@ -162,6 +162,11 @@ class OpticsConfig(Section):
         [], "light from all around, red green blue, which takes the place of the stage's lights; "
         "empty: the stage's lights")
 
+    @property
+    def names_lights(self) -> bool:
+        """Whether settings take the place of the stage's lights, be they black."""
+        return bool(self.sun or self.sky)
+
 
 class StyleConfig(Section):
     """How the style images are prepared."""

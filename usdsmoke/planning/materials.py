@@ -8,6 +8,8 @@ from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.usd.materials import binds_material
 
+_SCATTERING = "scattering (optics.albedo)"
+
 
 def materials_needed(volumes: Iterable[VolumePlan]) -> list[str]:
     """The materials that the layer will hold, a sentence for each Volume."""
@@ -96,13 +98,14 @@ def _unused_lights(source: StageSource, volumes: Sequence[VolumePlan]) -> list[O
         no_colour = not any("colour" in volume.config.optimize.steps for volume in volumes)
         reason = "there is no colour step" if no_colour else "optics.albedo is 0"
         return [Omission(f"lights {names}", f"{reason}, so they have no effect")] if names else []
-    if any(own.sun or own.sky for own in optics):
+    if any(own.names_lights for own in optics):
         reason = "optics.sun and optics.sky take their place"
-        return [Omission(f"lights {names}", reason)] if names else []
+        replaced = [Omission(f"lights {names}", reason)] if names else []
+        return replaced if used else [*replaced, Omission(_SCATTERING, "its lights are black")]
     omitted = [Omission(f"light <{path}>", why) for path, why in source.unused_lights.items()]
     if not used and any(own.albedo is not None for own in optics):
         reason = "the stage has no DistantLight or DomeLight that lights the smoke"
-        omitted.append(Omission("scattering (optics.albedo)", reason))
+        omitted.append(Omission(_SCATTERING, reason))
     return omitted
 
 

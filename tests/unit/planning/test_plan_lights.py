@@ -65,6 +65,20 @@ def test_lights_of_the_settings_are_named_and_the_stage_s_left_out(shot: Shot) -
     assert f"{0.8 / 8 / 2:.2g} times" in note
 
 
+@pytest.mark.parametrize(
+    "setting", [["optics.sky=[0,0,0]"], ["optics.sun=[0,1,0]", "optics.sun_colour=[0,0,0]"]]
+)
+def test_black_lights_of_the_settings_take_the_place_of_the_stage_s_too(
+    shot: Shot, setting: list[str]
+) -> None:
+    made = plan_of(shot, LIGHTS, *setting)
+    said = {item.what: item.reason for item in made.omitted}
+    assert "optics.sky" in said["lights </sun>, </lamp>"]
+    assert "black" in said["scattering (optics.albedo)"]
+    assert not any("light" in text for text in (*made.needed, *made.notes))
+    assert all(frame.source.lights == () for frame in made.volumes[0].frames)
+
+
 def test_bounces_are_named_as_needed_or_left_out_and_refused_where_the_albedo_is_painted(
     shot: Shot,
 ) -> None:

@@ -56,9 +56,9 @@ def lit_by(
     volumes = []
     for volume, own in zip(source.volumes, optics, strict=True):
         if own is not None:
-            named = named_lights(own)
+            named, stops = named_lights(own), own.exposure or 0.0
             frames = tuple(
-                replace(f, lights=named or lights(volume, f, own.exposure or 0.0))
+                replace(f, lights=named if own.names_lights else lights(volume, f, stops))
                 for f in volume.frames
             )
             volume = replace(volume, frames=frames)
@@ -68,7 +68,7 @@ def lit_by(
 
 
 def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
-    """The lights that the settings name, by the names of the settings.
+    """The lights that the settings name, by the names of the settings, without black ones.
 
     Raises:
         ConfigError: see ``lit_by``.
