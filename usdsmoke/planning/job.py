@@ -271,8 +271,9 @@ def _check_names(volume: VolumeSource, config: Config) -> None:
 
 
 def _check_lights(volume: VolumeSource, config: Config) -> None:
-    """Refuse to paint an albedo that no light shows, or one that no exposure shows."""
+    """Refuse lights too bright for any exposure, and to paint an albedo that no light shows."""
     target = config.colour.target
+    _check_brightness(volume, config)
     if SCATTERING not in config.painted:
         return
     if target == "both" and config.optics.anisotropy:
@@ -293,15 +294,19 @@ def _check_lights(volume: VolumeSource, config: Config) -> None:
             f"colour.target={target} paints what lit smoke scatters, but <{volume.prim_path}> has "
             f"{found}. Name a light with optics.sun or optics.sky, or set colour.target=emission."
         )
+
+
+def _check_brightness(volume: VolumeSource, config: Config) -> None:
+    least = 2.0**-MOST_STOPS if SCATTERING in config.painted else 0.0
     for frame in volume.frames:
         brightness = front_brightness(config, frame.lights)
-        if not 2.0**-MOST_STOPS <= brightness <= 2.0**MOST_STOPS:
+        if brightness and not least <= brightness <= 2.0**MOST_STOPS:
             names = ", ".join(light.prim_path for light in frame.lights)
             raise ConfigError(
                 f"in the light of {names}, smoke of <{volume.prim_path}> is {brightness:.2g} times "
                 f"as bright as white at timeCode {frame.time_code:g}, and optics.exposure reaches "
                 f"{MOST_STOPS:g} stops. Change the brightness of the lights, or set "
-                "colour.target=emission."
+                "colour.target=emission and optics.albedo=0."
             )
 
 

@@ -141,3 +141,10 @@ def test_an_albedo_in_light_that_no_exposure_shows_is_refused(
     with pytest.raises(ConfigError, match=r"optics\.sky.* 40 stops"):
         plan(shot.stage, shot.style, shot.output, settings)
     plan(shot.stage, shot.style, shot.output, [settings[0], "optics.sky=[1e-9,1e9,1]"])
+
+
+def test_light_that_no_exposure_brings_to_white_is_refused_whatever_is_painted(shot: Shot) -> None:
+    with pytest.raises(ConfigError, match=r"optics\.sky.* 40 stops"):
+        plan(shot.stage, shot.style, shot.output, ["optics.sky=[1e39,1,1]"])
+    plan(shot.stage, shot.style, shot.output, ["optics.sky=[1e39,1,1]", "optics.albedo=0"])
+    plan(shot.stage, shot.style, shot.output, ["optics.sky=[1e-39,0,0]"])

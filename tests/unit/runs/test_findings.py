@@ -135,6 +135,16 @@ def test_an_extinction_that_does_not_suit_the_smoke_is_named(
     assert finding.setting == wanted and finding.place.startswith("/")
 
 
+@pytest.mark.parametrize(("light", "named"), [(1.0, 0), (1e6, 1), (1e-6, 1)])
+def test_light_that_leaves_no_albedo_or_no_emission_is_named(
+    light: float, named: int, tmp_path: Path
+) -> None:
+    sky = f"optics.sky=[{light},{light},{light}]"
+    found = budget_of(tmp_path, [GOOD], settings=[sky, "colour.target=both"]).findings
+    assert [finding.setting for finding in found] == ["optics.exposure"] * named
+    assert budget_of(tmp_path / "glow", [GOOD], settings=[sky]).findings == ()
+
+
 def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path) -> None:
     scene = SCENE | {"gamma_w_shape": 1e-30}
     assert budget_of(tmp_path, [GOOD], scene, ["optimize.steps=[colour]"]).findings == ()

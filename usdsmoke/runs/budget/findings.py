@@ -23,6 +23,7 @@ FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma 
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
+UNSEEN = 1 / 255  # of white
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
@@ -235,7 +236,9 @@ def _end(report: FrameReport, step: str) -> float:
 
 
 def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
-    """Whether the extinctions suit the smoke."""
+    """Whether the extinctions suit the smoke, and the light a colour that is split."""
+    if volume.plan.config.colour.target == "both":
+        yield from _find_split(volume.plan)
     scene, optics, place = volume.scene, volume.plan.config.optics, volume.plan.source.prim_path
     share = scene.get("thick_share")
     chosen = [name for name in ("gamma", "gamma_shape") if getattr(optics, name) is None]
@@ -263,6 +266,33 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
                 remedy,
                 setting,
             )
+
+
+def _find_split(plan: VolumePlan) -> Iterator[Finding]:
+    """Whether the light leaves both an albedo and an emission."""
+    from usdsmoke.planning.materials import front_brightness  # loads USD
+
+    stops = plan.config.optics.exposure or 0.0
+    found = [front_brightness(plan.config, frame.source.lights) for frame in plan.frames]
+    brightness = [value * 2.0**stops for value in found if value > 0]
+    if not brightness:
+        return
+    worst = max(brightness, key=lambda value: abs(math.log2(value)))
+    if UNSEEN <= worst <= 1 / DIM:
+        return
+    hardly = "emission, and none of its albedo is bright" if worst > 1 else "colour in the albedo"
+    advised = stops - math.log2(worst)
+    advice = f"Set optics.exposure={advised:.1f} and the shot's exposure with it"
+    if abs(advised) > MOST_STOPS:
+        advice = "Change the brightness of the lights"
+    yield Finding(
+        plan.source.prim_path,
+        "",
+        f"smoke in the light is {worst:.2g} times as bright as white, so with colour.target=both "
+        f"there is hardly any {hardly}",
+        advice,
+        "optics.exposure",
+    )
 
 
 def _depths(volume: PlannedVolume, scene: Mapping[str, Any]) -> dict[str, float]:
