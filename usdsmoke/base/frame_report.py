@@ -81,7 +81,8 @@ class LightReport:
     outshone: float  # of the pixels with smoke, those where it is brighter than the style's white
     reach: float  # brightness of smoke in the light over the style's white; of white smoke where
     # colours are albedos
-    advised: float  # optics.exposure at which that is a half, or 1 where colours are albedos
+    # optics.exposure at which that is a half, or 1 where colours are albedos; None for none
+    advised: float | None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 from usdsmoke.base.errors import LayerError, UsdSmokeError, count_text
 from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
@@ -322,6 +323,14 @@ def _with_more(names: Sequence[str]) -> str:
     return names[0] + (f" and {count_text(len(names) - 1, 'frame')} more" if names[1:] else "")
 
 
+def _exposed(stops: float) -> str:
+    """What is said of an exposure that the run has chosen."""
+    at = f"at optics.exposure={stops:.4g}"
+    if abs(stops) < MOST_STOPS:
+        return f"white smoke in its light is white {at}. Expose the shot alike"
+    return f"its light is too {'dim' if stops > 0 else 'bright'} even {at}. Change its brightness"
+
+
 def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     frames: dict[str, list[str]] = {}  # by warning
     for name, report in run.reports.items():
@@ -335,8 +344,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         if measured_on_part(volume)
     ]
     found += [
-        f"<{volume.source.prim_path}>: white smoke in its light is white at "
-        f"optics.exposure={scene['stops']:.4g}. Expose the shot alike"
+        f"<{volume.source.prim_path}>: {_exposed(scene['stops'])}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if volume.config.optics.exposure is None and scene.get("stops")
     ]

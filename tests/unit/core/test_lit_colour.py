@@ -7,9 +7,11 @@ import pytest
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
+from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.volume import CameraSource, DenseField, LightSource, Scattering, VolumeFrame
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.steps.light_share import white_exposure
 from usdsmoke.core.views.lighting import light_smoke
 from usdsmoke.runs.budget.findings import find_frame
 
@@ -79,7 +81,15 @@ def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
     assert 0.02 < mended.light.share < 1 and mended.light.outshone < 0.02
 
 
+@pytest.mark.parametrize("brightness", [1e-14, 1e14])
+def test_no_exposure_out_of_its_limits_is_advised(brightness: float) -> None:
+    found = stylized(in_light(brightness)).report
+    (finding,) = (f for f in find_frame("a.vdb", found) if f.setting == "optics.exposure")
+    assert "optics.exposure" not in finding.remedy and "brightness" in finding.remedy
+
+
 SKY = LightSource("/sky", (1.5, 1.5, 1.5))
+DIM_SKY = LightSource("/sky", (1e-14, 0.0, 0.0))
 
 
 def targeted(target: str, *lights: LightSource, style: np.ndarray = STYLE) -> StylizedFrame:
@@ -103,6 +113,29 @@ def test_a_painted_albedo_is_a_share_and_takes_the_colour_of_the_style() -> None
     assert albedo.min() >= 0 and albedo.max() <= 1 + 1e-6
     assert albedo[:, 0].mean() > 2 * albedo[:, 1:].mean()
     assert found.report.light.share == 1 and found.report.light.outshone == 0
+
+
+def test_smoke_that_no_light_reaches_is_told() -> None:
+    """Only the back of thick smoke is painted, and the sun is in front."""
+    frame = frame_of(puff(12))
+    share = np.zeros((12, 12, 12), np.float32)
+    share[3:9, 3:9, :2] = 1
+    mask = DenseField("mask", share, frame.density.ijk_min, frame.density.index_to_world)
+    sun = replace(SUN, towards=(0.0, 0.0, 1.0))
+    config = quick_config(
+        **{**COLOUR, "colour": {**COLOUR["colour"], "target": "albedo", "iterations": [2]}},
+        optics={"gamma": 1e4, "exposure": 0.0},
+    )
+    frame = replace(frame, lights=(sun,), mask=mask, mask_to_stage=frame.density_to_stage)
+    (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
+    (finding,) = (f for f in find_frame("a.vdb", result.report) if f.setting == "optics.exposure")
+    assert "no light" in finding.cause and "optics.exposure=" not in finding.remedy
+
+
+def test_a_chosen_exposure_is_within_the_limits_of_the_setting() -> None:
+    config = quick_config(colour={"target": "albedo"})
+    frame = replace(frame_of(puff(12)), lights=(DIM_SKY,))
+    assert white_exposure([frame], config, scene_of([frame], config)) == MOST_STOPS
 
 
 def test_with_both_what_light_cannot_give_is_emitted_and_the_picture_needs_no_light() -> None:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import LightReport
+from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import Scattering, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
@@ -49,20 +50,28 @@ def light_report(problem: StepProblem, painted: ActiveSmoke, colours: Tensor) ->
         if not lighting.is_painted:
             lamps = _all_pixels([view.shown(torch.zeros_like(linear)) for view in views])
         total, brightness = float(shown.sum()), _brightness(views, here)
-    if not total > 0 or len(brightness) == 0:
+    if len(brightness) == 0:
         return None
     brightness = brightness / max(problem.targets.white, 1e-3)
     lit, wanted = float(brightness.quantile(LIT)), 1.0 if lighting.is_painted else ADVISED
     return LightReport(
-        share=float(lamps.sum()) / total,
+        share=float(lamps.sum()) / total if total > 0 else 0.0,
         outshone=0.0 if lighting.is_painted else float((brightness > 1).double().mean()),
         reach=lit,
-        advised=round(scene.stops + math.log2(wanted / lit), 1) if lit > 0 else scene.stops,
+        advised=_advised(scene.stops, wanted / lit) if lit > 0 else None,
     )
+
+
+def _advised(stops: float, factor: float) -> float | None:
+    """The exposure at which light is that many times as bright; None beyond the limits."""
+    advised = round(stops + math.log2(factor), 1)
+    return advised if abs(advised) <= MOST_STOPS else None
 
 
 def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) -> float:
     """The exposure in stops at which white smoke in the light is white; 0 without light.
+
+    Where that is beyond what ``optics.exposure`` takes, the nearest that it does.
 
     Args:
         frames: the same that the scene is measured on; empty frames are skipped.
@@ -80,7 +89,8 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
         brightness = _brightness(views, octave)
         if len(brightness) and (lit := float(brightness.quantile(LIT))) > 0:
             found.append(-math.log2(lit))
-    return float(np.median(found)) if found else 0.0
+    stops = float(np.median(found)) if found else 0.0
+    return min(max(stops, -MOST_STOPS), MOST_STOPS)
 
 
 def _views(

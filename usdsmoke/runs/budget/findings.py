@@ -143,12 +143,16 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     light = report.light
     if light is None:
         return
-    advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
-    if abs(light.advised) > MOST_STOPS:
-        advice = "Change the brightness of the lights"
-    if light.share < DIM:
-        cause = f"only {light.share:.2%} of the smoke's light comes from lamps, which is not seen"
-        advice += ", or optics.albedo=0, which leaves them out"
+    advice = "Change the brightness of the lights"
+    if light.advised is not None:
+        advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
+    if light.reach == 0:
+        cause = "no light of lamps reaches the smoke that is painted"
+        advice = "Move the lights, or leave them out (colour.target=emission, optics.albedo=0)"
+    elif light.share < DIM:
+        share = f"{100 * light.share:.2g}%"
+        cause = f"only {share} of the smoke's light comes from lamps, which is not seen"
+        advice += ", or leave them out (optics.albedo=0)"
     elif light.share > 1 - DIM and light.reach < DARK:
         cause = f"even white smoke in the light is only {light.reach:.0%} as bright as the style"
     elif light.outshone > OUTSHONE:
@@ -156,7 +160,7 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
             f"the light of lamps alone is brighter than the style's white on {light.outshone:.0%} "
             "of the smoke, and nothing takes it away"
         )
-        advice += ", or a lower optics.albedo"
+        advice += ", or lower optics.albedo"
     else:
         return
     yield Finding(name, "", cause, advice, "optics.exposure")

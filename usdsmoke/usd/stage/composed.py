@@ -132,8 +132,7 @@ def _scattering(prim: Usd.Prim, time_code: float) -> Scattering | None:
     if named:
         lights = _recorded_lights(named)
     else:
-        stops = float(_authored(prim, EXPOSURE, time_code) or 0)
-        lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code, stops)
+        lights = read_lights(prim.GetStage(), str(prim.GetPath()), time_code)
     if _authored(prim, SCATTER_FIELD, time_code):
         albedo = 1.0  # the field's colours are the albedo
     bounces = bool(_authored(prim, BOUNCES, time_code))

@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from usdsmoke.base.errors import ConfigError, count_text
-from usdsmoke.base.sections import OpticsConfig
+from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
 from usdsmoke.base.volume import FrameSource, LightSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.values import authored_path
@@ -16,8 +16,7 @@ from usdsmoke.usd.values import authored_path
 _DISTANT, _DOMES = "DistantLight", ("DomeLight", "DomeLight_1")
 _DIRECTION = Gf.Vec3d(0, 0, 1)  # to a distant light, in its own space
 
-# Exposed light: beyond, no ``optics.exposure`` brings it to white, or losses overflow.
-DIMMEST, BRIGHTEST = 1e-15, 1e15
+_BRIGHTEST = 2.0**MOST_STOPS  # no exposure brings more to white
 
 Colour = tuple[float, float, float]
 
@@ -30,22 +29,21 @@ def lit_by(
 
     Args:
         optics: of each Volume; None for one whose smoke scatters no light, which gets none.
-            A light counts as it is exposed by ``exposure``, 0 stops where that is unset.
 
     Raises:
         ConfigError: ``optics.sun`` is no direction, or the light of the settings is no colour, or
-            is too bright or too dim to be computed.
+            is too bright for any exposure.
     """
     prims = _light_prims(stage)
-    known: dict[tuple[str, float, float], LightSource | str | None] = {}
+    known: dict[tuple[str, float], LightSource | str | None] = {}
     left_out: dict[str, str] = {}
 
-    def lights(volume: VolumeSource, frame: FrameSource, stops: float) -> tuple[LightSource, ...]:
+    def lights(volume: VolumeSource, frame: FrameSource) -> tuple[LightSource, ...]:
         found = []
         for prim in prims:
-            key = (str(prim.GetPath()), frame.time_code, stops)
+            key = (str(prim.GetPath()), frame.time_code)
             if key not in known:
-                known[key] = _read_light(prim, frame.time_code, stops)
+                known[key] = _read_light(prim, frame.time_code)
             light = known[key]
             if isinstance(light, str):
                 left_out[key[0]] = light
@@ -56,9 +54,9 @@ def lit_by(
     volumes = []
     for volume, own in zip(source.volumes, optics, strict=True):
         if own is not None:
-            named, stops = named_lights(own), own.exposure or 0.0
+            named = named_lights(own)
             frames = tuple(
-                replace(f, lights=named if own.names_lights else lights(volume, f, stops))
+                replace(f, lights=named if own.names_lights else lights(volume, f))
                 for f in volume.frames
             )
             volume = replace(volume, frames=frames)
@@ -73,7 +71,7 @@ def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
     Raises:
         ConfigError: see ``lit_by``.
     """
-    found, stops = [], optics.exposure or 0.0
+    found = []
     if optics.sun:
         x, y, z = _three("optics.sun", optics.sun)
         length = math.hypot(x, y, z)
@@ -81,10 +79,10 @@ def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
             raise ConfigError(
                 f"optics.sun={optics.sun} has no direction. Give x, y and z towards the light."
             )
-        colour = _colour("optics.sun_colour", optics.sun_colour, stops)
+        colour = _colour("optics.sun_colour", optics.sun_colour)
         found.append(LightSource("optics.sun", colour, (x / length, y / length, z / length)))
     if optics.sky:
-        found.append(LightSource("optics.sky", _colour("optics.sky", optics.sky, stops)))
+        found.append(LightSource("optics.sky", _colour("optics.sky", optics.sky)))
     return tuple(light for light in found if max(light.colour) > 0)
 
 
@@ -94,23 +92,16 @@ def _three(name: str, numbers: Sequence[float]) -> Colour:
     return numbers[0], numbers[1], numbers[2]
 
 
-def _colour(name: str, numbers: Sequence[float], stops: float) -> Colour:
+def _colour(name: str, numbers: Sequence[float]) -> Colour:
     colour = _three(name, numbers)
-    if problem := _out_of_range(colour, stops):
-        raise ConfigError(f"{name} is {problem}. Give another colour.")
+    if problem := _out_of_range(colour):
+        raise ConfigError(f"{name} is {problem}. Give a colour that is less bright.")
     return colour
 
 
-def read_lights(
-    stage: Usd.Stage, prim_path: str, time_code: float, stops: float
-) -> tuple[LightSource, ...]:
-    """The lights that light a Volume at any timeCode; those that cannot be used are passed over.
-
-    Args:
-        stops: exposure that the light is seen at.
-    """
-    prims = [prim for prim in _light_prims(stage) if _links(prim, prim_path)]
-    found = [_read_light(prim, time_code, stops) for prim in prims]
+def read_lights(stage: Usd.Stage, prim_path: str, time_code: float) -> tuple[LightSource, ...]:
+    """The lights that light a Volume at any timeCode; those that cannot be used are passed over."""
+    found = [_read_light(p, time_code) for p in _light_prims(stage) if _links(p, prim_path)]
     return tuple(light for light in found if isinstance(light, LightSource))
 
 
@@ -125,13 +116,13 @@ def _links(light: Usd.Prim, volume_path: str) -> bool:
     return bool(collection.ComputeMembershipQuery().IsPathIncluded(volume_path))
 
 
-def _read_light(prim: Usd.Prim, time_code: float, stops: float) -> LightSource | str | None:
+def _read_light(prim: Usd.Prim, time_code: float) -> LightSource | str | None:
     """The light; why it is left out; or None where it is switched off."""
     if UsdGeom.Imageable(prim).ComputeVisibility(time_code) == UsdGeom.Tokens.invisible:
         return None
     try:
         light = _used_light(prim, time_code)
-        if light is not None and (problem := _out_of_range(light.colour, stops)):
+        if light is not None and (problem := _out_of_range(light.colour)):
             raise _LeftOut(f"it emits {problem}")
         return light
     except _LeftOut as why:
@@ -174,19 +165,14 @@ def _has_texture(dome: Usd.Prim, time_code: float) -> bool:
     return bool(authored_path(texture) if isinstance(texture, Sdf.AssetPath) else texture)
 
 
-def _out_of_range(colour: Sequence[float], stops: float) -> str:
-    """What is wrong with the light that smoke would scatter; "" for nothing, and for black."""
+def _out_of_range(colour: Colour) -> str:
+    """Why smoke cannot scatter the light; "" for nothing."""
     is_light = all(channel >= 0 for channel in colour)  # which NaN is not
-    if is_light and (max(colour) == 0 or DIMMEST <= max(colour) * 2.0**stops <= BRIGHTEST):
+    if is_light and max(colour) <= _BRIGHTEST:
         return ""
-    exposed = f" at optics.exposure={stops:g}" if stops else ""
-    wanted = (
-        f"with its largest 0 or from {DIMMEST:g} to {BRIGHTEST:g}{exposed}"
-        if is_light
-        else "three numbers of 0 or more"
-    )
     red, green, blue = colour
-    return f"({red:g}, {green:g}, {blue:g}), not {wanted}"
+    limit = f"more than {MOST_STOPS:g} stops above white" if is_light else "not 0 or more"
+    return f"({red:g}, {green:g}, {blue:g}), {limit}"
 
 
 def _emission(prim: Usd.Prim, time_code: float) -> Colour:
