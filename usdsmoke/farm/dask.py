@@ -31,7 +31,7 @@ from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.farm.tasks import Tasks, divide_run
 from usdsmoke.pipeline import Request, StylizeResult, assemble
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -73,7 +73,7 @@ def stylize_on_cluster(
     tasks = divide_run(request, planned)
     with _connected(address) as client:
         notes = _check_workers(client, tasks.request, tasks.plan)
-        _compute(client, tasks, progress or (lambda report: None))
+        _compute(client, tasks, progress or ignore_progress)
     layer = tasks.plan.config.layer
     result = assemble(tasks.request.output, progress, layer.look, layer.mode)
     return replace(result, warnings=(*result.warnings, *notes))

@@ -25,7 +25,7 @@ from usdsmoke.pipeline import (
 )
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget import PartClock
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
 
 SHORT_S = 40.0  # estimated time of a run that one process does
 _END_S = 20.0  # for a process to tidy up after it was stopped
@@ -87,7 +87,7 @@ def stylize_in_processes(
         planned(with_jobs(found, n_processes))
     if n_processes < 2:
         return stylize_job(job, progress, clock)
-    tell = progress or (lambda report: None)
+    tell = progress or ignore_progress
     pool = _Pool(tasks, tell)
     try:
         pool.run([None], 1)
