@@ -78,12 +78,23 @@ def test_pictures_are_scored_and_written_beside_the_path_tracers(lit_look, dark,
     assert main([*arguments, "--frames", "2", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["time_code"] == 2 and said["prim_path"] == "/World/smoke"
-    assert set(said["loss"]) == {"glow alone", "scattered once", "all bounces"}
+    assert set(said["loss"]) == {"glow alone", "as painted", "all bounces"}
     assert len(set(said["loss"].values())) == 3
     assert -1 < said["bounces_add"] < 0  # the stand-in's pictures are darker
     assert min(dark.bounces) > 50
     assert {path.name for path in output.iterdir()} == {"final.png", "final.json"}
     assert json.loads((output / "final.json").read_text())["loss"] == said["loss"]
+
+
+def test_the_middle_picture_has_the_bounces_that_the_look_was_painted_for(lit_look, dark, tmp_path):
+    style, words = make_style(tmp_path / "style.png"), lit_look.read_text(encoding="utf-8")
+    once, _ = check_final(lit_look, style, tmp_path / "once")
+    albedo = "float usdSmoke:albedo = 0.8"
+    lit_look.write_text(words.replace(albedo, f"{albedo}\n        bool usdSmoke:bounces = 1"))
+    often, _ = check_final(lit_look, style, tmp_path / "often")
+    assert often.bounces_add < once.bounces_add  # the painted picture is brighter
+    assert often.loss["glow alone"] == once.loss["glow alone"]
+    assert often.loss["as painted"] != once.loss["as painted"]
 
 
 def test_a_stage_without_a_look_is_refused(dark, tmp_path):

@@ -1,9 +1,9 @@
 """``usdsmoke report --final``: a look under its lights, scattered many times, by a path tracer.
 
-By default the picture that was optimised has light that is scattered once, and a glow that is not.
-A renderer with volume bounces scatters both again. Three pictures of each view are scored against
-the style: the glow alone, glow and light that is scattered once, and what Mitsuba draws with all
-bounces.
+The picture that was optimised has a glow that is not scattered, and light that is scattered once, or
+more often if ``optics.bounces`` was on. A renderer with volume bounces scatters both. Three pictures
+of each view are scored against the style: the glow alone, glow and light as they were painted, and
+what Mitsuba draws with all bounces.
 """
 
 import json
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 SIZE = 96  # pixels of the longer side: the path tracer draws about 50 000 rays a second
 VIEWS = (0.0, 120.0, 240.0)  # degrees around the up axis, from the front
 PICTURE, DATA = "final.png", "final.json"
-GLOW, MODEL, FINAL = "glow alone", "scattered once", "all bounces"
+GLOW, MODEL, FINAL = "glow alone", "as painted", "all bounces"
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _draw(
     )
     smoke = activate(look.density, place, device)
     targets = make_targets(images, scene, config, device)
-    lighting = light_smoke(smoke, look.gamma_w, replace(look.scattering, bounces=False))
+    lighting = light_smoke(smoke, look.gamma_w, look.scattering)
     emitted = _per_extinction(look, smoke.ijk.numpy())
     albedo = torch.ones(len(smoke.ijk), 3)
     if look.colour is not None:
