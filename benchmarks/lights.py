@@ -182,6 +182,7 @@ class _Painting:
     knows_light: bool = True
 
 
+_Row = list[tuple[str, np.ndarray]]  # titles and pictures
 PAINTINGS = (
     _Painting("without the light", {}, knows_light=False),
     _Painting("with it", {}),
@@ -193,22 +194,25 @@ PAINTINGS = (
 def closure(
     vdb_file: str, styles: Sequence[str], iterations: int, samples: int, picture: Path | None
 ) -> list[str]:
-    """Rows of the second table, and a picture of the first style."""
+    """Rows of the second table, and a picture of all styles."""
     plain = Config().with_values({"optimize.iterations": iterations})
     (density,) = read_grids(vdb_file, [GridRequest("density")], plain.grids)
     frame = VolumeFrame(1.0, density, np.eye(4), lights=LIGHTS)
-    rows = []
+    rows, drawn, images = [], list[_Row](), []
     for style in styles:
         pixels = read_style_image(style).pixels
-        drawn = []
+        images.append(pixels)
+        once, often = _Row(), _Row()
         for painting in PAINTINGS:
             config = plain.with_values(painting.settings)
             scored = _score(_paint(frame, config, pixels, painting), samples)
             rows.append(f"| {Path(style).stem} | {painting.name} | {scored.text} |")
-            drawn += scored.pictures
+            once.append((f"{painting.name}, once", scored.once))
+            often.append((f"{painting.name}, all bounces", scored.often))
             print(rows[-1], flush=True)
-        if picture is not None and style == styles[0]:
-            _show(picture, drawn, pixels)
+        drawn += [once, often]
+    if picture is not None:
+        write_png(picture, compose_sheet("", drawn, images))
     return rows
 
 
@@ -270,7 +274,8 @@ def _paint(frame: VolumeFrame, config: Config, pixels: np.ndarray, painting: _Pa
 @dataclass(frozen=True)
 class _Scored:
     text: str  # cells of the table
-    pictures: list[tuple[str, np.ndarray]]
+    once: np.ndarray  # the first view, display-encoded, [H W 3]
+    often: np.ndarray
 
 
 def _score(painted: _Painted, samples: int) -> _Scored:
@@ -290,28 +295,16 @@ def _score(painted: _Painted, samples: int) -> _Scored:
             picture = look.over(torch.from_numpy(light).to(look.alpha), targets.background)
             losses.append(float(loss(picture, look.guide)))
             if view is views[0]:
-                pictures.append(encode_srgb(torch.from_numpy(light).clamp(0, 1)).numpy())
+                shown = encode_srgb(torch.from_numpy(light).clamp(0, 1)).numpy()
+                pictures.append(shown.repeat(3, 0).repeat(3, 1))
         found[bounces] = float(np.mean(losses))
     text = f"{found[1]:.2f} | {found[MOST_BOUNCES]:.2f}"
-    return _Scored(text, [("", picture) for picture in pictures])
+    return _Scored(text, *pictures)
 
 
 def _views(painted: _Painted) -> list[View]:
     views = painted.problem.config.views.replace(pool=4, sampling="poisson")
     return frame_views(painted.smoke, views, painted.problem.scene, 12345, 1)
-
-
-def _show(target: Path, drawn: Sequence[tuple[str, np.ndarray]], style: np.ndarray) -> None:
-    """Scattered once above all bounces, one painting beside the other."""
-    names = [painting.name for painting in PAINTINGS]
-    rows = [
-        [
-            (f"{name}, {kind}", drawn[2 * n + row][1].repeat(4, 0).repeat(4, 1))
-            for n, name in enumerate(names)
-        ]
-        for row, kind in enumerate(("once", "all bounces"))
-    ]
-    write_png(target, compose_sheet("", rows, [style]))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -324,7 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--samples", type=int, default=16, help="a pixel and seed")
     parser.add_argument("--iterations", type=int, default=180, help="of the colour step")
     parser.add_argument("--report", type=Path)
-    parser.add_argument("--picture", type=Path, help="of the first style")
+    parser.add_argument("--picture", type=Path, help="of all styles")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     rows = agreement(given.voxels, given.seeds, given.samples)
