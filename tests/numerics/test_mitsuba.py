@@ -1,4 +1,4 @@
-"""Transmittance, emission and scattered light against Mitsuba 3; skipped where it is missing."""
+"""Transmittance, emission, scattered light and gradients against Mitsuba 3; skipped without it."""
 
 import importlib.util
 from collections.abc import Callable
@@ -17,7 +17,11 @@ from benchmarks.lights import (
     stripes,
 )
 from usdsmoke.base.volume import DenseField, LightSource, Scattering
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.lighting import light_smoke
+from usdsmoke.core.views.optics import opacity
+from usdsmoke.core.views.project import colour_map, column_map
 from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke
 
 pytestmark = pytest.mark.skipif(
@@ -78,6 +82,88 @@ def test_emission_is_within_three_standard_errors(depth: float) -> None:
 def test_single_scattering_is_within_three_standard_errors(towards, depth, anisotropy) -> None:
     sun = LightSource("/sun", (1.0, 0.5, 0.25), towards)
     compare(Scattering((sun,), 0.9, anisotropy), depth)
+
+
+@pytest.mark.parametrize("depth", [0.1, 4.0, 50.0])
+def test_a_dome_is_within_three_standard_errors(depth: float) -> None:
+    compare(Scattering((LightSource("/sky", (1.0, 0.5, 0.25)),), 0.9), depth)
+
+
+def finest() -> tuple[ActiveSmoke, View]:
+    """The ball on finer voxels of the same trilinear field, and its view."""
+    smoke = activate(field_of(refined(DENSITY, FINER)), np.eye(4), torch.device("cpu"))
+    return smoke, replace(VIEW, height=FINER * N, width=FINER * N, pixel_size=1 / N / FINER)
+
+
+def at(smoke: ActiveSmoke, values: np.ndarray) -> torch.Tensor:
+    """Finer values at the voxels of the smoke."""
+    return torch.from_numpy(refined(values, FINER)[tuple(smoke.ijk.numpy().T)])
+
+
+def slope(change: torch.Tensor, start: torch.Tensor, mean: Callable[..., torch.Tensor]) -> float:
+    """The derivative of a mean pixel along a change of the voxels, by autograd."""
+    values = start.clone().requires_grad_()
+    (found,) = torch.autograd.grad(mean(values), values)
+    return float((found * change).sum())
+
+
+def close_to(found: float, means: list[float]) -> None:
+    error = np.std(means, ddof=1) / SEEDS**0.5
+    assert error < 0.05 * abs(np.mean(means))
+    assert abs(found - np.mean(means)) < 3 * error
+
+
+RAMP = np.broadcast_to((np.arange(N, dtype=np.float32)[:, None, None] + 0.5) / N, DENSITY.shape)
+RAMPS = np.repeat(RAMP[..., None], 3, axis=-1)  # of colours
+
+
+@pytest.mark.parametrize("depth", [0.1, 4.0, 50.0])
+def test_the_gradient_by_emission_is_within_three_standard_errors(depth: float) -> None:
+    (smoke, view), gamma_w = finest(), extinction(depth)
+    image, _ = colour_map(
+        smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
+    )
+    change = at(smoke, RAMPS)
+    found = slope(change, torch.zeros_like(change), lambda colours: image.apply(colours).mean())
+    traced = TracedSmoke(field_of(DENSITY), gamma_w, Scattering((), 0.0))
+    glows = [traced.glow(field_of(RAMPS), VIEW, 3 * SAMPLES, seed) for seed in range(SEEDS)]
+    close_to(found, [float(glow.mean()) for glow in glows])
+
+
+@pytest.mark.parametrize("depth", [0.1, 4.0, 50.0])
+def test_the_gradient_by_albedo_is_within_three_standard_errors(depth: float) -> None:
+    (smoke, view), gamma_w = finest(), extinction(depth)
+    scattering = Scattering((LightSource("/sun", (1.0, 1.0, 1.0), SIDE),), 1.0)
+    image, _ = colour_map(
+        smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
+    )
+    lighting = light_smoke(smoke, gamma_w, scattering)
+    assert lighting is not None
+    light = lighting.on(smoke.positions).scattered(view.forward)
+    change = at(smoke, RAMPS)
+    found = slope(change, torch.zeros_like(change), lambda a: image.apply(light * a).mean())
+    traced = TracedSmoke(field_of(DENSITY), gamma_w, scattering, field_of(RAMPS))
+    close_to(found, [float(traced.lit(VIEW, SAMPLES, seed).mean()) for seed in range(SEEDS)])
+
+
+@pytest.mark.parametrize("depth", [0.1, 4.0, 50.0])
+def test_the_gradient_by_density_is_within_three_standard_errors(depth: float) -> None:
+    """Integrated over a change of the density, by Simpson's rule, it is the change of the mean
+    transmittance."""
+    (smoke, view), gamma_w = finest(), extinction(depth)
+    image = column_map(smoke.positions, smoke.edges, view)
+    change = at(smoke, DENSITY * RAMP)
+
+    def seen(density: torch.Tensor) -> torch.Tensor:
+        return 1 - opacity(gamma_w * image.apply(density[:, None])).mean()
+
+    less, middle, more = (slope(change, smoke.density + h * change, seen) for h in (-0.5, 0.0, 0.5))
+    ends = [
+        TracedSmoke(field_of(DENSITY * (1 + h * RAMP)), gamma_w, Scattering((), 0.0))
+        for h in (-0.5, 0.5)
+    ]
+    means = [[end.lit(VIEW, 2 * SAMPLES, seed).mean() for seed in range(SEEDS)] for end in ends]
+    close_to((less + 4 * middle + more) / 6, [float(b - a) for a, b in zip(*means, strict=True)])
 
 
 def test_glow_that_is_scattered_many_times_is_that_of_a_half_space() -> None:

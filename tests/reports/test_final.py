@@ -24,7 +24,8 @@ HAS_MITSUBA = importlib.util.find_spec("mitsuba") is not None
 
 
 class Dark:
-    """A path tracer whose pictures hold no light but one bright pixel of what is scattered."""
+    """A path tracer whose pictures hold one bright pixel of what is scattered, brighter with each
+    bounce, and of what glows."""
 
     bounces: ClassVar[list[int]] = []
 
@@ -33,11 +34,13 @@ class Dark:
 
     def glow(self, colours, view, samples, seed, bounces):
         Dark.bounces.append(bounces)
-        return np.zeros((view.height, view.width, 3), np.float32)
+        picture = np.zeros((view.height, view.width, 3), np.float32)
+        picture[-1, -1] = colours.values.mean() if colours else 0
+        return picture
 
     def lit(self, view, samples, seed, bounces):
         picture = self.glow(None, view, samples, seed, bounces)
-        picture[0, 0] = 7 * len(self.lights)
+        picture[0, 0] = bounces * len(self.lights)
         return picture
 
 
@@ -78,23 +81,35 @@ def test_pictures_are_scored_and_written_beside_the_path_tracers(lit_look, dark,
     assert main([*arguments, "--frames", "2", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["time_code"] == 2 and said["prim_path"] == "/World/smoke"
-    assert set(said["loss"]) == {"glow alone", "as painted", "all bounces"}
-    assert len(set(said["loss"].values())) == 3
-    assert -1 < said["bounces_add"] < 0  # the stand-in's pictures are darker
-    assert min(dark.bounces) > 50
+    assert set(said["loss"]) == {"glow alone", "as painted", "once, traced", "all bounces, traced"}
+    assert len(set(said["loss"].values())) == 4
+    once, final = said["light"]["once, traced"], said["light"]["all bounces, traced"]
+    assert said["bounces_add"] == pytest.approx(final / once - 1) and final > 10 * once
+    assert set(dark.bounces) == {0, 1, 64}  # a glow that is not scattered, light once, and all
     assert {path.name for path in output.iterdir()} == {"final.png", "final.json"}
     assert json.loads((output / "final.json").read_text())["loss"] == said["loss"]
 
 
-def test_the_middle_picture_has_the_bounces_that_the_look_was_painted_for(lit_look, dark, tmp_path):
+def test_pictures_are_exposed_as_the_look_says(lit_look, dark, tmp_path):
+    style, words = make_style(tmp_path / "style.png"), lit_look.read_text(encoding="utf-8")
+    plain, _ = check_final(lit_look, style, tmp_path / "plain")
+    albedo = "float usdSmoke:albedo = 0.8"
+    lit_look.write_text(words.replace(albedo, f"{albedo}\n        float usdSmoke:exposure = 1"))
+    exposed, _ = check_final(lit_look, style, tmp_path / "exposed")
+    assert exposed.light == pytest.approx({name: 2 * v for name, v in plain.light.items()})
+
+
+def test_the_painted_picture_has_the_bounces_that_the_look_was_painted_for(
+    lit_look, dark, tmp_path
+):
     style, words = make_style(tmp_path / "style.png"), lit_look.read_text(encoding="utf-8")
     once, _ = check_final(lit_look, style, tmp_path / "once")
     albedo = "float usdSmoke:albedo = 0.8"
     lit_look.write_text(words.replace(albedo, f"{albedo}\n        bool usdSmoke:bounces = 1"))
     often, _ = check_final(lit_look, style, tmp_path / "often")
-    assert often.bounces_add < once.bounces_add  # the painted picture is brighter
-    assert often.loss["glow alone"] == once.loss["glow alone"]
-    assert often.loss["as painted"] != once.loss["as painted"]
+    assert often.light["glow alone"] == once.light["glow alone"]
+    lit = {look: look.light["as painted"] - look.light["glow alone"] for look in (once, often)}
+    assert lit[often] > 1.1 * lit[once] > 0
 
 
 def test_a_stage_without_a_look_is_refused(dark, tmp_path):

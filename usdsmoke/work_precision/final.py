@@ -1,9 +1,11 @@
 """``usdsmoke report --final``: a look under its lights, scattered many times, by a path tracer.
 
-The picture that was optimised has a glow that is not scattered, and light that is scattered once, or
-more often if ``optics.bounces`` was on. A renderer with volume bounces scatters both. Three pictures
-of each view are scored against the style: the glow alone, glow and light as they were painted, and
-what Mitsuba draws with all bounces.
+The picture that was optimised has a glow that is not scattered, and light that is scattered once,
+or more often if ``optics.bounces`` was on. A renderer with volume bounces scatters both. Four
+pictures of each view are scored against the style. Two are by the model that was optimised: the
+glow alone, and glow and light as they were painted. Two are by Mitsuba: light that is scattered
+once, and all bounces of light and glow. So the difference of the renderers, which interpolate
+between voxels differently, is told from what bounces do.
 """
 
 import json
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
 SIZE = 96  # pixels of the longer side: the path tracer draws about 50 000 rays a second
 VIEWS = (0.0, 120.0, 240.0)  # degrees around the up axis, from the front
 PICTURE, DATA = "final.png", "final.json"
-GLOW, MODEL, FINAL = "glow alone", "as painted", "all bounces"
+GLOW, MODEL, ONCE, FINAL = "glow alone", "as painted", "once, traced", "all bounces, traced"
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,9 @@ class FinalCheck:
 
     prim_path: str
     time_code: float
-    loss: dict[str, float]  # by GLOW, MODEL, FINAL
-    # Light of the last pictures over that of those before, minus 1: what bounces add.
-    bounces_add: float
+    loss: dict[str, float]  # by GLOW, MODEL, ONCE, FINAL
+    light: dict[str, float]  # mean of the pictures, scene-linear, exposed; likewise
+    bounces_add: float  # light of FINAL over that of ONCE, minus 1
     samples: int  # a pixel
     seconds: float
 
@@ -97,9 +99,9 @@ def check_final(
         )
     )  # fmt: skip
     loss = {name: float(np.mean([one.loss[name] for one in drawn])) for name in drawn[0].loss}
-    light = {name: sum(float(one.light[name]) for one in drawn) for name in (MODEL, FINAL)}
+    light = {name: float(np.mean([one.light[name] for one in drawn])) for name in drawn[0].light}
     found = FinalCheck(
-        volume.prim_path, code, loss, light[FINAL] / max(light[MODEL], 1e-30) - 1, samples,
+        volume.prim_path, code, loss, light, light[FINAL] / max(light[ONCE], 1e-30) - 1, samples,
         time.perf_counter() - started,
     )  # fmt: skip
     return found, _write(found, drawn, images, Path(output).absolute())
@@ -132,7 +134,7 @@ class _Drawn:
     angle: float
     pictures: dict[str, np.ndarray]  # display-encoded, [H W 3]
     loss: dict[str, float]
-    light: dict[str, float]  # sum over the picture
+    light: dict[str, float]  # mean of the picture
 
 
 def _first_look(shown: Sequence[ComposedVolume], code: float) -> ComposedVolume:
@@ -185,10 +187,11 @@ def _draw(
             if lighting is not None:
                 lit = lighting.on(smoke.positions).scattered(view.forward)
                 light[MODEL] = light[GLOW] + made.image.apply(lit * albedo)
-        final = traced.glow(colours, view, samples, 0, MOST_BOUNCES)
-        if look.scattering.lights:
-            final = final + traced.lit(view, samples, 0, MOST_BOUNCES)
-        light[FINAL] = torch.from_numpy(final).to(made.alpha)
+        for name, of_light, of_glow in ((ONCE, 1, 0), (FINAL, MOST_BOUNCES, MOST_BOUNCES)):
+            picture = traced.glow(colours, view, samples, 0, of_glow)
+            if look.scattering.lights:
+                picture = picture + traced.lit(view, samples, 0, of_light)
+            light[name] = torch.from_numpy(picture).to(made.alpha)
         exposed = {name: picture * 2.0**look.volume.stops for name, picture in light.items()}
         yield _scored(angle, made, exposed, targets)
 
@@ -202,8 +205,8 @@ def _scored(
     for name, picture in light.items():
         losses[name] = float(loss(view.over(picture, targets.background), view.guide))
         pictures[name] = encode_srgb(picture.clamp(0, 1)).numpy()
-    sums = {name: float(picture.sum()) for name, picture in light.items()}
-    return _Drawn(angle, pictures, losses, sums)
+    means = {name: float(picture.mean()) for name, picture in light.items()}
+    return _Drawn(angle, pictures, losses, means)
 
 
 def _per_extinction(look: _Look, ijk: np.ndarray) -> "Tensor":
