@@ -36,7 +36,7 @@ from usdsmoke.pictures import compose_sheet, read_style_image, write_png
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke
 
-DEPTHS = (0.1, 1.0, 4.0, 10.0, 50.0)
+DEPTHS = (0.1, 1.0, 4.0, 10.0, 30.0, 50.0)
 SUN = (0.8, 0.5, 0.33)
 LIGHTS = (
     LightSource("/sun", (3.36, 3.0, 2.5), tuple((np.array(SUN) / np.linalg.norm(SUN)).tolist())),
@@ -156,6 +156,7 @@ def agreement(n: int, seeds: int, samples: int) -> list[str]:
         "emission": None,
         "sun, to all sides": Scattering(sun, 0.9),
         "sun, g = 0.6": Scattering(sun, 0.9, 0.6),
+        "sky": Scattering((LightSource("/sky", (1, 1, 1)),), 0.9),
     }
     rows = []
     for name, scattering in kinds.items():
@@ -184,6 +185,7 @@ class _Painting:
 
 _Row = list[tuple[str, np.ndarray]]  # titles and pictures
 PAINTINGS = (
+    _Painting("glow alone", {"optics.albedo": 0.0}),
     _Painting("without the light", {}, knows_light=False),
     _Painting("with it", {}),
     _Painting("albedo", {"colour.target": "albedo"}),
@@ -313,7 +315,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("vdb", help="a frame of smoke, with a grid density")
     parser.add_argument("styles", nargs="+", help="style images")
     parser.add_argument("--voxels", type=int, default=32, help="of the ball, a side")
-    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--seeds", type=int, default=16)
     parser.add_argument("--samples", type=int, default=16, help="a pixel and seed")
     parser.add_argument("--iterations", type=int, default=180, help="of the colour step")
     parser.add_argument("--report", type=Path)
@@ -339,8 +341,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "",
         "Style loss under a sun and a sky, colour step alone, of pictures that Mitsuba draws with",
         f"{2 * given.samples} samples a pixel, mean over four views that are not optimised: light",
-        "scattered once and glow not at all, then both with all bounces. Painted without and with",
-        "the light in the model (albedo 0.5), and with `colour.target` albedo and both.",
+        "scattered once and glow not at all, then both with all bounces. *Glow alone*: smoke that",
+        "scatters nothing (`optics.albedo=0`). Then smoke of albedo 0.5, painted without and with",
+        "the light in the model, and with `colour.target` albedo and both.",
         "",
         "| style | painted | once | all bounces |",
         "| --- | --- | --- | --- |",
