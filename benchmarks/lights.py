@@ -4,7 +4,7 @@ Three tables. ``agreement``: mean pictures of a lumpy ball, transmittance, emiss
 scattering, at several optical depths. ``closure``: style loss of one frame under a sun and a sky,
 as Mitsuba draws it, on views that are not optimised; painted without and with the light in the
 model, as an albedo, and as both. ``cost``: CPU time of a frame without and with lights. Mitsuba is
-an optional dependency: ``pip install usdsmoke[reference]``.
+an optional dependency: ``pip install mitsuba``.
 """
 
 import argparse

@@ -258,4 +258,4 @@ def test_without_matplotlib_the_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["report", str(tmp_path / "none.usda"), "-o", str(tmp_path / "out")]) == 1
-    assert "pip install 'usdsmoke[report]'" in capsys.readouterr().err
+    assert "pip install matplotlib jinja2" in capsys.readouterr().err

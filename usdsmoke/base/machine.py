@@ -29,11 +29,11 @@ _INSTALL = {  # module: what to do if it is missing
     "torch": "pip install torch",
     "PIL": "pip install pillow",
     "OpenEXR": "pip install OpenEXR",
-    "matplotlib": "pip install 'usdsmoke[report]'",
-    "jinja2": "pip install 'usdsmoke[report]'",
-    "distributed": "pip install 'usdsmoke[cluster]'",
-    "prov": "pip install 'usdsmoke[prov]'",
-    "mitsuba": "pip install 'usdsmoke[reference]'",
+    "matplotlib": "pip install matplotlib jinja2",
+    "jinja2": "pip install matplotlib jinja2",
+    "distributed": "pip install distributed",
+    "prov": "pip install prov",
+    "mitsuba": "pip install mitsuba",
 }
 
 

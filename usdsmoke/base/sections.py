@@ -139,8 +139,8 @@ class OpticsConfig(Section):
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
-        None, "share of the light it takes away that smoke scatters, and the look's material with "
-        "it; unset: 0.5 where distant lights or domes light the smoke, 1 with "
+        None, "fraction of the extinguished light that smoke scatters, and the look's material "
+        "with it; unset: 0.5 where distant lights or domes light the smoke, 1 with "
         "colour.target=albedo; 0: no light is read",
         ge=0, le=1)
     anisotropy: float = setting(
@@ -283,8 +283,8 @@ class OptimizeConfig(Section):
         "lists as they are; 0, with optimize.start: what the network paints", ge=0,
         unit="iterations", request="iterations")
     start: str = setting(
-        "", "network that 'usdsmoke train' wrote, whose colours a frame without a neighbour starts "
-        "from. Only the finest octave is optimised then; empty: such frames start from noise")
+        "", "network that 'usdsmoke train' wrote; a frame without a neighbour starts from its "
+        "colours, and only its finest octave is optimised; empty: such frames start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "

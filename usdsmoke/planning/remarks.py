@@ -133,5 +133,5 @@ def _coarse(volume: VolumePlan) -> list[str]:
     return [
         f"the voxels of <{volume.source.prim_path}> are coarse: {longest} along the longest side, "
         f"in pictures of {pixels} pixels. For sharper strokes set grids.refine={parts}, which "
-        f"makes {parts**3} voxels of each"
+        f"divides each voxel into {parts**3}"
     ]

@@ -49,7 +49,9 @@ _NEVER = (
         "change the goal, so no error can compare them",
     ),
     Omission("Memory", "it is not measured; the plan of a run (--dry-run) estimates it"),
-    Omission("What the eye sees", "errors and losses are measured; only pictures show the rest"),
+    Omission(
+        "What the eye sees", "the report measures errors and losses; look at pictures for the rest"
+    ),
 )
 
 
@@ -242,7 +244,7 @@ def _simplified(case: Case) -> list[Omission]:
         "Other Volumes": f"only the largest was measured, not {', '.join(others)}"
         if others
         else "",
-        "Other frames": "all sweeps but that of windows use the middle frame; others may differ"
+        "Other frames": "only the sweep of windows uses them; the others use the middle one"
         if len(case.volume.frames) > 1
         else "",
         "Full resolution of trials": f"voxels of the trials are {2**case.halvings} times as large "

@@ -207,8 +207,8 @@ def _hardly_fallen(name: str, step: str, found: StepReport) -> Iterator[Finding]
             name,
             _OPTIMISERS[step],
             f"the {step} step ends at {end / first:.0%} of its first loss",
-            f"Compare the result with the style; set more {step}.iterations, or the default "
-            f"{step}.learning_rate",
+            f"Compare the result with the style; raise {step}.iterations, or optimize.iterations "
+            "where it is set",
             f"{step}.iterations",
         )
 

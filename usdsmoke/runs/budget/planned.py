@@ -62,7 +62,7 @@ class PlannedVolume:
         """Why no frame is compared with the n-th before it."""
         windows = self.plan.windows
         if n > 1 and len(self.plan.frames) <= n:
-            return f"there are no {n + 1} frames"
+            return f"there are fewer than {n + 1} frames"
         if len(self.plan.frames) == 1:
             return "there is one frame only"
         if self.plan.config.windows.size == 1:
@@ -134,7 +134,7 @@ def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
     )
     texts = [] if moving else ["compared in place, as there is no velocity"]
     if any(volume.overlap_frames for volume in volumes):
-        texts.append("each window's version separately, where windows overlap")
+        texts.append("in overlaps, each window is measured separately")
     return texts
 
 

@@ -172,7 +172,7 @@ def _add_validate(commands: Any) -> None:
     parser.add_argument(
         "--look-only",
         action="store_true",
-        help="count only what the look is to blame for; list the findings of its source apart",
+        help="count only findings that the look causes; list those of its source apart",
     )
     parser.add_argument(
         "--ignore",
@@ -185,7 +185,7 @@ def _add_validate(commands: Any) -> None:
     parser.add_argument(
         "--mend",
         metavar="NEW.usda",
-        help="write a new layer above the stage that mends missing extents, wrong types of fields "
+        help="write a new layer above the stage that fixes missing extents, wrong types of fields "
         "and absolute paths, and validate it",
     )
 

@@ -224,7 +224,7 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
     source, problem = problems[0]
     asset = f"@{source.authored_path}@, authored in {_authoring_layer(prim, source.time_code)}"
     some_are_left = len(problems) < len(found)
-    others = " Or leave such timeCodes out with --allow-missing." if some_are_left else ""
+    others = " --allow-missing skips these timeCodes." if some_are_left else ""
     raise AssetNotResolved(
         f"the filePath of <{source.prim_path}> at timeCode {format_time_code(source.time_code)} is "
         f"{asset}: {problem}{_also(source.time_code for source, _ in problems[1:])}{others}"
