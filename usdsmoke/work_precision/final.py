@@ -72,7 +72,7 @@ def check_final(
         samples: a pixel.
 
     Raises:
-        MissingPackage: Mitsuba is not installed; ``pip install mitsuba``.
+        MissingPackage: Mitsuba is not installed; pip installs mitsuba.
         StageError: no Volume with a look is shown.
         UsdSmokeError: stage, files or style cannot be used.
     """
