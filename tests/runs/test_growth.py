@@ -252,7 +252,7 @@ def test_one_rewritten_source_file_redoes_its_window_alone(
     stay = [path.stat().st_ino == inode for path, inode in zip(files, inodes, strict=True)]
     assert stay == [True] * 4 + [False] * 4 + [True] * 4
     assert verify(found.file) == []
-    with pytest.raises(OutputExists, match="already holds this result"):
+    with pytest.raises(OutputExists, match="already holds"):
         run(long_shot, *ALONE)
     (root,) = long_shot.output.glob("shot_look.usda")
     fresh = run(dataclasses.replace(long_shot, output=long_shot.folder / "at_once"), *ALONE)
@@ -291,7 +291,7 @@ def test_rewritten_source_files_of_all_windows_are_a_refusal(
     run(long_shot, *ALONE)
     for code in (1, 5, 9):
         rewrite_source(long_shot, code)
-    with pytest.raises(OutputExists, match="has other content"):
+    with pytest.raises(OutputExists, match="other content"):
         run(long_shot, *ALONE)
 
 

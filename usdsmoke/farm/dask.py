@@ -261,7 +261,7 @@ def _connected(address: str) -> "Iterator[Client]":
     except ImportError:
         raise ClusterError(
             "--cluster needs the package distributed, which is not installed. "
-            "Install it: pip install distributed"
+            "Install it: pip install distributed."
         ) from None
     _check_greeting(address)
     with _quiet():

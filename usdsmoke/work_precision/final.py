@@ -61,7 +61,7 @@ def check_final(
     settings: Settings = None,
     samples: int = 64,
 ) -> tuple[FinalCheck, tuple[Path, ...]]:
-    """Draw and score a look's middle frame; write ``final.png`` and ``final.json``.
+    """Draw and score a look's middle frame; write the files final.png and final.json.
 
     Args:
         stage: a look's root layer.
