@@ -39,7 +39,7 @@ from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.pictures import prepare_views
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view, frame_views, measure_scene
-from usdsmoke.runs.budget import ROWS
+from usdsmoke.runs.budget.rows import ROWS
 
 __all__ = ["Row", "main", "measure_scene_rows"]
 

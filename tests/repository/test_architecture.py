@@ -19,6 +19,14 @@ MOST_FILES, MOST_AT_TOP, MOST_NAMES = 15, 14, 12  # in a folder, in usdsmoke/, i
 # Exceptions, each with its reason. Never more than three.
 EXCEPTIONS: dict[str, str] = {}
 
+# Modules that others import although the subpackage has a face: the face would load too much.
+BESIDE_FACES = {
+    "usd": "its modules are faces, as those of base are: about 60 names, some over OpenVDB files",
+    "pictures.drawing": "needs torch, and whoever reads a style image does not",
+    "pictures.preview": "needs torch and OpenUSD",
+    "pictures.preview_smoke": "needs torch and OpenUSD",
+}
+
 
 def table(first: str) -> dict[str, list[str]]:
     """The rows of the document's table by first cell, without backquotes; ``first`` heads it."""
@@ -84,6 +92,31 @@ def test_imports_go_down(name: str) -> None:
     assert not bad, (
         f"usdsmoke.{name} imports {sorted(bad)}, which are not below {subpackage_of(name)}"
     )
+
+
+def behind_faces(name: str, tree: ast.Module) -> list[str]:
+    """The modules that ``name`` imports past the ``__init__`` of a subpackage that has a face."""
+    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    found = []
+    for other in sorted({(node.module or "").removeprefix("usdsmoke.") for node in nodes}):
+        faces = [face for face in FACES if other.startswith(f"{face}.")]
+        face = max(faces, key=len, default="")
+        inside = f"{name}.".startswith(f"{face}.")
+        if face and other not in FACES and not inside and not {face, other} & BESIDE_FACES.keys():
+            found.append(other)
+    return found
+
+
+@pytest.mark.parametrize("name", [n for n in MODULES if n])
+def test_a_subpackage_with_a_face_is_imported_through_it(name: str) -> None:
+    assert behind_faces(name, MODULES[name].tree) == []
+
+
+def test_an_import_past_a_face_is_found() -> None:
+    tree = ast.parse("def f():\n    from usdsmoke.usd.stage.lights import lit_by\n")
+    assert behind_faces("audit.inputs", tree) == behind_faces("usd.gate", tree) != []
+    assert behind_faces("usd.stage.source", tree) == []
+    assert behind_faces("audit.inputs", ast.parse("from usdsmoke.usd.stage import lit_by")) == []
 
 
 def packages_loaded(name: str) -> set[str]:
@@ -269,6 +302,13 @@ def public_names(tree: ast.Module) -> list[str] | None:
         if any(isinstance(t, ast.Name) and t.id == "__all__" for t in targets):
             return list(ast.literal_eval(node.value))  # type: ignore[attr-defined]
     return None
+
+
+FACES = {
+    name
+    for name, module in MODULES.items()
+    if name and module.file_path.name == "__init__.py" and public_names(module.tree)
+}
 
 
 def assigned_or_imported(tree: ast.Module) -> set[str]:

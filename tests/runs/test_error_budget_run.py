@@ -16,7 +16,8 @@ from usdsmoke.audit import provenance
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import assemble, stylize
-from usdsmoke.runs.budget import ErrorBudget, make_budget
+from usdsmoke.runs.budget import ErrorBudget
+from usdsmoke.runs.budget.error_budget import make_budget
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
 

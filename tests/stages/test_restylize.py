@@ -17,7 +17,8 @@ from usdsmoke.base.errors import LayerError, OutputExists, StageError
 from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, StylizeResult, stylize
 from usdsmoke.ui.cli.main import main
-from usdsmoke.usd.stage import open_source, open_stage
+from usdsmoke.usd.stage import open_stage
+from usdsmoke.usd.stage.originals import open_source
 
 pytestmark = pytest.mark.usefixtures("core")
 

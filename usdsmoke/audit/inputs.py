@@ -21,10 +21,8 @@ from usdsmoke.planning.frame_reader import FrameReader, hash_sources
 from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
 from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_values
-from usdsmoke.usd.rules.staleness import switched_files, switched_variants, written_at
-from usdsmoke.usd.stage import find_volumes, open_source, seen_through
-from usdsmoke.usd.stage.lights import lit_by
-from usdsmoke.usd.volume_settings import resolve_volumes
+from usdsmoke.usd.rules import switched_files, switched_variants, written_at
+from usdsmoke.usd.stage import read_source
 
 _SHOWN = 12  # digits of a hash that people compare
 
@@ -164,13 +162,8 @@ def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:
     """What the stage says, without the images that a job needs too."""
     if record.style_request:
         config = config.with_explicit({*config.explicit, "style.weights"})
-    opened, _ = open_source(stage, config.stage.restylize)
-    copied = config.layer.copy_fields
-    found = find_volumes(opened, config.stage, with_styles=False, copied=copied)
-    resolved = resolve_volumes(found, config, bare=True)
-    cameras = [own.config.views.camera for own in resolved.volumes]
-    source = seen_through(opened, resolved.source, cameras)
-    return lit_by(opened, source, [own.config.lit_optics for own in resolved.volumes])
+    _, _, resolved = read_source(stage, config, bare=True)
+    return resolved.source
 
 
 def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change]:

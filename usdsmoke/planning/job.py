@@ -37,17 +37,8 @@ from usdsmoke.planning.output_folder import (
 )
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
-from usdsmoke.usd.stage import (
-    StageOrFile,
-    check_originals,
-    find_volumes,
-    layer_files,
-    open_source,
-    seen_through,
-    stage_file,
-)
-from usdsmoke.usd.stage.lights import lit_by
-from usdsmoke.usd.volume_settings import ResolvedVolumes, resolve_volumes
+from usdsmoke.usd.stage import StageOrFile, layer_files, read_source, stage_file
+from usdsmoke.usd.volume_settings import ResolvedVolumes
 from usdsmoke.vdb.binding import binding_name
 
 
@@ -161,16 +152,8 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     if style_files:  # they replace the Volumes' own images and weights
         style_shares(config.style, len(style_files))
     # The stage: Volumes, their own settings, cameras, lights.
-    stage, earlier = open_source(stage_file(request.stage), config.stage.restylize)
-    found = find_volumes(
-        stage, config.stage, with_styles=not style_files, copied=config.layer.copy_fields
-    )
-    if not config.stage.restylize:
-        check_originals(stage, found)
-    resolved = resolve_volumes(found, config, style_files)
-    cameras = [own.config.views.camera for own in resolved.volumes]
-    source = seen_through(stage, resolved.source, cameras)
-    source = lit_by(stage, source, [own.config.lit_optics for own in resolved.volumes])
+    stage, earlier, resolved = read_source(stage_file(request.stage), config, style_files)
+    source = resolved.source
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
         _check_lights(volume, own.config)

@@ -28,7 +28,6 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.provenance_record import frame_metadata
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
-from usdsmoke.usd.stage.lights import named_lights
 from usdsmoke.vdb.boxes import field_extent
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.vdb.write import write_frame
@@ -204,7 +203,7 @@ def collect_volume(
         albedo=config.albedo if is_lit else 0.0,
         anisotropy=config.optics.anisotropy if is_lit else 0.0,
         bounces=config.optics.bounces and is_lit,
-        named_lights=named_lights(config.optics) if is_lit else (),
+        named_lights=volume.frames[0].source.lights if config.optics.names_lights else (),
         stops=scene.get("stops", 0.0),
         scatter_field=config.scatter_colours[0] if SCATTERING in config.painted else "",
         styles=tuple(f"{styles[place].name} {styles[place].sha256}" for place in volume.styles),

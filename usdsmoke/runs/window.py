@@ -14,9 +14,7 @@ from usdsmoke.base.storage import check_half
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.planning.frame_reader import hash_sources
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
-from usdsmoke.runs.budget import Finding, PartClock, timed_items
-from usdsmoke.runs.budget.findings import find_scene, find_written, frames_before
-from usdsmoke.runs.budget.planned import PlannedVolume
+from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
@@ -183,11 +181,10 @@ def _stylize_window(
 
     job, run = opened.job, opened.run
     config, clock = task.volume.config, PartClock()
-    scene, before = run.scenes[task.volume_number], frames_before(task.volume)
-    progress.found(
-        task.frames[0].source.time_code, find_scene(PlannedVolume(task.volume, (), scene))
-    )
     record, carried = _begun(opened, task, progress)
+    reports = {Path(name).name: report for name, report in record.reports.items()}
+    watch = WindowFindings(task.volume, run.scenes[task.volume_number], reports)
+    progress.found(task.frames[0].source.time_code, watch.of_scene())
     frames = _from(task.frames, carried)
     sources = (opened.reader.read(task.volume, frame) for frame in frames)
     to_do = frames if carried is None else frames[1:]
@@ -200,16 +197,14 @@ def _stylize_window(
         job.plan.source.time_codes_per_second,
         WindowStart(coarse_starts(run, task.volume, task.frames), carried),
     )
-    reports = {Path(name).name: report for name, report in record.reports.items()}
     for place, (frame, stylized) in enumerate(zip(to_do, results, strict=True)):
         progress.writing(frame.source.time_code)
         with clock.part("writing"):
             hashes = source_hashes[frame.file_name]
             name, entry = write_result(opened, task, frame, stylized, hashes)
         record.frames[name] = entry
-        reports[frame.file_name] = FrameReport.from_json(entry["report"])
-        told = find_written(frame.file_name, reports, before.get(frame.file_name))
-        progress.found(frame.source.time_code, told)
+        report = FrameReport.from_json(entry["report"])
+        progress.found(frame.source.time_code, watch.of_frame(frame.file_name, report))
         if stylized.carried is not None and place < len(to_do) - 1:
             with clock.part("writing"):
                 _keep_checkpoint(run, _timed(record, clock), stylized.carried)

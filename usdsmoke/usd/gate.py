@@ -13,9 +13,8 @@ from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.layer_record import read_record, record_values
-from usdsmoke.usd.look.root import copy_stage_metadata
-from usdsmoke.usd.rules import Finding, Severity, mend, validate
-from usdsmoke.usd.rules.staleness import switched_files
+from usdsmoke.usd.look import copy_stage_metadata
+from usdsmoke.usd.rules import Finding, Severity, mend, switched_files, validate
 from usdsmoke.usd.stage import find_volumes, open_original, open_stage
 
 

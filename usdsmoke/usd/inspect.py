@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -14,9 +13,7 @@ from usdsmoke.base.sections import OpticsConfig, StageConfig
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
-from usdsmoke.usd.stage import find_volumes, open_stage, seen_through
-from usdsmoke.usd.stage.choice import hidden_volumes
-from usdsmoke.usd.stage.lights import lit_by
+from usdsmoke.usd.stage import find_volumes, hidden_volumes, lit_by, open_stage, read_camera
 from usdsmoke.usd.volume_settings import RunArguments, describe_requests
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -238,7 +235,8 @@ def _camera_problems(
     for volume, request in zip(source.volumes, requests, strict=True):
         camera = request["settings"]["views.camera"]["value"]
         try:
-            seen_through(stage, replace(source, volumes=(volume,)), camera)
+            for frame in volume.frames if camera else ():
+                read_camera(stage, camera, frame.time_code)
         except StageError as error:
             found[str(error)] = None
     return list(found)

@@ -20,7 +20,7 @@ from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.planning.plan import Omission
-from usdsmoke.usd.stage.opening import StageOrFile
+from usdsmoke.usd.stage import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
 from usdsmoke.work_precision.files import FILES

@@ -10,7 +10,8 @@ from usdsmoke.base.frame_report import (
     TransportReport,
 )
 from usdsmoke.planning.plan import Omission
-from usdsmoke.runs.budget import ELSEWHERE, PartClock, make_budget, run_seconds, timed_items
+from usdsmoke.runs.budget import ELSEWHERE, PartClock, run_seconds, timed_items
+from usdsmoke.runs.budget.error_budget import make_budget
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.ui.cli.budget_text import budget_text
 

@@ -18,7 +18,9 @@ from usdsmoke.base.frame_report import (
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.storage import prune_fields, storage_errors
 from usdsmoke.base.volume import DenseField
-from usdsmoke.runs.budget import ROWS, ErrorBudget, make_budget
+from usdsmoke.runs.budget import ErrorBudget
+from usdsmoke.runs.budget.error_budget import make_budget
+from usdsmoke.runs.budget.rows import ROWS
 from usdsmoke.ui.cli.budget_text import budget_text
 
 FIRST = FrameReport(

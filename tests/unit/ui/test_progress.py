@@ -12,7 +12,7 @@ from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
-from usdsmoke.runs.budget.findings import Finding, finding_texts
+from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress, WorkMeter
 from usdsmoke.ui.cli.progress_bar import ConsoleProgress, format_seconds
 

@@ -21,8 +21,7 @@ from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
 from usdsmoke.base.sections import LayerConfig, OpticsConfig, StageConfig
 from usdsmoke.usd.inspect import inspect
 from usdsmoke.usd.look import StylizedVolume, author_look
-from usdsmoke.usd.stage import composed_volumes, find_volumes, open_stage
-from usdsmoke.usd.stage.lights import lit_by
+from usdsmoke.usd.stage import composed_volumes, find_volumes, lit_by, open_stage
 
 SUN = 'def DistantLight "sun" {\n%s\n}'
 RECORD = RunRecord(RECORD_FORMAT, "3f2b8c1e-0a4d-4c57-9d0e-5b7a1f6c2d34", "1")

@@ -1,7 +1,8 @@
 """The error budget and the time of a run, from the reports of its frames.
 
 ``rows`` declares every error once, ``planned`` says why one is absent, ``error_budget`` puts
-figures together, and ``findings`` says what deserves a look. ``clock`` measures the parts of a run.
+figures together, and ``findings`` says what deserves a look; ``watch`` says it during the run.
+``clock`` measures the parts of a run.
 """
 
 from usdsmoke.runs.budget.clock import (
@@ -13,21 +14,20 @@ from usdsmoke.runs.budget.clock import (
 )
 from usdsmoke.runs.budget.error_budget import (
     ErrorBudget,
-    make_budget,
     mean_entries,
     run_budget,
     summarize_figures,
 )
-from usdsmoke.runs.budget.findings import Finding
-from usdsmoke.runs.budget.rows import ROWS
+from usdsmoke.runs.budget.findings import Finding, finding_texts
+from usdsmoke.runs.budget.watch import WindowFindings
 
 __all__ = [
     "ELSEWHERE",
-    "ROWS",
     "ErrorBudget",
     "Finding",
     "PartClock",
-    "make_budget",
+    "WindowFindings",
+    "finding_texts",
     "mean_entries",
     "run_budget",
     "run_seconds",

@@ -8,7 +8,7 @@ from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission
-    from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
+    from usdsmoke.runs.budget import ErrorBudget
 
 
 def budget_text(
@@ -26,7 +26,7 @@ def budget_text(
     """
     if not everything:
         return _urgent_budget_text(budget, seconds, omitted)
-    rows = _budget_rows(budget, budget.estimates)
+    rows = _budget_rows(budget, [item.name for item in budget.estimates])
     notes = [f"{name}: {note}" for name, note in budget.notes.items()]
     reasons: dict[str, list[str]] = {}
     for name, why in budget.left_out.items():
@@ -40,7 +40,7 @@ def _urgent_budget_text(
 ) -> str:
     fine = [item for item in budget.estimates if budget.verdict(item.name) == "fine"]
     others = [item for item in budget.estimates if item not in fine]
-    table = columns(_budget_rows(budget, others)) if others else []
+    table = columns(_budget_rows(budget, [item.name for item in others])) if others else []
     notes = [
         f"{item.name}: {budget.notes[item.name]}" for item in others if item.name in budget.notes
     ]
@@ -51,9 +51,7 @@ def _urgent_budget_text(
     return "\n".join([*table, *notes, *_end(budget, seconds, omitted)])
 
 
-def _budget_rows(
-    budget: "ErrorBudget", estimates: Iterable["ErrorEstimate"]
-) -> list[tuple[str, ...]]:
+def _budget_rows(budget: "ErrorBudget", names: Iterable[str]) -> list[tuple[str, ...]]:
     header = ("error", "mean", "largest", "of", "frames", "took", "verdict")
     rows = [
         (
@@ -65,7 +63,7 @@ def _budget_rows(
             f"{estimate.seconds:.2f} s" if estimate.seconds else "-",
             budget.verdict(estimate.name),
         )
-        for estimate in sorted(estimates, key=_least_urgent(budget))
+        for estimate in (budget[name] for name in sorted(names, key=_least_urgent(budget)))
     ]
     return [header, *rows]
 
@@ -82,11 +80,11 @@ def _end(
     return [*([_left_out(unusual)] if unusual else []), time]
 
 
-def _least_urgent(budget: "ErrorBudget") -> Callable[["ErrorEstimate"], int]:
+def _least_urgent(budget: "ErrorBudget") -> Callable[[str], int]:
     """Puts rows that ask for a setting first, then those that deserve a look, then the others."""
 
-    def urgency(estimate: "ErrorEstimate") -> int:
-        verdict = budget.verdict(estimate.name)
+    def urgency(name: str) -> int:
+        verdict = budget.verdict(name)
         return 2 if verdict == "fine" else 1 if verdict == "look at it" else 0
 
     return urgency

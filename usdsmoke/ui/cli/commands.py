@@ -66,8 +66,7 @@ def run_stage(arguments: argparse.Namespace) -> int:
 def run_validate(arguments: argparse.Namespace) -> int:
     """``usdsmoke validate``; the exit code, 1 where there are errors that count."""
     from usdsmoke.usd.gate import junit_xml, validate_look, write_mends
-    from usdsmoke.usd.rules import Severity, validate
-    from usdsmoke.usd.rules.validation import check_rules
+    from usdsmoke.usd.rules import Severity, check_rules, validate
 
     check_rules(arguments.ignore)
     if arguments.mend:

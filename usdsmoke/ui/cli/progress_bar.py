@@ -7,7 +7,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from usdsmoke.runs.budget.findings import Finding, finding_texts
+from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log

@@ -19,6 +19,24 @@ instead, so that validating and stylizing give one reason:
 """
 
 from usdsmoke.usd.rules.facts import Finding, Severity
-from usdsmoke.usd.rules.validation import PREFIX, mend, register_validators, validate
+from usdsmoke.usd.rules.staleness import switched_files, switched_variants, written_at
+from usdsmoke.usd.rules.validation import (
+    PREFIX,
+    check_rules,
+    mend,
+    register_validators,
+    validate,
+)
 
-__all__ = ["PREFIX", "Finding", "Severity", "mend", "register_validators", "validate"]
+__all__ = [
+    "PREFIX",
+    "Finding",
+    "Severity",
+    "check_rules",
+    "mend",
+    "register_validators",
+    "switched_files",
+    "switched_variants",
+    "validate",
+    "written_at",
+]

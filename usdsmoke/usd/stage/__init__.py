@@ -9,26 +9,30 @@
 - `fields`: a Volume's field prims, and the file and grid of each at a timeCode
 - `cameras`: the cameras of a shot
 - `lights`: the lights that light a Volume
+- `source`: the Volumes as a run takes them, with settings, cameras and lights of their own
 - `composed`: what is visible at any timeCode
 """
 
-from usdsmoke.usd.stage.cameras import read_camera, seen_through
+from usdsmoke.usd.stage.cameras import read_camera
+from usdsmoke.usd.stage.choice import hidden_volumes
 from usdsmoke.usd.stage.composed import ComposedVolume, composed_volumes
+from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.stage.opening import StageOrFile, layer_files, open_stage, stage_file
-from usdsmoke.usd.stage.originals import check_originals, open_original, open_source
+from usdsmoke.usd.stage.originals import open_original
+from usdsmoke.usd.stage.source import read_source
 from usdsmoke.usd.stage.volumes import find_volumes
 
 __all__ = [
     "ComposedVolume",
     "StageOrFile",
-    "check_originals",
     "composed_volumes",
     "find_volumes",
+    "hidden_volumes",
     "layer_files",
+    "lit_by",
     "open_original",
-    "open_source",
     "open_stage",
     "read_camera",
-    "seen_through",
+    "read_source",
     "stage_file",
 ]
