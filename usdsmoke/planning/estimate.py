@@ -3,7 +3,8 @@
 All formulae and their constants are in this file. N is the number of active voxels and B that of
 the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
 of a picture, L the views in the pool, V those an iteration draws, S the style images, and s an
-octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones:
+octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones,
+and blocks of voxels count as one where a pixel holds them:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of
@@ -170,11 +171,15 @@ def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     return frame.active_voxels * finer, math.prod(frame.box) * finer
 
 
+def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:
+    """Along its side; without a camera."""
+    return max(1, round(max(frame.box) * config.grids.refine / config.views.image_size))
+
+
 def _picture_pixels(frame: FrameSize, config: Config) -> float:
     """Pixels of a full-size picture: each is a whole number of voxels wide."""
     *_, middle, longest = sorted(frame.box)
-    n_voxels = longest * config.grids.refine
-    side = n_voxels / max(1, round(n_voxels / config.views.image_size))
+    side = longest * config.grids.refine / _voxels_a_pixel(frame, config)
     return side**2 * middle / max(longest, 1)
 
 
@@ -214,7 +219,9 @@ def _step_work(
     step: str, frame: FrameSize, config: Config, n_styles: int, octaves: tuple[float, float]
 ) -> float:
     """Seconds of one thread."""
-    active, box = (frame.visible * n for n in _refined(frame, config))
+    joined = OCTAVE_SCALE ** int(math.log2(_voxels_a_pixel(frame, config)))  # into blocks
+    finer = joined ** sum(n > 1 for n in frame.box)
+    active, box = (frame.visible * n / finer for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
     above, finest = octaves
     is_warm = not frame.window_start

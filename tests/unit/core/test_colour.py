@@ -1,5 +1,7 @@
 """The colour step on fixed smoke."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -209,6 +211,34 @@ def test_the_coarse_result_is_what_the_finer_octave_starts_from(smoke):
         patch.setattr("usdsmoke.core.steps.colour.optimize_colours", first_start)
         run_colour_step(problem_of(smoke, config), [5, 5])
     assert torch.equal(seen[0], coarse) and torch.equal(seen[1], wanted)
+
+
+@pytest.mark.parametrize("n_voxels", [1, 1.9, 2, 3, 4.1])
+def test_voxels_finer_than_the_pixels_are_painted_in_blocks(smoke, n_voxels, monkeypatch):
+    sizes: list[int] = []
+
+    def counted(views: object, colours: torch.Tensor, *_: object) -> tuple[torch.Tensor, None]:
+        sizes.append(len(colours))
+        return colours, None
+
+    monkeypatch.setattr("usdsmoke.core.steps.colour.optimize_colours", counted)
+    problem = replace(problem_of(smoke, config_of()), scene=replace(SCENE, pixel_size=n_voxels))
+    colours, _ = run_colour_step(problem, [1, 1])
+    halvings = {1: 0, 1.9: 0, 2: 1, 3: 1, 4.1: 2}[n_voxels]
+    octaves = make_octaves(smoke, halvings + 2)[:2]
+    assert sizes == [len(octave.ijk) for octave in octaves] and len(colours) == len(smoke.ijk)
+
+
+def test_a_start_keeps_what_is_finer_than_the_pixels(smoke):
+    """A checkerboard of voxels, which no picture of two voxels a pixel shows."""
+    sign = 1 - 2 * (smoke.ijk.sum(1, keepdim=True) % 2)
+    start = (0.5 + 0.2 * sign).expand(-1, 3)
+    problem = problem_of(smoke, config_of())
+    painted = replace(problem, scene=replace(SCENE, pixel_size=2.0))
+    colours, (end,) = run_colour_step(painted, [0, 3], start)
+    change = colours - start
+    assert end.iteration == 2 and change.abs().max() > 0.05
+    assert (change * sign).mean().abs() < 0.02  # 0.2 where the board is lost
 
 
 def test_the_same_run_gives_the_same_bits_and_another_seed_others(smoke):

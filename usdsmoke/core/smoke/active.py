@@ -1,5 +1,6 @@
 """The active voxels of a frame, and the same smoke at half the resolution."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
+NEARLY = 0.02  # of a doubling: voxels that are nearly cubes have edges of slightly different length
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,13 @@ def sample_colours(smoke: ActiveSmoke, colours: Tensor, positions: Tensor) -> tu
     return summed[:, :-1] / near.clamp_min(1e-12), near
 
 
+def blocks_in(pixel_size: float, smoke: ActiveSmoke) -> int:
+    """How many times voxels can be joined two by two and still be no longer than a pixel."""
+    low, high = smoke.box
+    longest = max(np.linalg.norm(smoke.edges, axis=1)[high > low], default=pixel_size)
+    return max(0, math.floor(math.log2(pixel_size / longest) + NEARLY))
+
+
 def make_octaves(smoke: ActiveSmoke, n: int) -> list[ActiveSmoke]:
     """The smoke at 1/2^(n-1), ..., 1/2, 1 of its resolution, coarse to fine."""
     octaves = [smoke]
@@ -181,21 +190,26 @@ def make_octaves(smoke: ActiveSmoke, n: int) -> list[ActiveSmoke]:
 
 
 def octaves_to_do(
-    smoke: ActiveSmoke, iterations: Sequence[int]
+    smoke: ActiveSmoke, iterations: Sequence[int], pixel_size: float
 ) -> list[tuple[int, int, ActiveSmoke, int]]:
     """The octaves that a step works on, coarse to fine; those coarser than the first are not made.
+
+    Where a pixel holds several voxels, the finest octave has blocks of them: no picture tells one
+    voxel from the next.
 
     Args:
         smoke: at full resolution.
         iterations: per octave, coarse to fine; an octave with 0 is skipped.
+        pixel_size: of the finest octave's pictures, stage units.
 
     Returns:
-        Number of the octave, its voxel size in source voxels, its smoke, and its iterations.
+        Number of the octave, its pixels in those of the finest one, its smoke, and its iterations.
     """
     active = [number for number, n in enumerate(iterations) if n]
-    if not active:
+    if not active or len(smoke.ijk) == 0:
         return []
-    octaves = make_octaves(smoke, len(iterations) - active[0])
+    n_finer = blocks_in(pixel_size, smoke)
+    octaves = make_octaves(smoke, len(iterations) - active[0] + n_finer)
     return [
         (
             number,

@@ -72,8 +72,10 @@ def run_colour_step(
     colours, before = start, painted
     ends: list[Minimum] = []
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
-    for number, factor, octave, n_iterations in octaves_to_do(bounded(smoke), iterations):
-        octave = smoke if factor == 1 else octave
+    limited = bounded(smoke)
+    octaves = octaves_to_do(limited, iterations, problem.scene.pixel_size)
+    for number, factor, octave, n_iterations in octaves:
+        octave = smoke if octave is limited else octave
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
@@ -96,6 +98,8 @@ def run_colour_step(
             part = None if share is None else share[share > 0]
             seen = _seen(pool.drawn(end.iteration + 1), here, part, problem.scene, factor)
             colours = spread_colours(here, colours, seen**2 / (seen**2 + DIM**2))
+    if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
+        return _changed(painted, start, before, colours), ends
     return _colours_on(painted, before, colours, problem), ends
 
 
@@ -246,6 +250,12 @@ def _content_picture(
     background = luminance(encode_srgb(targets.background))
     composite = guide * light.clamp(0, 1) + (1 - guide) * background
     return composite[..., None].expand(-1, -1, 3)
+
+
+def _changed(painted: ActiveSmoke, start: Tensor, blocks: ActiveSmoke, colours: Tensor) -> Tensor:
+    """The start's colours with the change that blocks of voxels have; what is finer stays."""
+    change = colours - sample_colours(painted, start, blocks.positions)[0]
+    return (start + sample_colours(blocks, change, painted.positions)[0]).clamp(0, 1)
 
 
 def _colours_on(

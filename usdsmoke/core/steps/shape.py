@@ -230,7 +230,8 @@ def run_shape_step(
     kind, potential, ends, box = config.shape.displacement, None, [], None
     # in a slab only a stream function's component across it moves anything
     n_channels = 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
-    for number, factor, smoke, n_iterations in octaves_to_do(source, iterations):
+    todo = octaves_to_do(source, iterations, problem.scene.pixel_size)
+    for number, factor, smoke, n_iterations in todo:
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
         octave = _Octave(here, factor, seed, reach, n_channels, start, steadiness)
         first = _potential_on(octave.lattice, potential, n_channels, octave.density)

@@ -32,6 +32,7 @@ from usdsmoke.core.views.segments import Segments, depth_before
 
 _CHUNK = 1 << 20  # numbers of each kind in memory at once, over all rays of a chunk
 _THICK = 0.1  # optical depth above which a segment is cut once more
+_HIDDEN = 0.25  # of these cuts, where little of a segment's light arrives
 _MOST_PARTS = 64
 _SAME = 1e-6  # relative difference of colours that are the same
 _MOST_RAYS = 4  # a pixel's rays along each side
@@ -146,8 +147,10 @@ def _shared_colour(media: Sequence[Medium]) -> np.ndarray | None:
 
 def _light(segments: Segments, n_rays: int) -> np.ndarray:
     """Light of rays, [n_rays 4] float64, front to back along every ray."""
-    parts = np.clip(np.ceil(segments.thickness / _THICK), 1, _MOST_PARTS).astype(np.int64)
     # light that is lost within a segment is only known to second order
+    arriving = np.exp(depth_before(segments.ray, segments.thickness) * -0.5)
+    parts = segments.thickness / _THICK * np.maximum(arriving, _HIDDEN)
+    parts = np.ceil(parts).clip(1, _MOST_PARTS).astype(np.int64)
     index = np.repeat(np.arange(len(parts)), parts)
     number = np.arange(len(index)) - np.repeat(np.cumsum(parts) - parts, parts)
     share = 1 / parts[index]
