@@ -59,7 +59,7 @@ def test_the_parts_of_a_run_s_time_add_up(shot: Shot, capsys: pytest.CaptureFixt
 def test_the_command_prints_it_as_a_table_and_as_json(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(shot.arguments()) == 0
+    assert main(shot.arguments("--verbose")) == 0
     printed = capsys.readouterr().out
     assert "temporal, colour" in printed and "without quadrature:" in printed
     assert main(["assemble", str(shot.output), "--json"]) == 0

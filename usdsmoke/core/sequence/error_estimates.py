@@ -30,7 +30,8 @@ from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views
 
-N_VIEWS = 2  # that were not optimised, and as many that were
+N_UNSEEN = 2  # views that were not optimised, as far apart as possible
+N_SEEN = 8  # that were: fewer scatter more than what they are compared for
 OTHER_SEED = 0x0DD5EED  # of their angles
 
 
@@ -119,8 +120,8 @@ def _unseen_views(frame: PaintedFrame) -> float:
     config = frame.config
     iterations = config.shape.iterations if frame.paint is None else config.colour.iterations
     pool = _views(frame, config.views.pool, config.optimize.seed + len(iterations) - 1)
-    seen = pool[:: max(1, len(pool) // N_VIEWS)][:N_VIEWS]
-    unseen = _views(frame, N_VIEWS, config.optimize.seed ^ OTHER_SEED, "poisson")
+    seen = pool[:: max(1, len(pool) // N_SEEN)][:N_SEEN]
+    unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
     losses = _losses(frame, [*seen, *unseen])
     ours, others = (sum(part) / len(part) for part in (losses[: len(seen)], losses[len(seen) :]))
     return abs(others - ours) / ours if ours > 0 else 0.0
