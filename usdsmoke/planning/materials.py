@@ -1,9 +1,10 @@
 """A look's material, what hides the look, and the lights that its smoke scatters, in sentences."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.usd.materials import binds_material
@@ -69,19 +70,30 @@ def lights_needed(config: Config, frames: Sequence[FramePlan]) -> list[str]:
 
 def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
     """That a look is made for its lights, and how bright they make smoke."""
-    names = _light_names(volume.frames)
-    if not names:
+    lights = _lights(volume.frames)
+    if not lights:
         return []
     stops = config.optics.exposure or 0.0
-    brightest = max(front_brightness(config, frame.source.lights) for frame in volume.frames)
-    brightest *= 2.0**stops
-    exposed = f" at optics.exposure={stops:g}" if stops else ""
-    exposed += ", and brighter with bounces" if config.optics.bounces else ""
-    return [
-        f"the look of <{volume.source.prim_path}> is made for the light of {names} "
-        f"(optics.albedo={config.albedo:g}). Stylize again when it changes. Thick smoke that faces "
-        f"it is about {brightest:.2g} times as bright as white{exposed}"
+    in_light = {
+        frame.source.time_code: front_brightness(config, frame.source.lights) * 2.0**stops
+        for frame in volume.frames
+    }
+    code = max(in_light, key=in_light.__getitem__)
+    at = f" at {name_time_codes([code])}" if len(set(in_light.values())) > 1 else ""
+    at += f" at optics.exposure={stops:g}" if stops else ""
+    at += ", and brighter with bounces" if config.optics.bounces else ""
+    found = [
+        f"the look of <{volume.source.prim_path}> is made for its lights "
+        f"(optics.albedo={config.albedo:g}). Stylize again when they change. Thick smoke that "
+        f"faces them is about {in_light[code]:.2g} times as bright as white{at}"
     ]
+    if config.optics.names_lights:
+        to_add = " and ".join(_stage_light(light) for light in volume.frames[0].source.lights)
+        found.append(
+            f"{' and '.join(lights)} light no other renderer. Add {to_add} to the stage, and no "
+            "other lights, or the look is darker there than it was painted"
+        )
+    return found
 
 
 def lights_omitted(source: StageSource, volumes: Sequence[VolumePlan]) -> list[Omission]:
@@ -119,12 +131,12 @@ def _bounces_omitted(volumes: Sequence[VolumePlan]) -> list[Omission]:
     return []
 
 
-def _lights(frames: Iterable[FramePlan]) -> dict[str, LightSource]:
-    """By path, or by the name of the setting; of the first frame that has it."""
-    found: dict[str, LightSource] = {}
+def _lights(frames: Iterable[FramePlan]) -> dict[str, dict[float, LightSource]]:
+    """By path, or by the name of the setting, and by timeCode."""
+    found: dict[str, dict[float, LightSource]] = {}
     for frame in frames:
         for light in frame.source.lights:
-            found.setdefault(light.prim_path, light)
+            found.setdefault(light.prim_path, {})[frame.source.time_code] = light
     return found
 
 
@@ -135,17 +147,41 @@ def _light_names(frames: Iterable[FramePlan]) -> str:
     )
 
 
-def _describe(light: LightSource) -> str:
-    """
-    >>> _describe(LightSource("/sun", (3, 2, 1.5), (0, 0, 1)))
+def _describe(light: Mapping[float, LightSource]) -> str:
+    """A light by timeCode; one that changes where it is brightest.
+
+    >>> _describe({1: LightSource("/sun", (3, 2, 1.5), (0, 0, 1))})
     'from 0 0 1, colour 3 2 1.5'
     """
-    place = "all around" if light.towards is None else f"from {_numbers(light.towards)}"
-    return f"{place}, colour {_numbers(light.colour)}"
+    code, brightest = max(light.items(), key=lambda item: max(item[1].colour))
+    place = "all around" if brightest.towards is None else f"from {_numbers(brightest.towards)}"
+    when = f" at {name_time_codes([code])}, where it is brightest" if _changes(light) else ""
+    return f"{place}, colour {_numbers(brightest.colour)}{when}"
+
+
+def _changes(light: Mapping[float, LightSource]) -> bool:
+    return len(set(light.values())) > 1
+
+
+def _stage_light(light: LightSource) -> str:
+    """The UsdLux light that gives the same light below a prim without a transform."""
+    colour = f"inputs:intensity = 1 and inputs:color = ({_exact(light.colour)})"
+    if light.towards is None:
+        return f"a DomeLight with {colour}"
+    x, y, z = light.towards
+    turn = (-math.degrees(math.atan2(y, math.hypot(x, z))), math.degrees(math.atan2(x, z)), 0.0)
+    return (
+        f"a DistantLight with {colour}, inputs:normalize = 1 and "
+        f"xformOp:rotateXYZ = ({_exact(turn)})"
+    )
 
 
 def _numbers(values: Iterable[float]) -> str:
     return " ".join(f"{value:.3g}" for value in values)
+
+
+def _exact(values: Iterable[float]) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)
 
 
 def _name_all(paths: Iterable[str]) -> str:

@@ -1,6 +1,7 @@
 """What a plan says of the stage's lights."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,8 @@ def test_a_stage_with_a_sun_is_lit_by_default_and_the_plan_says_how_to_leave_it_
     (needed,) = (text for text in made.needed if "</sun>" in text)
     for fact in ("50%", "optics.albedo", "from 0 0 1", "colour 3.36 3.36 3.36", "0 leaves it out"):
         assert fact in needed
-    (note,) = (text for text in made.notes if "</sun>" in text)
+    (note,) = (text for text in made.notes if "made for its lights" in text)
+    assert not any("</sun>" in text for text in made.notes)  # said once
     white = 0.5 * 3.36 / (8 * math.pi)  # of a wall that faces the sun
     assert f"{white:.2g} times as bright" in note
 
@@ -61,8 +63,59 @@ def test_lights_of_the_settings_are_named_and_the_stage_s_left_out(shot: Shot) -
     assert "80%" in needed and "from 0 1 0" in needed
     said = {item.what: item.reason for item in made.omitted}
     assert "optics.sun" in said["lights </sun>, </lamp>"]
-    (note,) = (text for text in made.notes if "optics.sun" in text)
+    (note,) = (text for text in made.notes if "made for its lights" in text)
     assert f"{0.8 / 8 / 2:.2g} times" in note
+
+
+def test_a_light_that_changes_is_told_where_it_is_brightest(tmp_path: Path) -> None:
+    values = "bool inputs:normalize = 1\nfloat inputs:intensity.timeSamples = { 1: 1, 2: 5, 3: 2 }"
+    made = plan_of(make_shot(tmp_path, 3), f'def DistantLight "sun"\n{{\n{values}\n}}\n')
+    (needed,) = (text for text in made.needed if "</sun>" in text)
+    assert "colour 5 5 5 at timeCode 2" in needed
+    (note,) = (text for text in made.notes if "made for its lights" in text)
+    assert f"{0.5 * 5 / (8 * math.pi):.2g} times as bright as white at timeCode 2" in note
+
+
+@pytest.mark.parametrize("towards", [(0.3, -2.0, 0.4), (0.0, 1.0, 0.0), (-1.0, 0.5, -3.0)])
+def test_lights_of_the_settings_are_told_as_lights_that_a_stage_can_have(
+    shot: Shot, towards: tuple[float, float, float]
+) -> None:
+    settings = [f"optics.sun={list(towards)}", "optics.sky=[0.1,0.2,0.3]"]
+    named = plan_of(shot, "", *settings)
+    (note,) = (text for text in named.notes if "other renderer" in text)
+    number = r"(-?[\d.e+-]+)"
+    triple = rf" = \({number}, {number}, {number}\)"
+    (colour, sky), (turn,) = (
+        re.findall(f"{name}{triple}", note) for name in ("inputs:color", "xformOp:rotateXYZ")
+    )
+    for said in ("DistantLight", "DomeLight", "inputs:intensity = 1", "inputs:normalize = 1"):
+        assert said in note
+    authored = plan_of(
+        shot,
+        f"""
+def DistantLight "key"
+{{
+    bool inputs:normalize = 1
+    float inputs:intensity = 1
+    color3f inputs:color = ({", ".join(colour)})
+    double3 xformOp:rotateXYZ = ({", ".join(turn)})
+    uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+}}
+
+def DomeLight "sky"
+{{
+    float inputs:intensity = 1
+    color3f inputs:color = ({", ".join(sky)})
+}}
+""",
+    )
+    for ours, theirs in zip(
+        *(p.volumes[0].frames[0].source.lights for p in (named, authored)), strict=True
+    ):
+        assert theirs.colour == pytest.approx(ours.colour, rel=1e-5)
+        assert (theirs.towards is None) is (ours.towards is None)
+        assert ours.towards is None or theirs.towards == pytest.approx(ours.towards, abs=1e-5)
+    assert not any("other renderer" in text for text in authored.notes)
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,8 @@ def only_light(tmp_path, *lights):
         ("float inputs:intensity = 3\nbool inputs:normalize = 1", 3),
         ("float inputs:intensity = 3\nfloat inputs:angle = 0\nfloat inputs:exposure = -1", 1.5),
         ("float inputs:intensity = 2\nfloat inputs:angle = 180", 2 * math.pi),
+        ("float inputs:intensity = 2\nfloat inputs:angle = 240", 2.5 * math.pi),
+        ("float inputs:intensity = 2\nfloat inputs:angle = 999", 4 * math.pi),
     ],
 )
 def test_the_irradiance_of_a_distant_light_follows_usdlux(tmp_path, values, expected):
@@ -88,6 +90,54 @@ def test_a_light_may_be_animated_and_go_out(tmp_path):
     frames = lit(tmp_path, SUN % values).volumes[0].frames
     found = [[light.colour[0] for light in frame.lights] for frame in frames]
     assert found == [[1.0], [3.0], []]
+
+
+def test_direction_and_temperature_are_those_of_the_frame(tmp_path):
+    values = """bool inputs:normalize = 1
+        float inputs:intensity = 1
+        bool inputs:enableColorTemperature = 1
+        float inputs:colorTemperature = 6500
+        float inputs:colorTemperature.timeSamples = { 1: 2000, 3: 9000 }
+        float xformOp:rotateY = 10
+        float xformOp:rotateY.timeSamples = { 1: 0, 3: 90 }
+        uniform token[] xformOpOrder = ["xformOp:rotateY"]"""
+    frames = lit(tmp_path, SUN % values).volumes[0].frames
+    lights = [frame.lights[0] for frame in frames]
+    half = math.sqrt(0.5)
+    for light, towards in zip(lights, [(0, 0, 1), (half, 0, half), (1, 0, 0)], strict=True):
+        assert light.towards == pytest.approx(towards, abs=1e-6)
+    for light, kelvin in zip(lights, [2000, 5500, 9000], strict=True):
+        assert light.colour == pytest.approx(tuple(UsdLux.BlackbodyTemperatureAsRgb(kelvin)))
+
+
+def test_a_light_that_cannot_be_used_at_some_frames_is_named_with_them(tmp_path):
+    values = "float inputs:intensity.timeSamples = { 1: 1, 2: -3, 3: 5 }"
+    source = lit(tmp_path, SUN % values)
+    assert source.unused_lights["/World/sun"].endswith("at timeCode 2")
+    assert [len(frame.lights) for frame in source.volumes[0].frames] == [1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("bool inputs:shadow:enable = 0", True),
+        ("float inputs:shadow:distance = 3", True),
+        ("color3f inputs:shadow:color = (0.1, 0, 0)", True),
+        ("bool inputs:shadow:enable = 1", False),
+    ],
+)
+def test_shadows_that_are_cast_all_the_same_are_told(tmp_path, value, told):
+    light = SUN.replace('"sun" {', '"sun" (\nprepend apiSchemas = ["ShadowAPI"]\n) {') % value
+    notes = [note for note in lit(tmp_path, light).volumes[0].notes if "/World/sun" in note]
+    assert bool(notes) is told and all(value.split()[1] in note for note in notes)
+
+
+@pytest.mark.parametrize("kind", ["DomeLight", "DomeLight_1"])
+def test_both_kinds_of_dome_are_read(tmp_path, kind):
+    values = "float inputs:intensity = 2"
+    assert only_light(tmp_path, f'def {kind} "sky" {{\n{values}\n}}').colour == (2, 2, 2)
+    texture = f'def {kind} "hdr" {{\nasset inputs:texture:file = @a.exr@\n}}'
+    assert "texture" in lit(tmp_path, texture).unused_lights["/World/hdr"]
 
 
 def test_a_dome_gives_its_radiance_and_what_cannot_be_used_is_named(tmp_path):

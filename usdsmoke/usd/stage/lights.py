@@ -1,7 +1,7 @@
 """Lights at one timeCode: a stage's distant ones and its domes without a texture, or settings'."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from usdsmoke.base.errors import ConfigError, count_text
 from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import FrameSource, LightSource, StageSource, VolumeSource
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.values import authored_path
@@ -36,7 +37,6 @@ def lit_by(
     """
     prims = _light_prims(stage)
     known: dict[tuple[str, float], LightSource | str | None] = {}
-    left_out: dict[str, str] = {}
 
     def lights(volume: VolumeSource, frame: FrameSource) -> tuple[LightSource, ...]:
         found = []
@@ -45,9 +45,7 @@ def lit_by(
             if key not in known:
                 known[key] = _read_light(prim, frame.time_code)
             light = known[key]
-            if isinstance(light, str):
-                left_out[key[0]] = light
-            elif light is not None and _links(prim, volume.prim_path):
+            if isinstance(light, LightSource) and _links(prim, volume.prim_path):
                 found.append(light)
         return tuple(found)
 
@@ -60,9 +58,55 @@ def lit_by(
                 for f in volume.frames
             )
             volume = replace(volume, frames=frames)
+            volume = replace(volume, notes=(*volume.notes, *_shadow_notes(stage, volume)))
         volumes.append(volume)
     paths = tuple(str(prim.GetPath()) for prim in prims)
-    return replace(source, volumes=tuple(volumes), lights=paths, unused_lights=left_out)
+    return replace(source, volumes=tuple(volumes), lights=paths, unused_lights=_left_out(known))
+
+
+def _left_out(known: Mapping[tuple[str, float], LightSource | str | None]) -> dict[str, str]:
+    """Why lights are left out, by path; with the timeCodes where they are used at others."""
+    reasons: dict[str, dict[float, str]] = {}
+    for (path, code), light in known.items():
+        if isinstance(light, str):
+            reasons.setdefault(path, {})[code] = light
+    found = {}
+    for path, why in reasons.items():
+        codes = [code for name, code in known if name == path]
+        at = f" at {name_time_codes(sorted(why))}" if len(why) < len(codes) else ""
+        found[path] = f"{next(iter(why.values()))}{at}"
+    return found
+
+
+def _shadow_notes(stage: Usd.Stage, volume: VolumeSource) -> list[str]:
+    """That a light's shadows are those of light, whatever UsdLux's ShadowAPI makes of them."""
+    changed: dict[str, str] = {}
+    for frame in volume.frames:
+        for light in frame.lights:
+            prim = stage.GetPrimAtPath(light.prim_path) if light.prim_path[0] == "/" else None
+            if prim and (name := _changed_shadow(prim, frame.time_code)):
+                changed.setdefault(light.prim_path, name)
+    return [
+        f"<{path}> casts full shadows in <{volume.prim_path}>: its {name} is not read"
+        for path, name in changed.items()
+    ]
+
+
+def _changed_shadow(light: Usd.Prim, time_code: float) -> str:
+    """The attribute that makes a light's shadows other than they are in the world; "" for none."""
+    if not light.HasAPI(UsdLux.ShadowAPI):
+        return ""
+    shadow = UsdLux.ShadowAPI(light)
+    for attribute in (
+        shadow.GetShadowEnableAttr(),
+        shadow.GetShadowColorAttr(),
+        shadow.GetShadowDistanceAttr(),
+        shadow.GetShadowFalloffAttr(),
+    ):
+        plain = light.GetPrimDefinition().GetAttributeFallbackValue(attribute.GetName())
+        if attribute.Get(time_code) != plain:
+            return str(attribute.GetName())
+    return ""
 
 
 def named_lights(optics: OpticsConfig) -> tuple[LightSource, ...]:
