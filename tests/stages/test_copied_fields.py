@@ -1,5 +1,4 @@
-"""Other fields in the result's files, extents of other frames, and paths as authored (td.md D7, D8,
-D20, F)."""
+"""Other fields in the result's files, extents of other frames, and paths as authored."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -61,7 +60,7 @@ def shown(stage: Usd.Stage, name: str, code: float) -> tuple[str, str]:
     return path.resolvedPath, grid
 
 
-def test_d8_every_field_and_grid_is_in_one_file_under_the_name_of_its_relationship(
+def test_every_field_and_grid_is_in_one_file_under_the_name_of_its_relationship(
     fire: Shot,
 ) -> None:
     result = run(fire, "layer.copy_fields=[all]", "stage.frames=2-3")
@@ -99,7 +98,7 @@ def shifted(fire: Shot, core: FakeCore) -> None:
 
 
 @pytest.mark.parametrize("windows", [(), ("windows.size=2", "windows.overlap=1")])
-def test_d8_copied_fields_move_with_the_density_also_where_windows_are_blended(
+def test_copied_fields_move_with_the_density_also_where_windows_are_blended(
     fire: Shot, core: FakeCore, windows: tuple[str, ...]
 ) -> None:
     shifted(fire, core)
@@ -157,7 +156,7 @@ def test_a_field_that_is_not_there_or_stands_elsewhere_is_refused_by_name(fire: 
     assert any("another place" in item.reason for item in result.plan.omitted)
 
 
-def test_d7_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:
+def test_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:
     shot = make_shot(tmp_path / "shot", n_frames=4)
     for code in (3, 4):
         name = shot.stage.parent / f"cache/smoke.{code:04d}.vdb"
@@ -169,7 +168,7 @@ def test_d7_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Pat
     assert sides == pytest.approx([1.75, 1.75, 3.5 * 1.5, 3.5 * 2])
 
 
-def test_d20_a_search_path_outside_the_range_stays_as_it_is(
+def test_a_search_path_outside_the_range_stays_as_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from pxr import Ar

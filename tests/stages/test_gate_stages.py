@@ -1,4 +1,4 @@
-"""Mends, and USD's own validators over every kind of stage that is written (td.md D12)."""
+"""Mends, and USD's own validators over every kind of stage that is written."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ KINDS = {
 @needs_usd(26, 5)
 @pytest.mark.usefixtures("core")
 @pytest.mark.parametrize("kind", KINDS)
-def test_d12_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) -> None:
+def test_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) -> None:
     shot = make_shot(tmp_path / "shot", names=("density", "vel", "heat"))
     result = run(shot, *KINDS[kind])
     assert result.root_stage is not None
@@ -55,7 +55,7 @@ def test_d12_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) ->
 
 
 @needs_usd(26, 5)
-def test_d12_no_validator_finds_an_error_in_a_stage_made_of_files(tmp_path: Path) -> None:
+def test_no_validator_finds_an_error_in_a_stage_made_of_files(tmp_path: Path) -> None:
     write_sequence(tmp_path, (1, 2, 3))
     target = tmp_path / "made.usda"
     files = str(tmp_path / "cache/smoke.####.vdb")

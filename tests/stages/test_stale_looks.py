@@ -1,4 +1,4 @@
-"""Looks that are older than their source, and flattened stages (td.md B, C, D11)."""
+"""Looks that are older than their source, and flattened stages."""
 
 import dataclasses
 import os
@@ -62,7 +62,7 @@ def stale(stage: Path) -> list[str]:
     return [item.message for item in validate(stage) if item.rule == "LookStale"]
 
 
-def test_d11_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) -> None:
+def test_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) -> None:
     result = run(takes(tmp_path, "takeB"))
     assert stale(result.root_stage) == []
     own, _ = validate_look(result.root_stage)
@@ -80,7 +80,7 @@ def test_d11_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) 
     assert main(["validate", "--look-only", str(result.root_stage)]) == 1
 
 
-def test_d11_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
+def test_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
     result = run(takes(tmp_path, "takeB"))
     cache = tmp_path / "in/takeB/smoke.0002.vdb"
     later = 2_000_000_000
@@ -130,7 +130,7 @@ def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(
     assert "{sim} was takeB" in message
 
 
-def test_c_a_flattened_stage_leads_to_the_record(tmp_path: Path) -> None:
+def test_a_flattened_stage_leads_to_the_record(tmp_path: Path) -> None:
     result = run(takes(tmp_path, "takeB"))
     flat = tmp_path / "out/flat.usda"
     Usd.Stage.Open(str(result.root_stage)).Export(str(flat))
@@ -139,7 +139,7 @@ def test_c_a_flattened_stage_leads_to_the_record(tmp_path: Path) -> None:
     assert found.record == own.record
 
 
-def test_c_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Path) -> None:
+def test_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Path) -> None:
     result = run(takes(tmp_path, "takeB"))
     flat = tmp_path / "elsewhere/flat.usdc"
     flat.parent.mkdir()
@@ -155,7 +155,7 @@ def test_c_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Pat
     assert [style.name for style in record.styles] == ["style.png"]
 
 
-def test_c_a_package_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_package_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = run(takes(tmp_path, "takeB"))
     package = tmp_path / "p.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(result.root_stage), str(package))

@@ -1,4 +1,4 @@
-"""What a studio's stages do besides holding smoke (td.md A and B, D4, D13)."""
+"""What a studio's stages do besides holding smoke."""
 
 import json
 from pathlib import Path
@@ -38,7 +38,7 @@ def smoke(name: str, extra: str = "") -> str:
     return volume_prim(extra + density_prim(sequence((1, 2))), name)
 
 
-def test_d4_a_field_prim_that_stands_elsewhere_is_named_in_plan_inspect_and_validate(
+def test_a_field_prim_that_stands_elsewhere_is_named_in_plan_inspect_and_validate(
     tmp_path: Path,
 ) -> None:
     body = volume_prim("", relations="rel field:density = </World/caches/density>")
@@ -74,7 +74,7 @@ def test_a_volume_below_a_point_instancer_is_named(tmp_path: Path, is_below: boo
 
 
 @pytest.mark.usefixtures("core")
-def test_d13_a_group_names_the_shown_volumes_below_it(tmp_path: Path) -> None:
+def test_a_group_names_the_shown_volumes_below_it(tmp_path: Path) -> None:
     body = smoke("one") + smoke("two") + smoke("off", 'token visibility = "invisible"\n')
     group = f'def Xform "fx" {{ {body.replace("/World/", "/World/fx/")} }}'
     shot = shot_of(tmp_path, group + smoke("three"))
@@ -90,7 +90,7 @@ def test_d13_a_group_names_the_shown_volumes_below_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["no field", "no file", "no grid"])
-def test_d13_one_bad_volume_among_good_ones_is_left_out_by_naming_the_others(
+def test_one_bad_volume_among_good_ones_is_left_out_by_naming_the_others(
     tmp_path: Path, fault: str
 ) -> None:
     bad = {
@@ -111,7 +111,7 @@ def test_d13_one_bad_volume_among_good_ones_is_left_out_by_naming_the_others(
 
 
 @pytest.mark.usefixtures("core")
-def test_d13_one_missing_frame_is_left_out_on_request(tmp_path: Path) -> None:
+def test_one_missing_frame_is_left_out_on_request(tmp_path: Path) -> None:
     shot = make_shot(tmp_path / "shot", n_frames=3)
     (shot.stage.parent / "cache/smoke.0002.vdb").unlink()
     with pytest.raises(StageError, match="--allow-missing"):
@@ -130,7 +130,7 @@ def test_points_or_vectors_as_density_are_an_error_of_validate(tmp_path: Path) -
     assert "GridUnsupported" in {finding.rule for finding in found}
 
 
-def test_b_a_range_that_starts_below_0_is_read(
+def test_a_range_that_starts_below_0_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     codes = (-2, -1, 0, 1)

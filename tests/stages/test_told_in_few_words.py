@@ -1,5 +1,4 @@
-"""What a person reads of a run, and small faults of stages that stay out of results (td.md D17,
-D21)."""
+"""What a person reads of a run, and small faults of stages that stay out of results."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.text import plan_text
 
 
-def test_d17_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(
+def test_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(
     shot: Shot,
 ) -> None:
     found = plan(shot.stage, shot.style, shot.output, {"windows.size": 2, "stage.frames": "1-3"})
@@ -28,7 +27,7 @@ def test_d17_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(
 
 
 @pytest.mark.usefixtures("core")
-def test_d17_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> None:
+def test_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> None:
     budget = run(shot).error_budget
     assert budget is not None
     lines = budget_text(budget).splitlines()
@@ -53,7 +52,7 @@ def test_errors_that_are_fine_are_a_line_and_rows_on_request(shot: Shot) -> None
     assert all(any(row.startswith(name) for row in rows) for name in (bad, *fine))
 
 
-def test_d21_the_title_of_a_narrow_sheet_is_whole() -> None:
+def test_the_title_of_a_narrow_sheet_is_whole() -> None:
     picture = np.zeros((16, 16, 3), np.float32)
     title = "</World/a_rather_long_name/of_a_volume>, shot_020_fx_v013.usda"
     sheet = compose_sheet(title, [[("timeCode 1", picture)]], [])
@@ -64,7 +63,7 @@ def test_d21_the_title_of_a_narrow_sheet_is_whole() -> None:
 
 
 @pytest.mark.usefixtures("core")
-def test_d21_a_default_prim_that_is_not_there_is_not_copied(tmp_path: Path) -> None:
+def test_a_default_prim_that_is_not_there_is_not_copied(tmp_path: Path) -> None:
     shot = make_shot(tmp_path, n_frames=1)
     shot.stage.write_text(
         shot.stage.read_text().replace('defaultPrim = "World"', 'defaultPrim = "X"')

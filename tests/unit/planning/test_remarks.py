@@ -100,7 +100,7 @@ def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
 @pytest.mark.parametrize(
     ("longest", "settings", "refine"),
     [
-        (70, (), 3),  # td.md D16: a dragon, smeared
+        (70, (), 3),  # a dragon, smeared
         (23, (), 4),
         (107, (), None),  # the example plume, good
         (222, (), None),  # cortex' smoke, good
@@ -110,7 +110,7 @@ def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
         (70, ("optimize.strength=0",), None),
     ],
 )
-def test_d16_a_coarse_grid_is_told_with_the_setting_for_sharper_strokes(
+def test_a_coarse_grid_is_told_with_the_setting_for_sharper_strokes(
     tmp_path: Path, longest: int, settings: tuple[str, ...], refine: int | None
 ) -> None:
     shot = make_shot(tmp_path, n_frames=1)
