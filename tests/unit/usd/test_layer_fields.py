@@ -110,6 +110,19 @@ def test_a_density_outside_the_volume_gets_its_emission_beside_it(tmp_path):
     assert place(stage, "/World/fields/emission", 2) == place(stage, "/World/fields/d", 2)
 
 
+def test_a_new_field_has_no_name_that_differs_from_another_in_case_alone(tmp_path):
+    body = f'def Xform "fields"\n{{{density_prim(sequence(CODES), "Density", MOVING)}\n'
+    body += 'def Scope "Emission" {}\n}\n'
+    shared = SHARED.replace("fields/d>", "fields/Density>")
+    body += volume_prim("", "one", shared) + volume_prim("", "two", shared)
+    stage = look(tmp_path, body)
+    for name in ("one", "two"):
+        assert fields_of(stage, f"/World/{name}") == {
+            "density": f"/World/fields/density_{name}",
+            "emission": f"/World/fields/emission_{name}",
+        }
+
+
 def test_volumes_that_share_a_density_each_show_their_own_result(tmp_path):
     body = f'def Xform "fields"\n{{{density_prim(sequence(CODES), "d", MOVING)}}}\n'
     body += volume_prim("", "one", SHARED) + volume_prim("", "two", SHARED)

@@ -86,7 +86,7 @@ def choose_field_prims(
             source = None
         is_new = source is None or uses.get(source.GetPath(), 0) > _own_uses(prim, source, name)
         if source is None or is_new:
-            path = _free_path(stage, density, name, prim, taken)
+            path = _free_path(density, name, prim, taken)
             taken.add(path)
         else:
             path = source.GetPath()
@@ -121,17 +121,17 @@ def _same_place(one: Usd.Prim, other: Usd.Prim, volume: StylizedVolume) -> bool:
     return True
 
 
-def _free_path(
-    stage: Usd.Stage, beside: Usd.Prim, name: str, volume: Usd.Prim, taken: set[Sdf.Path]
-) -> Sdf.Path:
-    """A path next to ``beside`` where the stage has no prim: name, name_volume, name_volume_2..."""
+def _free_path(beside: Usd.Prim, name: str, volume: Usd.Prim, taken: set[Sdf.Path]) -> Sdf.Path:
+    """A path next to ``beside`` where the stage has no prim: name, name_volume, name_volume_2...;
+    nor one whose name differs in case alone, which people would take for the same."""
     parent = beside.GetPath().GetParentPath()
     base = name.replace(":", "_")
     longer = f"{base}_{volume.GetName()}"
+    siblings = {prim.GetName().casefold() for prim in beside.GetParent().GetAllChildren()}
     candidates = [base, longer] + [f"{longer}_{n}" for n in range(2, 1000)]
     for candidate in candidates:
         path = parent.AppendChild(candidate)
-        if path not in taken and not stage.GetPrimAtPath(path):
+        if path not in taken and candidate.casefold() not in siblings:
             return path
     raise LayerError(
         f"no free name for the field {name} below <{parent}>: {longer} to {candidates[-1]} exist. "
