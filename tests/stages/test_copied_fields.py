@@ -1,5 +1,6 @@
 """Other fields in the result's files, extents of other frames, and paths as authored."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +19,13 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
+from usdsmoke import verify
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.pipeline import plan as make_plan
-from usdsmoke.usd.rules import validate
+from usdsmoke.usd.rules import Severity, validate
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -84,6 +86,21 @@ def test_named_fields_alone_are_copied_and_also_where_windows_are_blended(fire: 
         assert np.all(values_of(file_path, "heat") == code)
     rules = {finding.rule for finding in validate(Usd.Stage.Open(str(result.root_stage)))}
     assert not {"MixedFilesPerVolume", "GridMissing", "FieldNameMismatch"} & rules
+
+
+def test_an_edited_field_that_was_copied_is_a_changed_source(fire: Shot) -> None:
+    result = run(fire, "layer.copy_fields=[all]")
+    assert verify(result.look_layer) == []
+    later = (2_000_000_000, 2_000_000_000)
+    cache = write_vdb(fire.stage.parent / "cache/heat.0002.vdb", ("temperature",), value=9)
+    os.utime(cache, later)
+    (change,) = verify(result.look_layer)
+    assert (change.kind, change.file) == ("input-edited", str(cache))
+    assert change.expected.startswith("temperature ")
+    (found,) = [item for item in validate(result.root_stage) if item.rule == "LookStale"]
+    assert (found.severity, "heat.0002.vdb" in found.message) == (Severity.ERROR, True)
+    os.utime(write_vdb(cache, ("temperature",), value=2), later)  # the same grid in other bytes
+    assert [item.severity for item in verify(result.look_layer)] == ["note"]
 
 
 def shifted(fire: Shot, core: FakeCore) -> None:

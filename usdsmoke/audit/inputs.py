@@ -17,7 +17,7 @@ from usdsmoke.base.resolve import recorded_settings
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
-from usdsmoke.planning.frame_reader import FrameReader, hash_sources
+from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
 from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_values
@@ -217,7 +217,7 @@ def _check_contents(
         reader.release(before, [planned[1]])  # neighbours may show the same file
         before = [planned[1]]
         try:
-            hashes, trouble = hash_sources(reader.read(*planned)), ""
+            hashes, trouble = reader.hash_sources(*planned), ""
         except BindingMissing as error:
             notes = {file: _unread(other[file], str(error)) for file, _ in sources}
             changes = notes | changes

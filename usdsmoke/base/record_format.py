@@ -29,7 +29,7 @@ class SourceGrid:
     field: str  # density, velocity, mask, or the name of one that is copied as it is
     file: str
     grid: str  # names of the grids in the file
-    hash: str = ""  # content hash; "" where the field does not decide the frame
+    hash: str = ""  # content hash; "" for a velocity that is only copied
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.planning.copied import CopiedGrid
 from usdsmoke.planning.frames import (
     MaskSource,
     VelocitySource,
@@ -69,12 +70,25 @@ class FrameReader:
         Raises:
             GridError: a file or grid cannot be used.
         """
-        found = []
-        for grid in frame.others:
-            files, limits = grid.field.file_path, volume.config.grids
-            (field,) = self._store.read(files, [grid.request], limits)
-            found.append(dataclasses.replace(field, name=grid.name))
-        return found
+        return [
+            dataclasses.replace(self._read_other(volume, grid), name=grid.name)
+            for grid in frame.others
+        ]
+
+    def _read_other(self, volume: VolumePlan, grid: CopiedGrid) -> DenseField:
+        (field,) = self._store.read(grid.field.file_path, [grid.request], volume.config.grids)
+        return field
+
+    def hash_sources(self, volume: VolumePlan, frame: FramePlan) -> dict[str, str]:
+        """Content hashes of a frame's sources, all of which are read: of ``density``, ``mask`` and
+        ``velocity`` as read, and of the other grids that are copied, by the names of the copies.
+
+        Raises:
+            GridError, NonFiniteError: see ``read``.
+        """
+        found = _hashes(self.read(volume, frame))
+        others = {grid.name: self._read_other(volume, grid) for grid in frame.others}
+        return {name: hash_fields([field]) for name, field in others.items()} | found
 
 
 def _files(frames: Iterable[FramePlan]) -> set[str]:
@@ -179,7 +193,6 @@ def read_velocity_grids(
     return [_scaled(grid, factor) for grid in grids]
 
 
-def hash_sources(frame: VolumeFrame) -> dict[str, str]:
-    """Content hashes of a frame's sources: ``density``, ``mask`` and ``velocity``, as read."""
+def _hashes(frame: VolumeFrame) -> dict[str, str]:
     fields = {"density": frame.density, "mask": frame.mask, "velocity": frame.velocity}
     return {name: hash_fields([field]) for name, field in fields.items() if field is not None}

@@ -1,6 +1,7 @@
 """The provenance record of a finished run, and the metadata in the file of each frame."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
 
 _OURS = "usdsmoke:"
+_HASHED = ("density", "mask", "velocity")  # sources whose hashes a frame's file has
 
 
 def frame_metadata(
@@ -53,7 +55,11 @@ def frame_metadata(
         "usdsmoke:version": __version__,
         "usdsmoke:run": run.run_id,
         "usdsmoke:source": Path(source_file).name,
-        **{f"usdsmoke:{_source_key(name)}": digest for name, digest in source_hashes.items()},
+        **{
+            f"usdsmoke:{_source_key(name)}": source_hashes[name]
+            for name in _HASHED
+            if name in source_hashes
+        },
     }
 
 
@@ -126,12 +132,13 @@ def keep_record(run: Run, record: RunRecord) -> None:
 
 def _frame_record(run: Run, volume: VolumePlan, frame: FramePlan) -> FrameRecord:
     hashes = run.frames[frame.file_name]["source_hashes"]
-    sources = tuple(
-        SourceGrid(name, relative_asset_path(path, run.output), label, hashes.get(name, ""))
-        for name, path, label in _sources(volume, frame)
-    )
+    sources: dict[str, SourceGrid] = {}
+    for name, path, label in _sources(volume, frame):  # a copied grid may have a name of ours
+        source = SourceGrid(name, relative_asset_path(path, run.output), label)
+        digest = "" if name in sources else hashes.get(name, "")
+        sources[f"{name} {label}" if name in sources else name] = replace(source, hash=digest)
     place = relative_asset_path(result_file(run, volume, frame), run.output)
-    return FrameRecord(place, volume.source.prim_path, frame.source.time_code, sources)
+    return FrameRecord(place, volume.source.prim_path, frame.source.time_code, (*sources.values(),))
 
 
 def _sources(volume: VolumePlan, frame: FramePlan) -> Iterator[tuple[str, str, str]]:

@@ -12,7 +12,6 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
 from usdsmoke.core.sequence.controls import frame_config
-from usdsmoke.planning.frame_reader import hash_sources
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene
@@ -37,8 +36,8 @@ def hash_frames(
     store of ``opened.reader``, so that it is decoded once.
 
     Returns:
-        By the result's file name the content hashes of what decides the frame: ``density``, and
-        ``mask`` and ``velocity`` where they are read.
+        By the result's file name the content hashes of what decides the frame's file: see
+        ``FrameReader.hash_sources``.
 
     Raises:
         GridError, NonFiniteError: see ``FrameReader.read``.
@@ -47,7 +46,7 @@ def hash_frames(
     hashes = {}
     for number, (name, (volume, frame)) in enumerate(to_do.items()):
         tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
-        hashes[name] = hash_sources(opened.reader.read(volume, frame))
+        hashes[name] = opened.reader.hash_sources(volume, frame)
     return hashes
 
 
