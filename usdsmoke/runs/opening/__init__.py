@@ -1,7 +1,7 @@
 """Which run a call belongs to.
 
 - ``choose``: a run that is begun, continued, joined, repeated or refused
-- ``growth``: a result that is made longer: what stays, what is done
+- ``growth``: a result that gets more frames or whose source changed in part: what stays
 """
 
 from usdsmoke.runs.opening.choose import (
