@@ -67,7 +67,7 @@ class WindowsConfig(Section):
         8, "frames in one window; inside a window each frame starts from its neighbour's result",
         ge=1, unit="frames", request="windowSize")
     overlap: int = setting(
-        4, "frames that neighbouring windows share; their two results are blended",
+        4, "frames that neighbouring windows share, at most size; their two results are blended",
         ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
         0.8, "share of the iterations that is run for a frame that starts from its neighbour's "

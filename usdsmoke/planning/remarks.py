@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.sections import ColourConfig
+from usdsmoke.base.sections import ColourConfig, WindowsConfig
 from usdsmoke.base.time_codes import (
     find_holes,
     format_time_code,
@@ -38,6 +38,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_rate(volume),
             *_coarse(volume),
             *_unmoved(volume),
+            *_overlap(volume),
         ]
         found += lights_remark(volume.config, volume)
     return tuple(dict.fromkeys(found))
@@ -48,6 +49,18 @@ def measured_on_part(volume: VolumePlan) -> bool:
     optics = volume.config.optics
     is_open = optics.gamma is None or optics.gamma_shape is None
     return is_open and len(volume.frames) < len(volume.source.time_codes)
+
+
+def _overlap(volume: VolumePlan) -> list[str]:
+    """A larger overlap than a window can have; the default is one where windows are small."""
+    windows = volume.config.windows
+    is_cut = windows.overlap > windows.size and any(window.overlap for window in volume.windows)
+    if not is_cut or windows.overlap == WindowsConfig().overlap:
+        return []
+    return [
+        f"windows.overlap={windows.overlap} has the effect of windows.overlap={windows.size}: a "
+        f"window has {windows.size} frames. Set a larger windows.size for a longer overlap"
+    ]
 
 
 def _unmoved(volume: VolumePlan) -> list[str]:

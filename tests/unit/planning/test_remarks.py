@@ -128,3 +128,11 @@ def test_at_the_end_the_extinctions_are_told_that_keep_the_look(shot: Shot, core
     assert any(f"optics.gamma={gamma:g}" in text for text in told)
     whole = stylize(shot.stage, shot.style, shot.folder / "whole").warnings
     assert not any("optics.gamma" in text for text in whole)
+
+
+def test_an_overlap_that_no_window_can_have_is_told(shot: Shot) -> None:
+    (note,) = plan_of(shot, "windows.size=2", "windows.overlap=3").notes
+    assert "windows.overlap=3" in note and "windows.overlap=2" in note and "windows.size" in note
+    for words in (["windows.size=2"], ["windows.size=2", "windows.overlap=2"]):
+        assert plan_of(shot, *words).notes == ()
+    assert plan_of(shot, "windows.size=8", "windows.overlap=9").notes == ()
