@@ -2,6 +2,8 @@
 
 import importlib
 import pkgutil
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -50,6 +52,27 @@ def test_an_open_stage_is_taken_like_its_path(shot: Shot) -> None:
         usdsmoke.plan(stage, shot.style)
 
 
+def test_what_is_no_stage_or_no_settings_is_refused_by_name(shot: Shot) -> None:
+    calls: list[Callable[[Any], object]] = [
+        usdsmoke.inspect,
+        usdsmoke.validate,
+        lambda stage: usdsmoke.preview(stage, shot.folder / "look.png"),
+        lambda stage: usdsmoke.plan(stage, shot.style),
+    ]
+    for call in calls:
+        with pytest.raises(usdsmoke.UsdSmokeError, match=r"^None .*layer\.mode=layer"):
+            call(None)
+    for settings in (7, [7], [None, 7]):
+        with pytest.raises(usdsmoke.UsdSmokeError, match=r"^7 .*YAML"):
+            usdsmoke.plan(shot.stage, shot.style, settings=settings)
+
+
+@pytest.mark.parametrize("name", ["net.pt", "net", "net.safetensors.bak"])
+def test_a_network_under_another_suffix_is_refused_before_it_is_trained(name: str) -> None:
+    with pytest.raises(usdsmoke.UsdSmokeError, match=rf"\.safetensors .*{name}"):
+        usdsmoke.train("no_stage.usda", "no_image.png", name)
+
+
 def test_every_setting_is_explained() -> None:
     settings = usdsmoke.settings()
     assert len(settings) > 60
@@ -58,7 +81,9 @@ def test_every_setting_is_explained() -> None:
 
 def test_a_plan_and_a_result_print_in_a_few_lines(shot: Shot, core: FakeCore) -> None:
     planned = usdsmoke.plan(shot.stage, shot.style, shot.output)
-    assert str(planned).startswith("</World/smoke>: 3 frames, 1 windows")
+    assert str(planned).startswith("</World/smoke>: 3 frames in 1 window,")
     result = usdsmoke.stylize(shot.stage, shot.style, shot.output)
     assert str(result).startswith(f"{result.root_stage}: {len(result.frames)} VDB files")
     assert max(len(str(planned)), len(str(result))) < 1500
+    again = str(usdsmoke.rerun(result.look_layer, shot.folder / "again"))
+    assert "3 frames, as recorded" in again and len(again) < 1500

@@ -9,7 +9,7 @@ from pathlib import Path
 from usdsmoke.audit.inputs import recorded_config, shown
 from usdsmoke.audit.record import FoundRecord, find_records
 from usdsmoke.audit.verification import verify_inputs
-from usdsmoke.base.errors import LayerError, OutputExists
+from usdsmoke.base.errors import LayerError, OutputExists, count_text
 from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pipeline import (
@@ -22,7 +22,7 @@ from usdsmoke.pipeline import (
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.progress import RunProgressCallback
 
-_MOST_NAMED = 6  # changes in a message
+_MOST_NAMED = 6  # changes or frames in a message
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,12 @@ class Rerun:
     record: Path  # the look layer, or a frame's file, that the run was repeated from
     n_frames: int  # recorded
     differences: tuple[str, ...]  # a sentence for every frame that is not as it was recorded
+
+    def __str__(self) -> str:
+        same = "as recorded" if not self.differences else f"{len(self.differences)} differ"
+        opened = self.result.root_stage or self.result.look_layer
+        head = f"{opened}: {count_text(self.n_frames, 'frame')}, {same}"
+        return "\n".join((head, *self.differences[:_MOST_NAMED], *self.result.warnings))
 
 
 def rerun(

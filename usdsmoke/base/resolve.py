@@ -7,7 +7,7 @@ request, what is given explicitly for this run (options, mappings, texts).
 import difflib
 import math
 import os
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -24,6 +24,7 @@ Styles = FilePath | Sequence[FilePath] | None
 Settings = Config | Mapping[str, Any] | FilePath | Sequence[Any] | None  # see resolve_settings
 
 PATH_SETTINGS = ("features.vgg19_file", "optimize.start")  # settings that name a file
+_FORMS = "Give a mapping, a YAML file, a text such as 'windows.size=3', or a list of these."
 _END_MARK = "...\n"  # yaml puts it behind a bare scalar
 
 
@@ -208,6 +209,8 @@ def _parts_of(settings: Any) -> Iterator[Any]:
     """One source after the other; sequences may hold sequences."""
     if isinstance(settings, (Config, Mapping, str, PathLike)):
         yield settings
+    elif not isinstance(settings, Iterable | None):
+        raise ConfigError(f"{settings!r} is no settings. {_FORMS}")
     else:
         for part in settings or ():
             yield from _parts_of(part)

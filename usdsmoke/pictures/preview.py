@@ -56,6 +56,11 @@ class PreviewResult:
     extinctions: dict[str, float]  # by Volume of the look, per density, 1/stage unit
     notes: tuple[str, ...]
 
+    def __str__(self) -> str:
+        more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
+        size = f"{self.width} x {self.height} pixels"
+        return "\n".join((f"{self.files[0]}{more}: {size}", *self.notes))
+
 
 def preview(
     stage: StageOrFile,

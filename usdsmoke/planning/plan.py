@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usdsmoke.base.errors import ConfigError, PlanError
+from usdsmoke.base.errors import ConfigError, PlanError, count_text
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.planning.copied import CopiedGrid
@@ -124,9 +124,9 @@ class Plan:
 
     def __str__(self) -> str:
         paths = ", ".join(f"<{volume.source.prim_path}>" for volume in self.volumes)
-        counts = f"{self.n_frames} frames, {len(self.tasks)} windows"
+        frames, windows = count_text(self.n_frames, "frame"), count_text(len(self.tasks), "window")
         cost = f"{self.estimate.seconds:.0f} s, {self.estimate.memory_gib:.1f} GiB of memory"
-        return "\n".join((f"{paths}: {counts}, about {cost}", *self.notes))
+        return "\n".join((f"{paths}: {frames} in {windows}, about {cost}", *self.notes))
 
     @property
     def n_frames(self) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke import __version__
-from usdsmoke.base.errors import Interrupted
+from usdsmoke.base.errors import ConfigError, Interrupted, count_text
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles
@@ -40,6 +40,14 @@ class TrainResult:
     n_iterations: int  # of the training, that were done
     seconds: float
 
+    def __str__(self) -> str:
+        frames = count_text(len(self.time_codes), "frame")
+        return (
+            f"{self.file}: trained on {frames}, style loss {self.loss:.3g} at timeCode "
+            f"{self.held_out:g}, {self.cold_loss:.3g} after {self.cold_iterations} iterations "
+            "from noise"
+        )
+
 
 def train(
     stage: StageOrFile,
@@ -60,12 +68,15 @@ def train(
         progress: called after every iteration.
 
     Raises:
+        ConfigError: ``output`` has another suffix.
         PlanError: there is no smoke in any frame.
         UsdSmokeError: see ``usdsmoke.base.errors``; no file is written then.
         Interrupted: by Ctrl-C; likewise.
     """
     prepare_torch_environment()
     started, target, tell = time.monotonic(), Path(output).absolute(), progress or ignore_progress
+    if target.suffix != ".safetensors":
+        raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
     # the folder is not made; only the checks of a run's inputs are wanted
     request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
     job = prepare_job(request, fits=False)

@@ -63,6 +63,10 @@ class ReportResult:
     files: tuple[Path, ...]  # page, diagrams and JSON
     report: Report
 
+    def __str__(self) -> str:
+        verdicts = (f"{sweep.title}: {sweep.verdict}" for sweep in self.report.sweeps)
+        return "\n".join((str(self.page), *verdicts))
+
 
 def make_report(
     stage: StageOrFile,

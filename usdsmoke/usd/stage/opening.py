@@ -17,18 +17,29 @@ def open_stage(stage: StageOrFile) -> Usd.Stage:
     """The composed stage of a .usda, .usdc, .usd or .usdz file, all payloads loaded.
 
     Raises:
-        StageError: the file is missing, of no USD format, or cannot be parsed.
+        StageError: the file is missing, of no USD format, or cannot be parsed; or there is none.
     """
+    _check_given(stage)
     register_schema()  # USD reads its schemas when the first stage is opened, and never again
     return stage if isinstance(stage, Usd.Stage) else open_quietly(os.fspath(stage))
+
+
+def _check_given(stage: object) -> None:
+    """Refuse what is neither a path nor a stage: type checkers do not see into ``pxr``."""
+    if not isinstance(stage, (str, os.PathLike, Usd.Stage)):
+        raise StageError(
+            f"{stage!r} is no stage. Give a file or a Usd.Stage; a result with layer.mode=layer "
+            "has a look layer alone, to be added to a stage's subLayers."
+        )
 
 
 def stage_file(stage: StageOrFile) -> Path:
     """The absolute path of a stage's file; an open stage must be as it is on disk.
 
     Raises:
-        StageError: the open stage has no file, or holds edits that no file has.
+        StageError: the open stage has no file, or holds edits that no file has; or there is none.
     """
+    _check_given(stage)
     if isinstance(stage, (str, os.PathLike)):
         return Path(stage).absolute()
     root, session = stage.GetRootLayer(), stage.GetSessionLayer()
