@@ -146,6 +146,22 @@ def test_an_unknown_command_or_option_names_the_nearest(
     assert f"Did you mean {meant}?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "facts"),
+    [
+        (["compare", "a", "b"], ("no command 'compare'", "inspect, stage, stylize")),
+        (["stylize", "a.usda", "--preset", "dailly"], ("--preset", "'dailly'", "daily?")),
+    ],
+)
+def test_a_word_that_is_no_choice_is_told_with_the_choices(
+    arguments: list[str], facts: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    said = capsys.readouterr().err
+    assert all(fact in said for fact in facts) and "invalid" not in said
+
+
 def test_the_plan_lists_its_windows_by_number_where_there_are_several(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:

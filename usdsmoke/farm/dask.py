@@ -27,6 +27,7 @@ from usdsmoke.base.errors import (
     UsdSmokeError,
     WriteFailed,
 )
+from usdsmoke.base.machine import check_packages
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.farm.tasks import Tasks, divide_run
 from usdsmoke.pipeline import Request, StylizeResult, assemble
@@ -66,10 +67,12 @@ def stylize_on_cluster(
         planned: called once with the plan, before the cluster is contacted.
 
     Raises:
+        MissingPackage: distributed is not installed; the plan is not made then.
         ClusterError: the cluster cannot be reached or used, or lost its workers.
         UsdSmokeError: the errors of ``stylize``, also if they occur in a task.
         Interrupted: by Ctrl-C; workers finish their current windows.
     """
+    check_packages("distributed")
     tasks = divide_run(request, planned)
     with _connected(address) as client:
         notes = _check_workers(client, tasks.request, tasks.plan)
@@ -256,13 +259,8 @@ def _package_version(name: str) -> str:
 @contextmanager
 def _connected(address: str) -> "Iterator[Client]":
     """A client of the scheduler at an address; an error within seconds if there is none."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ClusterError(
-            "--cluster needs the package distributed, which is not installed. "
-            "Install it: pip install distributed."
-        ) from None
+    from distributed import Client
+
     _check_greeting(address)
     with _quiet():
         try:

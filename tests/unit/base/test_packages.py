@@ -52,6 +52,8 @@ def run_without(hidden: tuple[str, ...], words: list[str]) -> tuple[int, str]:
         (("OpenEXR",), "pip install OpenEXR"),
         (("openvdb", "pyopenvdb"), "openvdb"),
         (("pxr",), "pip install usd-core"),
+        (("pydantic",), "pip install pydantic"),
+        (("rich",), "pip install rich"),
     ],
 )
 def test_one_line_names_the_package_and_the_fix(

@@ -16,10 +16,11 @@ import pytest
 
 from tests.fixtures.pipeline_fixtures import Shot
 from usdsmoke import __version__
-from usdsmoke.base.errors import ClusterError
+from usdsmoke.base.errors import ClusterError, MissingPackage
 from usdsmoke.farm import dask
 from usdsmoke.farm.dask import stylize_on_cluster
 from usdsmoke.pipeline import Request
+from usdsmoke.planning.plan import Plan
 from usdsmoke.ui.cli.main import main
 
 
@@ -74,8 +75,11 @@ def test_without_the_package_the_error_says_how_to_get_it(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ClusterError, match="install distributed"):
-        stylize_on_cluster("tcp://127.0.0.1:9", Request(shot.stage, shot.style, shot.output))
+    plans: list[Plan] = []
+    request = Request(shot.stage, shot.style, shot.output)
+    with pytest.raises(MissingPackage, match=r"distributed .*pip install"):
+        stylize_on_cluster("tcp://127.0.0.1:9", request, planned=plans.append)
+    assert not plans
     assert not shot.output.exists()
 
 

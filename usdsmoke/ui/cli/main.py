@@ -10,6 +10,7 @@ With ``--json`` stdout holds exactly one JSON value, whatever happens: the resul
 """
 
 import argparse
+import json
 import os
 import signal
 import sys
@@ -19,41 +20,9 @@ from contextlib import contextmanager
 from types import FrameType
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
-from usdsmoke.base.machine import missing_package
-from usdsmoke.ui.cli.arguments import build_parser
-from usdsmoke.ui.cli.commands import (
-    run_inspect,
-    run_plugin_path,
-    run_preview,
-    run_provenance,
-    run_report,
-    run_rerun,
-    run_settings,
-    run_stage,
-    run_validate,
-    run_verify,
-)
-from usdsmoke.ui.cli.text import print_json
-from usdsmoke.ui.cli.values import empty_path
-from usdsmoke.ui.cli.work_commands import run_assemble, run_stylize, run_submit, run_train
+from usdsmoke.base.machine import check_packages, missing_package
 
 _BROKEN_PIPE = 128 + 13
-_COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    "inspect": run_inspect,
-    "stage": run_stage,
-    "stylize": run_stylize,
-    "submit": run_submit,
-    "train": run_train,
-    "assemble": run_assemble,
-    "validate": run_validate,
-    "plugin-path": run_plugin_path,
-    "preview": run_preview,
-    "report": run_report,
-    "provenance": run_provenance,
-    "verify": run_verify,
-    "rerun": run_rerun,
-    "settings": run_settings,
-}
 
 
 class _Stopped(KeyboardInterrupt):
@@ -66,19 +35,50 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; None takes the process's own.
     """
-    parser = build_parser()
-    arguments = parser.parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    try:
+        check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
+    except UsdSmokeError as error:
+        _report(error, argparse.Namespace(verbose=False, json="--json" in words))
+        return 1
+    from usdsmoke.ui.cli.arguments import build_parser
+    from usdsmoke.ui.cli.values import empty_path
+
+    parser, commands = build_parser(), _commands()
+    arguments = parser.parse_args(words)
     if name := empty_path(arguments):
         parser.error(f"{name} is empty. Give a path.")
     try:
         with _signals_as_exceptions() as seen:
-            code = _run(_COMMANDS[arguments.command], arguments, seen)
+            code = _run(commands[arguments.command], arguments, seen)
         sys.stdout.flush()
         return code
     except BrokenPipeError:
         # Whatever is flushed when the interpreter ends must not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
+
+
+def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
+    """The function of each command."""
+    from usdsmoke.ui.cli import commands, work_commands
+
+    return {
+        "inspect": commands.run_inspect,
+        "stage": commands.run_stage,
+        "stylize": work_commands.run_stylize,
+        "submit": work_commands.run_submit,
+        "train": work_commands.run_train,
+        "assemble": work_commands.run_assemble,
+        "validate": commands.run_validate,
+        "plugin-path": commands.run_plugin_path,
+        "preview": commands.run_preview,
+        "report": commands.run_report,
+        "provenance": commands.run_provenance,
+        "verify": commands.run_verify,
+        "rerun": commands.run_rerun,
+        "settings": commands.run_settings,
+    }
 
 
 def _run(
@@ -138,4 +138,4 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
     if arguments.verbose and (details := getattr(error, "details", "")):
         print(details, file=sys.stderr)
     if arguments.json:
-        print_json({"error": {"type": kind, "message": message}})
+        print(json.dumps({"error": {"type": kind, "message": message}}, ensure_ascii=False))

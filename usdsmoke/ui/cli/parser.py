@@ -23,10 +23,14 @@ class SuggestingParser(argparse.ArgumentParser):
         return arguments
 
     def error(self, message: str) -> NoReturn:
-        """As of ``argparse``, with the nearest of the choices that it lists."""
-        found = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        hint = _closest(found[1], re.findall(r"[\w-]+", found[2])) if found else ""
-        super().error(f"{message}.{hint}" if hint else message)
+        """As of ``argparse``; of a word that is no choice, the nearest choice or all of them."""
+        pattern = r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)"
+        if found := re.fullmatch(pattern, message):
+            known = re.findall(r"[\w-]+", found[3])
+            what = f"{found[1]} cannot be" if found[1] != "COMMAND" else "there is no command"
+            hint = _closest(found[2], known) or f" Choose from {', '.join(known)}."
+            message = f"{what} {found[2]!r}.{hint}"
+        super().error(message)
 
 
 def _joined(words: Sequence[str]) -> list[str]:

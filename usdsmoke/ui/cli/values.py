@@ -33,7 +33,7 @@ def count_value(text: str) -> int:
         argparse.ArgumentTypeError: the text is something else.
     """
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not 1 or more. Give a whole number, from 1.")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1.")
     return int(text)
 
 
