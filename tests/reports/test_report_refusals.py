@@ -1,12 +1,14 @@
 """What a report cannot do is refused before the first measurement; old reports go as a whole."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.fixtures.report_fixtures import QUICK, TinyScene, make_scene
 from usdsmoke.base.errors import (
+    ConfigError,
     FeatureError,
     ImageError,
     Interrupted,
@@ -42,6 +44,16 @@ def report(
 @pytest.fixture
 def scene(tmp_path: Path) -> TinyScene:
     return make_scene(tmp_path, n_frames=1)
+
+
+def test_a_time_in_which_nothing_can_be_measured_is_refused(scene: TinyScene) -> None:
+    slow = replace(sweep_of("a", []).plan(None), rate=3600.0)  # type: ignore[arg-type]
+    sweeps = [Sweep("a", "Sweep a", lambda case: "", lambda case: slow)]
+    with pytest.raises(ConfigError, match=r"^600 s .*--budget"):
+        make_report(
+            scene.stage, scene.style, scene.output, settings=QUICK, seconds=600, sweeps=sweeps
+        )
+    assert not scene.output.exists()
 
 
 @pytest.mark.parametrize("name", ["bad.pth", "gone.pth"])

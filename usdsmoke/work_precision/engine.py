@@ -239,9 +239,14 @@ class _Engine:
         return min(self._budget.spent / self._budget.seconds, 1.0)
 
 
+def too_long(budget: Budget) -> str:
+    """How the reason of what was left out for lack of time begins."""
+    return f"did not fit the {budget.seconds:g} s of the report"
+
+
 def _result(item: _Progress | str, budget: Budget) -> tuple[SweepResult | None, str]:
     """A sweep's result, if it has enough points, and why something is missing."""
-    late = f"did not fit the {budget.seconds:g} s of the report"
+    late = too_long(budget)
     if isinstance(item, str):
         return None, f"{late}: {item}"
     reason = f"ended with an error: {item.failure}" if item.failure else late

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
-from usdsmoke.base.errors import Interrupted, OutputExists, WriteFailed
+from usdsmoke.base.errors import ConfigError, Interrupted, OutputExists, WriteFailed
 from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.base.resolve import FilePath, Settings, Styles
@@ -22,7 +22,7 @@ from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.planning.plan import Omission
 from usdsmoke.usd.stage import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
-from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps
+from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps, too_long
 from usdsmoke.work_precision.files import FILES
 from usdsmoke.work_precision.page import draw_sweep, make_page
 from usdsmoke.work_precision.records import Report, SweepResult
@@ -75,7 +75,7 @@ def make_report(
     settings: Settings = None,
     seconds: float = 300.0,
     progress: Tell | None = None,
-    sweeps: Sequence[Sweep] = SWEEPS,
+    sweeps: Sequence[Sweep] | None = None,
 ) -> ReportResult:
     """Measure the settings around the configured ones in a scene and write a page about it.
 
@@ -86,11 +86,12 @@ def make_report(
         settings: as in ``usdsmoke.stylize``.
         seconds: time for the measurements. A point that has begun is finished.
         progress: called with the sweep, the point, and the share of the time that is used.
-        sweeps: the most useful first.
+        sweeps: what is measured, the most useful first; None takes ``SWEEPS``.
 
     Raises:
         MissingPackage: matplotlib is not installed.
-        UsdSmokeError: the scene cannot be used; nothing is written then.
+        UsdSmokeError: the scene cannot be used, or the time is too short to measure anything;
+            nothing is written then.
         WriteFailed, OutputExists: the report cannot be written there.
         FeatureError: a named VGG-19 file cannot be read.
         Interrupted: by Ctrl-C; an old report stays as it was.
@@ -105,6 +106,7 @@ def make_report(
     tell("scene", "reading", 0.0)
     job = prepare_job(Request(stage, style, target, settings), fits=False)
     check_network(job.plan)
+    sweeps = SWEEPS if sweeps is None else sweeps
     names = [*(f"{sweep.name}.png" for sweep in sweeps), DATA, PAGE]
     with _report_folder(target, names) as old:
         try:
@@ -112,6 +114,7 @@ def make_report(
             longest = _LONGEST_PATIENT if seconds >= _PATIENT else _LONGEST
             case, budget = open_case(job, longest, seconds), Budget(seconds)
             results, omitted = run_sweeps(sweeps, case, budget, _clock_of(case), tell)
+            _check_measured(results, omitted, budget)
         except KeyboardInterrupt:
             raise Interrupted(
                 f"stopped. No measurement is kept, and {target} is unchanged."
@@ -120,6 +123,17 @@ def make_report(
         tell("page", "writing", 1.0)
         report = _report(case, results, omitted, budget)
         return _write(report, target, old)
+
+
+def _check_measured(
+    results: Sequence[SweepResult], omitted: Sequence[Omission], budget: Budget
+) -> None:
+    late = [item for item in omitted if item.reason.startswith(too_long(budget))]
+    if late and not results:
+        raise ConfigError(
+            f"{budget.seconds:g} s is too short to measure anything: {late[0].what} "
+            f"{late[0].reason}. Give more time (--budget; seconds in Python)."
+        )
 
 
 def _report(
