@@ -78,7 +78,7 @@ def rerun(
         _refuse_changes(item)
         if Path(os.path.realpath(output)) == Path(os.path.realpath(item.folder)):
             raise OutputExists(
-                f"{output} holds the result that is to be repeated. Give another folder with -o."
+                f"{output} holds the result that is to be repeated. Give another folder (-o)."
             )
     styles = [item.place(name) for name in record.style_request]
     config = recorded_config(item)
@@ -115,7 +115,7 @@ def _refuse_changes(item: FoundRecord) -> None:
         more = f"; and {len(changes) - _MOST_NAMED} more" if len(changes) > _MOST_NAMED else ""
         raise LayerError(
             f"the inputs of {item.file} have changed: {named}{more}. Restore them, or use --force "
-            "to rerun with the changed inputs."
+            "(force=True in Python) to rerun with the changed inputs."
         )
 
 

@@ -43,7 +43,7 @@ class Changes:
 
     def __str__(self) -> str:
         more = len(self.words) - _MOST_CHANGES
-        text = ", ".join(self.words[:_MOST_CHANGES])
+        text = "; ".join(self.words[:_MOST_CHANGES])
         return text + (f" and {more} more" if more > 0 else "")
 
 
@@ -163,5 +163,7 @@ def _shown(values: Mapping[str, Any], name: str) -> str:
     """A value as people read it: of digests the first digits, of long texts the beginning."""
     if name not in values:
         return "absent"
+    if values[name] is None:
+        return "unset"
     text = _DIGEST.sub(r"\1...", json.dumps(values[name], ensure_ascii=False))
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

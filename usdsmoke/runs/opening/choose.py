@@ -22,6 +22,7 @@ from usdsmoke.usd.look import published_runs
 
 _BEGINNING = "vdb/begin.lock"  # held while a run begins
 _MOST_NAMED = 3  # frames in a message
+_FORCE = "--force (force=True in Python)"
 
 
 # A whole run, by one process
@@ -223,7 +224,7 @@ def open_run_to_assemble(
         if changes:
             raise OutputExists(
                 f"the inputs of the run in {run.folder} have changed: {changes}. "
-                "Restore them, or stylize again with --force.",
+                f"Restore them, or stylize again with {_FORCE}.",
                 changes.details,
             )
         try:
@@ -350,14 +351,14 @@ def _unfinished_in_the_way(output: Path, run: Run, identity: Identity) -> Output
     return OutputExists(
         f"{output} holds an unfinished run with different settings or inputs: {changes}. "
         "Finish it with its own settings, choose another output folder, or discard it with "
-        "--force.",
+        f"{_FORCE}.",
         changes.details,
     )
 
 
 def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:
     """Why a result stays as it is, and what can be done instead."""
-    advice = "choose another output folder or look, or replace it with --force."
+    advice = f"choose another output folder or look, or replace it with {_FORCE}."
     if not known:
         return OutputExists(f"{output} already holds a result. {advice[0].upper()}{advice[1:]}")
     run = known[0]
@@ -370,12 +371,12 @@ def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -
         codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
         are = "is" if len(lost) == 1 else "are"
         return OutputExists(
-            f"{named}{more} {are} missing or changed in {run.folder}. Run the same command with "
-            f"--frames={codes} to repair the result."
+            f"{named}{more} {are} missing or changed in {run.folder}. Repeat the run with "
+            f"--frames={codes} (the setting stage.frames) to repair the result."
         )
     return OutputExists(
         f"{output} already holds this result. Change its mode with 'usdsmoke assemble', redo "
-        f"frames with --frames, {advice}"
+        f"frames with stage.frames (--frames), {advice}"
     )
 
 
@@ -389,6 +390,6 @@ def _other_result(output: Path, changes: Changes) -> OutputExists:
     return OutputExists(
         f"{output} already holds a result with different settings or inputs: {changes}. "
         f"Restore them, {longer}choose another output folder or look, or replace the result with "
-        "--force.",
+        f"{_FORCE}.",
         changes.details,
     )
