@@ -1,5 +1,6 @@
 """OpenUSD's own diagnostics, kept off the terminal and turned into messages."""
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -52,6 +53,19 @@ def readable_values() -> Iterator[None]:
             f"the stage has a value that cannot be read: {short_reason(error)}. "
             "Repair the value, or export the layer again."
         ) from None
+
+
+def check_is_stage(stage: object) -> None:
+    """Refuse what is neither a path nor a stage: type checkers do not see into ``pxr``.
+
+    Raises:
+        StageError: it is something else, such as the missing stage of a result.
+    """
+    if not isinstance(stage, (str, os.PathLike, Usd.Stage)):
+        raise StageError(
+            f"{stage!r} is no stage. Give a file or a Usd.Stage; a result with layer.mode=layer "
+            "has a look layer alone, to be added to a stage's subLayers."
+        )
 
 
 def open_quietly(file_path: str) -> Usd.Stage:

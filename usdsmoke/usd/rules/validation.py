@@ -16,14 +16,15 @@ from usdsmoke.base.errors import ConfigError, StageError
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.usd.diagnostics import (
     captured_diagnostics,
+    check_is_stage,
     decoded_text,
+    open_quietly,
     readable_values,
 )
 from usdsmoke.usd.rules import field_rules, result_rules, volume_rules
 from usdsmoke.usd.rules.facts import Finding, Problem, Severity
 from usdsmoke.usd.rules.fixers import fixers_of
 from usdsmoke.usd.schema import LOOK_API, late_note, register_schema
-from usdsmoke.usd.stage import open_stage
 
 if TYPE_CHECKING:
     from pxr import UsdValidation
@@ -183,7 +184,9 @@ def validate(stage: str | os.PathLike[str] | Usd.Stage) -> list[Finding]:
     """
     register_schema()
     register_validators()
-    stage = open_stage(stage)
+    check_is_stage(stage)
+    if not isinstance(stage, Usd.Stage):
+        stage = open_quietly(os.fspath(stage))
     module = _validation()
     validators = module.ValidationRegistry().GetOrLoadAllValidators()
     with captured_diagnostics():  # some validators of USD also warn on stderr

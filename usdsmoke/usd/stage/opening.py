@@ -7,7 +7,7 @@ from typing import TypeAlias
 from pxr import Sdf, Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
-from usdsmoke.usd.diagnostics import open_quietly
+from usdsmoke.usd.diagnostics import check_is_stage, open_quietly
 from usdsmoke.usd.schema import register_schema
 
 StageOrFile: TypeAlias = str | os.PathLike[str] | Usd.Stage
@@ -19,18 +19,9 @@ def open_stage(stage: StageOrFile) -> Usd.Stage:
     Raises:
         StageError: the file is missing, of no USD format, or cannot be parsed; or there is none.
     """
-    _check_given(stage)
+    check_is_stage(stage)
     register_schema()  # USD reads its schemas when the first stage is opened, and never again
     return stage if isinstance(stage, Usd.Stage) else open_quietly(os.fspath(stage))
-
-
-def _check_given(stage: object) -> None:
-    """Refuse what is neither a path nor a stage: type checkers do not see into ``pxr``."""
-    if not isinstance(stage, (str, os.PathLike, Usd.Stage)):
-        raise StageError(
-            f"{stage!r} is no stage. Give a file or a Usd.Stage; a result with layer.mode=layer "
-            "has a look layer alone, to be added to a stage's subLayers."
-        )
 
 
 def stage_file(stage: StageOrFile) -> Path:
@@ -39,7 +30,7 @@ def stage_file(stage: StageOrFile) -> Path:
     Raises:
         StageError: the open stage has no file, or holds edits that no file has; or there is none.
     """
-    _check_given(stage)
+    check_is_stage(stage)
     if isinstance(stage, (str, os.PathLike)):
         return Path(stage).absolute()
     root, session = stage.GetRootLayer(), stage.GetSessionLayer()
