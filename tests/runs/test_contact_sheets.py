@@ -2,6 +2,7 @@
 
 import sys
 import weakref
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from PIL import Image
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from usdsmoke.base.errors import ImageError
+from usdsmoke.core.views import lighting
 from usdsmoke.pictures import compose_sheet
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.vdb.read import read_grids
@@ -24,6 +26,7 @@ class Drawn:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.views: list[Any] = []
         self.opacity: list[float] = []
+        self.light: list[float] = []
         self.held: list[tuple[str, ...]] = []
         self.sizes: set[tuple[int, ...]] = set()  # of the pictures on the sheet
         self._given: list[tuple[str, weakref.ref[Any]]] = []
@@ -51,6 +54,7 @@ class Drawn:
     def _march(self, media: Any, view: Any) -> Any:
         self.views.append(view)
         self.opacity.append(float(media[0].values[..., 0].max()))
+        self.light.append(float(media[0].values[..., 1:4].sum()))
         self.held.append(tuple(name for name, item in self._given if item() is not None))
         return SimpleNamespace(rgba=np.ones((view.height, view.width, 4), np.float32))
 
@@ -111,6 +115,24 @@ def test_smoke_without_a_third_dimension_has_no_turn(tmp_path: Path, drawn: Draw
     write_raw(shot.stage.parent / "cache/smoke.0001.vdb", flat)
     run(shot)
     assert drawn.angles == [0, 0]
+
+
+def test_smoke_in_light_is_exposed(
+    tmp_path: Path, drawn: Drawn, core: FakeCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both what it emits and what it scatters; the source glows all the same."""
+    monkeypatch.setitem(sys.modules, lighting.__name__, lighting)  # the real one
+    shot, light = make_shot(tmp_path, n_frames=1), []
+    for number, (stops, albedo) in enumerate([(0, 0), (0, 0.8), (3, 0.8)]):
+        core.scene = replace(core.scene, stops=float(stops))
+        here = replace(shot, output=tmp_path / str(number))
+        run(here, "optics.sky=[1,1,1]", f"optics.albedo={albedo}")
+        light.append(drawn.light[:2])  # of the source and of the result, from the front
+        drawn.light.clear()
+    (source, emitted), (source_in_light, lit), (source_exposed, exposed) = light
+    assert source == source_in_light == source_exposed
+    assert lit > 1.01 * emitted
+    assert exposed == pytest.approx(8 * lit, rel=1e-4)
 
 
 def test_no_sheet_is_drawn_where_its_height_is_0(shot: Shot, drawn: Drawn) -> None:
