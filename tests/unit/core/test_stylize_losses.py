@@ -64,17 +64,20 @@ def test_content_pictures_are_not_made_when_no_loss_looks_at_them(monkeypatch):
     run_core([FRAME], quick_config(losses={"histogram": 1.0, "total_variation": 1.0}))
 
 
-@pytest.mark.parametrize("gamma", [1e-3, 1e-12])
-def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma):
-    """Its light is as faint as it is itself; shape and colours are those of the thin limit."""
+@pytest.mark.parametrize(("gamma", "loss", "most"), [(1e-3, 0.01, 0.02), (1e-12, 3e-4, 1e-3)])
+def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma, loss, most):
+    """Its light is as faint as it is itself; shape and colours are those of the thin limit.
+
+    A gamma of 0.3 is 0.08 off in the loss and 0.06 in the density.
+    """
 
     def run(value: float) -> StylizedFrame:
         return run_core([FRAME], quick_config(optics={"gamma": value, "gamma_shape": value}))[0]
 
     limit, found = run(1e-6), run(gamma)
-    assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=0.01)
-    assert found.report.colour.loss == pytest.approx(limit.report.colour.loss, rel=0.01)
+    assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=loss)
+    assert found.report.colour.loss == pytest.approx(limit.report.colour.loss, rel=loss)
     one, other = by_voxel(limit.density), by_voxel(found.density)
-    assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < 0.02
+    assert max(abs(one[v][0] - other.get(v, (0.0,))[0]) for v in one) < most
     light = found.emission.values / np.float32(gamma)
     assert np.isfinite(light).all() and 0 < light.max() <= 1.01 * found.density.values.max()
