@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Job, Request, prepare_job
@@ -17,9 +18,11 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import (
     find_growth,
     find_refusal,
+    frames_again,
     join_run,
     open_run,
     open_run_to_assemble,
+    repetition_note,
 )
 from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
@@ -301,6 +304,13 @@ def _prepare(request: Request, planned: _Planned | None) -> Job:
 
 
 def plan_with_notes(job: Job) -> Plan:
-    """The plan, with notes where a result goes on."""
+    """The plan, with notes where a result goes on or frames of it are done again."""
+    try:
+        again = None if job.request.force else frames_again(job)
+    except OutputExists:  # ``find_refusal`` tells
+        again = None
+    if again is not None:
+        whole, _, numbers = again
+        return replace(job.plan, notes=(*whole.plan.notes, repetition_note(whole.plan, numbers)))
     growth = find_growth(job)
     return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, *growth.notes))

@@ -319,3 +319,16 @@ def test_a_plan_beside_a_result_does_not_read_files_that_look_as_they_did(
     found = make_plan(long_shot.stage, long_shot.style, long_shot.output)
     assert read == [str(files[1])]
     assert any("smoke.0002.vdb" in note for note in found.notes)
+
+
+@pytest.mark.usefixtures("core")
+def test_the_plan_of_a_frame_that_is_done_again_speaks_of_its_result(
+    long_shot: Shot,
+) -> None:
+    run(long_shot, *ALONE)
+    settings = [*ALONE, "stage.frames=6"]
+    notes = " ".join(make_plan(long_shot.stage, long_shot.style, long_shot.output, settings).notes)
+    assert "frames 5-8 are done again" in notes and "Frames 1-4,9-12, extinction" in notes
+    assert "measured on the 1 selected" not in notes
+    fresh = make_plan(long_shot.stage, long_shot.style, long_shot.folder / "fresh", settings).notes
+    assert "measured on the 1 selected" in " ".join(fresh)

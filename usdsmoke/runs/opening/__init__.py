@@ -12,7 +12,7 @@ from usdsmoke.runs.opening.choose import (
     open_run_to_assemble,
     refuse_result,
 )
-from usdsmoke.runs.opening.growth import find_growth
+from usdsmoke.runs.opening.growth import find_growth, repetition_note
 
 __all__ = [
     "find_growth",
@@ -22,4 +22,5 @@ __all__ = [
     "open_run",
     "open_run_to_assemble",
     "refuse_result",
+    "repetition_note",
 ]

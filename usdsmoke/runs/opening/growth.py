@@ -246,5 +246,21 @@ def _measured_on(job: Job, codes: str) -> Job:
     return replace(job, plan=plan)
 
 
+def repetition_note(whole: Plan, numbers: frozenset[int]) -> str:
+    """For the plan, where windows of a result are done again.
+
+    Args:
+        whole: the plan of the result.
+        numbers: of the windows.
+    """
+    done = [task for task in whole.tasks if task.number in numbers]
+    stay = [task for task in whole.tasks if task.number not in numbers]
+    others = f"Frames {_frames_text(stay)}, extinction" if stay else "Extinction"
+    return (
+        f"the output folder holds this result: its windows with frames {_frames_text(done)} are "
+        f"done again. {others} and picture size stay"
+    )
+
+
 def _frames_text(tasks: Sequence[WindowTask]) -> str:
     return format_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))
