@@ -245,7 +245,7 @@ def test_one_rewritten_source_file_redoes_its_window_alone(
     assert main(long_shot.arguments(*more, "--jobs", "1")) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "smoke.0006.vdb has other content" in said
-    assert "Frames 5-8 are done again" in said and "Frames 1-4,9-12, extinction" in said
+    assert "Done again: timeCodes 5-8," in said and "Kept: timeCodes 1-4,9-12," in said
     assert core.stylized == [5, 6, 7, 8]
     (found,) = find_records(long_shot.output)
     files = [found.place(frame.file) for frame in found.record.frames]

@@ -14,7 +14,7 @@ from pathlib import Path
 from usdsmoke.base.errors import UsdSmokeError, count_text
 from usdsmoke.base.publish import share_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.core.sequence.controls import FRAMES_AHEAD
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
@@ -53,9 +53,9 @@ class Growth:
             stay = [task for task, _ in self.windows]
             done = [task for task in self.job.plan.tasks if task not in stay]
             yield (
-                f"{names[0]}{more} {has} other content than when the look was made. Frames "
-                f"{_frames_text(done)} are done again: their windows read it or start from frames "
-                f"that do. Frames {_frames_text(stay)}, extinction and picture size stay"
+                f"{names[0]}{more} {has} other content than when the look was made. Done again: "
+                f"{_named(done)}, whose windows read it or start from frames that do. Kept: "
+                f"{_named(stay)}, extinction and picture size"
             )
 
     @property
@@ -264,3 +264,7 @@ def repetition_note(whole: Plan, numbers: frozenset[int]) -> str:
 
 def _frames_text(tasks: Sequence[WindowTask]) -> str:
     return format_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))
+
+
+def _named(tasks: Sequence[WindowTask]) -> str:
+    return name_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))

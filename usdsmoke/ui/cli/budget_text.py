@@ -45,7 +45,7 @@ def _urgent_budget_text(
         f"{item.name}: {budget.notes[item.name]}" for item in others if item.name in budget.notes
     ]
     if fine:
-        names = ", ".join(f"{item.name} {item.mean:.2%}" for item in fine)
+        names = "; ".join(f"{item.name} {item.mean:.2%}" for item in fine)
         table.append(f"estimated errors that are fine: {names}")
     table.append("--verbose lists all errors; docs/errors.md explains them")
     return "\n".join([*table, *notes, *_end(budget, seconds, omitted)])
