@@ -98,14 +98,14 @@ def test_a_window_whose_files_were_harmed_is_done_again(
         assemble(farm.output)
     core.stylized.clear()
     windows_in(farm, [0, 1, 2])
-    assert core.stylized == [4, 5, 6, 7]
+    assert core.stylized == [4, 5, 6, 7, 8]
     assert outcome(assemble(farm.output).root_stage) == whole
 
 
 @pytest.mark.parametrize("harm", [remove, damage])
 @pytest.mark.parametrize(
     ("name", "again"),
-    [("coarse/smoke.0005.npz", [5]), ("coarse.json", [1, 2, 3, 4, 5, 6, 7])],
+    [("coarse/smoke.0005.npz", [5]), ("coarse.json", [1, 2, 3, 4, 5, 6, 7, 8])],
 )
 def test_coarse_files_that_were_harmed_are_made_again(
     farm: Shot,
@@ -128,7 +128,7 @@ def test_what_a_run_that_was_removed_left_behind_is_not_taken(farm: Shot, core: 
     (run_folder(farm) / "run.json").unlink()
     core.stylized.clear()
     windows_in(farm, [1])
-    assert core.stylized == [4, 5, 6, 7]
+    assert core.stylized == [4, 5, 6, 7, 8]
     with pytest.raises(LayerError, match="windows 0,2 of 3"):
         assemble(farm.output)
 
@@ -161,7 +161,7 @@ def test_frames_of_a_finished_result_are_done_again_and_the_rest_stays(
     core.stylized.clear()
     core.coarse.clear()
     assert main(farm.arguments(*OPTIONS, "--frames", "5-6")) == 0
-    assert core.stylized == [4, 5, 6, 7] and core.coarse == []
+    assert core.stylized == [4, 5, 6, 7, 8] and core.coarse == []
     assert {path: path.read_bytes() for path in kept} == kept
     assert first.frames[5].stat().st_mtime_ns > before
     assert outcome(first.root_stage) == whole
@@ -182,7 +182,7 @@ def test_frames_once_more_need_neither_parts_nor_coarse_files_that_were_cleared_
     for path in [*run_folder(farm).glob("parts/*/*"), *run_folder(farm).glob("coarse/*")]:
         path.unlink()
     run(farm, *WINDOWS, "stage.frames=2")
-    assert core.stylized == [1, 2, 3, 4, 5, 4, 5, 6, 7, 7]
+    assert core.stylized == [1, 2, 3, 4, 5, 4, 5, 6, 7, 8, 7, 8]
     assert outcome(first.root_stage) == whole
 
 

@@ -47,7 +47,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, np.nd
 def test_each_option_writes_what_follows_from_density_and_emission(
     plume: Shot, plain: dict[str, dict[str, np.ndarray]], settings: tuple[str, ...]
 ) -> None:
-    result = run(plume, *WINDOWS, *settings)  # frames 4, 5 and 7 are blended
+    result = run(plume, *WINDOWS, *settings)  # 4, 5, 7 and 8 are blended
     assert [frame.name for frame in result.frames] == list(plain)
     for without, file_path in zip(plain.values(), result.frames, strict=True):
         wanted, found = expected(without, settings), dense(file_path)

@@ -69,14 +69,18 @@ def split_windows(
     first_index: int = 0,
     frame_length: float = 1.0,
 ) -> tuple[Window, ...]:
-    """Windows of at most ``config.size`` frames, in order; a cut (``find_cuts``) ends one early.
+    """Windows of ``config.size`` frames, in order; a cut (``find_cuts``) ends one early.
 
-    Windows of one frame are independent: nothing is carried between them, and none overlaps.
+    Frames that are left before a cut, fewer than the overlap and than half a window, go to the
+    window before them. Windows of one frame are independent: nothing is carried between them, and
+    none overlaps.
 
     >>> [window.time_codes for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(1, 2), (3,), (10, 11)]
     >>> [window.overlap for window in split_windows([1, 2, 3, 10, 11], WindowsConfig(size=2))]
     [(3,), (), ()]
+    >>> [w.time_codes for w in split_windows([1, 2, 3, 4, 5], WindowsConfig(size=4, overlap=2))]
+    [(1, 2, 3, 4, 5)]
 
     Args:
         time_codes: ascending, each once.
@@ -95,10 +99,35 @@ def split_windows(
         else:
             codes = (*windows[-1].time_codes, time_code)
             windows[-1] = replace(windows[-1], time_codes=codes)
+    shortest = min(config.overlap, (config.size + 1) // 2)
+    overlap = min(config.overlap, config.size)
+    return _with_overlaps(_without_short_ends(windows, shortest), overlap)
+
+
+def _without_short_ends(windows: Sequence[Window], shortest: int) -> list[Window]:
+    """A last window before a cut that is too short belongs to the one before it.
+
+    That one computes its frames anyway, and in fewer frames than the overlap the pattern of one
+    window would go over too fast into that of the other (decision 009).
+    """
+    found: list[Window] = []
+    for place, window in enumerate(windows):
+        is_last = place + 1 == len(windows) or not windows[place + 1].continues
+        if window.continues and is_last and len(window.time_codes) < shortest:
+            codes = (*found[-1].time_codes, *window.time_codes)
+            found[-1] = replace(found[-1], time_codes=codes)
+        else:
+            found.append(replace(window, index=windows[0].index + len(found)))
+    return found
+
+
+def _with_overlaps(windows: Sequence[Window], overlap: int) -> tuple[Window, ...]:
+    """The windows with the first frames of those that continue them."""
+    found = list(windows)
     for place, (window, later) in enumerate(pairwise(windows)):
         if later.continues:
-            windows[place] = replace(window, overlap=later.time_codes[: config.overlap])
-    return tuple(windows)
+            found[place] = replace(window, overlap=later.time_codes[:overlap])
+    return tuple(found)
 
 
 def followed_codes(

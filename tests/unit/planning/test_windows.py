@@ -22,13 +22,17 @@ def test_every_frame_is_in_exactly_one_window_and_in_order(
     windows = split_windows(time_codes, WindowsConfig(size=size))
     assert [t for window in windows for t in window.time_codes] == time_codes
     assert [window.index for window in windows] == list(range(len(windows)))
-    assert all(1 <= len(window.time_codes) <= size for window in windows)
+    assert all(1 <= len(window.time_codes) < 1.5 * size for window in windows)
 
 
-@given(st.integers(1, 60), st.integers(1, 12))
-def test_without_gaps_all_but_the_last_window_are_full(n_frames: int, size: int) -> None:
-    windows = split_windows([float(t) for t in range(n_frames)], WindowsConfig(size=size))
-    assert all(len(window.time_codes) == size for window in windows[:-1])
+@given(st.integers(1, 60), st.integers(1, 12), st.integers(0, 6))
+def test_without_gaps_all_but_the_last_window_are_full_and_it_is_no_shorter_than_the_overlap(
+    n_frames: int, size: int, overlap: int
+) -> None:
+    config = WindowsConfig(size=size, overlap=overlap)
+    *others, last = split_windows([float(t) for t in range(n_frames)], config)
+    assert all(len(window.time_codes) == size for window in others)
+    assert not others or len(last.time_codes) >= min(overlap, size / 2)
 
 
 def test_a_windows_own_frames_are_the_same_whatever_comes_after_it() -> None:
@@ -43,11 +47,9 @@ def test_a_window_goes_on_as_far_as_the_overlap_and_the_next_window_reach(
 ) -> None:
     windows = split_windows(time_codes, WindowsConfig(size=size, overlap=overlap))
     for window, later in pairwise(windows):
-        wanted = min(overlap, len(later.time_codes)) if later.continues else 0
+        wanted = min(overlap, size, len(later.time_codes)) if later.continues else 0
         assert window.overlap == later.time_codes[:wanted]
     assert not windows or windows[-1].overlap == ()
-    plain = split_windows(time_codes, WindowsConfig(size=size, overlap=0))
-    assert [window.time_codes for window in plain] == [window.time_codes for window in windows]
 
 
 def test_nothing_overlaps_or_is_joined_across_a_cut() -> None:
