@@ -83,4 +83,4 @@ def test_a_frame_without_effect_is_no_border(tmp_path: Path) -> None:
 def test_windows_that_overlap_have_every_pair(tmp_path: Path) -> None:
     settings = ["windows.size=2", "windows.overlap=1"]
     note = budget_of(tmp_path, [ALONE, PAIR, PAIR, PAIR], *settings).notes["temporal, colour"]
-    assert note.startswith("3 of 3 pairs") and "each window's version separately" in note
+    assert note.startswith("3 of 3 pairs") and "in overlaps" in note
