@@ -6,6 +6,7 @@ import torch
 
 from benchmarks.coherence_measures import border_ratio, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, _joined
+from benchmarks.long_shot import fit_line
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
@@ -52,6 +53,15 @@ def test_borders_are_compared_with_all_other_steps() -> None:
     assert (mean, most) == (3.0, 4.0)
     with pytest.raises(ValueError, match="not all"):
         border_ratio(np.ones(2), [])
+
+
+def test_a_line_over_frames_is_flat_only_within_its_noise() -> None:
+    codes, noise = np.arange(1.0, 97.0, 4.0), np.tile([0.1, -0.1, -0.1, 0.1], 6)
+    line = fit_line(codes, 2.0 + 0.5 * (codes - 1) / 92)
+    np.testing.assert_allclose([line.mean, line.change], [2.25, 0.5], rtol=1e-12)
+    assert line.error < 1e-12 and not line.is_flat
+    assert fit_line(codes, 2.0 + noise).is_flat
+    assert not fit_line(codes, 2.0 + noise + 0.5 * codes / 96).is_flat
 
 
 def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
