@@ -6,18 +6,21 @@
 Blender's own importer brings the Volumes without a material. This script builds one for each Volume
 that has a look: extinction gamma_w * density, of which the albedo scatters, and emission. Cycles
 counts lengths in the Volume's own space, so both are multiplied by ``usdSmoke:stageUnitsPerUnit``.
+Suns become as bright as on the stage, and domes of one colour the world: Blender 5.0.1's importer
+makes suns four times as bright, and leaves such domes out.
 With ``--render`` one frame is drawn over black, square, through the stage's camera. Made for
 Blender 5.0, whose Python has pxr.
 """
 
 import argparse
+import math
 import os
 import sys
 
 import bpy
 
 bpy.utils.expose_bundled_modules()  # pxr, OpenUSD as Blender was built with it
-from pxr import Usd, UsdVol  # noqa: E402
+from pxr import Usd, UsdLux, UsdVol  # noqa: E402
 
 EXTINCTION = "usdSmoke:extinctionPerDensity"
 STAGE_UNITS = "usdSmoke:stageUnitsPerUnit"
@@ -89,7 +92,7 @@ def _lit(
     extinction: "bpy.types.Node",
     albedo: "float | str",
 ) -> "bpy.types.NodeSocket":
-    """The absorption, and beside it scattering where there is an albedo (not yet run)."""
+    """The absorption, and beside it scattering where there is an albedo."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
     if not albedo:
         return absorption.outputs["Volume"]
@@ -107,7 +110,7 @@ def _lit(
 
 
 def import_look(stage_file: str, frame: int) -> list[str]:
-    """Import a stage; the names of the Volumes that have got a material."""
+    """Import a stage with its light; the names of the Volumes that have got a material."""
     looks = read_looks(stage_file, frame)
     bpy.ops.wm.usd_import(filepath=os.path.abspath(stage_file), import_volumes=True)
     bpy.context.scene.frame_set(frame)
@@ -119,7 +122,35 @@ def import_look(stage_file: str, frame: int) -> list[str]:
             item.data.materials.clear()
             item.data.materials.append(make_material(*looks[name]))
             done.append(item.name)
+    set_lights(stage_file, frame)
     return done
+
+
+def set_lights(stage_file: str, frame: float) -> None:
+    """Lamps and the world as bright as the stage's distant lights and domes without a texture."""
+    sky, stage = [0.0, 0.0, 0.0], Usd.Stage.Open(stage_file)
+    lamps = {item.name: item.data for item in bpy.data.objects if item.type == "LIGHT"}
+    for prim in stage.Traverse():
+        light = UsdLux.LightAPI(prim)
+        if prim.GetTypeName() not in ("DistantLight", "DomeLight"):
+            continue
+        strength = light.GetIntensityAttr().Get(frame) * 2 ** light.GetExposureAttr().Get(frame)
+        colour = list(light.GetColorAttr().Get(frame))
+        if light.GetEnableColorTemperatureAttr().Get(frame):
+            kelvin = light.GetColorTemperatureAttr().Get(frame)
+            tint = UsdLux.BlackbodyTemperatureAsRgb(kelvin)
+            colour = [a * b for a, b in zip(colour, tint, strict=True)]
+        if prim.GetTypeName() == "DomeLight":
+            if not UsdLux.DomeLight(prim).GetTextureFileAttr().Get(frame):
+                sky = [old + strength * new for old, new in zip(sky, colour, strict=True)]
+            continue
+        angle = math.radians(UsdLux.DistantLight(prim).GetAngleAttr().Get(frame))
+        if angle and not light.GetNormalizeAttr().Get(frame):
+            strength *= math.pi * math.sin(angle / 2) ** 2
+        if prim.GetName() in lamps:  # the strength of a sun is its irradiance
+            lamps[prim.GetName()].energy, lamps[prim.GetName()].color = strength, colour
+    world = bpy.context.scene.world = bpy.data.worlds.new("sky")
+    world.node_tree.nodes["Background"].inputs[0].default_value = (*sky, 1.0)
 
 
 def render(out: str, size: int, samples: int) -> None:
@@ -132,8 +163,7 @@ def render(out: str, size: int, samples: int) -> None:
     scene.render.resolution_x = scene.render.resolution_y = size
     scene.render.resolution_percentage, scene.render.dither_intensity = 100, 0.0
     scene.render.image_settings.color_mode = "RGB"
-    scene.world = bpy.data.worlds.new("black")
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (0.0, 0.0, 0.0, 1.0)
+    scene.render.film_transparent = True  # the sky lights, and is not seen
     scene.camera = next(item for item in bpy.data.objects if item.type == "CAMERA")
     scene.render.filepath = os.path.abspath(out)
     bpy.ops.render.render(write_still=True)
