@@ -23,6 +23,7 @@ from usdsmoke.runs.budget import (
     run_budget,
     run_seconds,
 )
+from usdsmoke.runs.coarse import read_scene
 from usdsmoke.runs.delivery import deliver_frames, result_file
 from usdsmoke.runs.manifests import WindowRecord, part_file_name
 from usdsmoke.runs.opened import OpenRun
@@ -310,8 +311,8 @@ def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
     sheets = job.sheets
     for number, (sheet, volume) in enumerate(zip(sheets, plan.volumes, strict=False)):
         tell(RunProgress("picture", volume.frames[0].source.time_code, number, len(sheets), 1.0))
-        scene = run.scenes[number]
         try:
+            scene = read_scene(run, number)
             pictures = job.pictures(volume)
             write_contact_sheet(sheet, plan, volume, opened.reader, run.folder, scene, pictures)
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for

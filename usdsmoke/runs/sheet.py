@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from usdsmoke.vdb.read import GridRequest, find_grid, read_grids
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
     from usdsmoke.core.views.media import Medium
+    from usdsmoke.core.views.scene import Scene
 
 # Where the smoke is seen from, degrees around the up axis; the first is the front.
 _TURN = {0.0: "front", 30.0: "30 degrees", 90.0: "side", 180.0: "back"}
@@ -56,14 +57,14 @@ def write_contact_sheet(
     volume: VolumePlan,
     reader: FrameReader,
     folder: Path,
-    scene: Mapping[str, Any],
+    scene: "Scene",
     styles: Sequence[np.ndarray],
 ) -> None:
     """The first, the middle and the last frame of a Volume, source above result, and a turn around
     the middle one, beside the style images.
 
-    All pictures have one scale. Fields are read for one picture after the other, and given up
-    before the next ones: a run's memory should be the work's and not this sheet's.
+    All pictures have one scale. The fields of a picture are released before the next ones are read,
+    so that the sheet does not raise the run's peak memory.
 
     Args:
         target: the PNG.
@@ -71,7 +72,7 @@ def write_contact_sheet(
         volume: what is shown.
         reader: of the source's frames.
         folder: of the result's VDB files.
-        scene: the core's, as JSON values: extinction and up axis.
+        scene: as it was measured when the run began.
         styles: style images, [H W 3] display-encoded.
 
     Raises:
@@ -83,10 +84,10 @@ def write_contact_sheet(
     sources: list[_Labelled] = []
     results: list[_Labelled] = []
     turn: list[_Labelled] = []
-    views, size = _views(volume, frames, folder, scene["up_axis"]) if frames else ({}, (1, 1))
+    views, size = _views(volume, frames, folder, scene.up_axis) if frames else ({}, (1, 1))
     for number, frame in enumerate(frames if views else []):
         extinctions = _extinctions(scene, volume.config, frame.source)
-        shown = _Shown(volume, frame, extinctions, scene.get("stops", 0.0), size)
+        shown = _Shown(volume, frame, extinctions, scene.stops, size)
         name = f"timeCode {format_time_code(frame.source.time_code)}"
         sources.append((f"source, {name}", shown.source(reader, views["front"])))
         give_back_memory()
@@ -113,7 +114,7 @@ class _Shown:
 
     @property
     def scattering(self) -> Scattering:
-        """Exposed; without lights where the stage has none."""
+        """What the smoke scatters, exposed as the pictures are; no lights where there are none."""
         config, lights = self.volume.config, self.frame.source.lights
         albedo = 1.0 if SCATTERING in config.painted else config.albedo  # else of the colour
         optics = config.optics
@@ -125,7 +126,7 @@ class _Shown:
         return self._draw(self._media(density, (None, None), view), view)
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
-        """By name of the view."""
+        """Pictures of the written frame, by name of the view."""
         from usdsmoke.core.smoke.tasks import run_tasks
 
         density, emission, colour = _read_result(self.volume, folder / self.frame.file_name)
@@ -154,8 +155,9 @@ class _Shown:
         from usdsmoke.core.views.media import make_media
 
         to_stage, emission = _to_stage(self.volume, self.frame), painted[0]
-        gamma_w = self.extinctions[painted != (None, None)]
-        if painted != (None, None) and self.scattering.lights:
+        is_painted, (grey, coloured) = painted != (None, None), self.extinctions
+        gamma_w = coloured if is_painted else grey
+        if is_painted and self.scattering.lights:
             from usdsmoke.core.views.lighting import lit_emission
 
             emission = lit_emission(density, painted, to_stage, gamma_w, self.scattering, view)
@@ -172,11 +174,11 @@ def _times(field: DenseField, factor: float) -> DenseField:
 def _views(
     volume: VolumePlan, frames: Sequence[FramePlan], folder: Path, up_axis: str
 ) -> tuple[dict[str, "View"], tuple[int, int]]:
-    """By name, and height and width of a picture; those of the front alone where the smoke has no
+    """The views by name, and height and width of a picture; the front alone where the smoke has no
     third dimension.
 
-    They hold the smoke of all frames, source and result, as far as headers tell where it is; none
-    where no header tells.
+    The views hold the smoke of all frames, source and result, as far as headers tell where it is;
+    there are none where no header tells.
     """
     corners, finest, is_flat = [], np.inf, False
     for frame in frames:
@@ -230,13 +232,11 @@ def _read_result(
     return density, emission, found.get(SCATTERING)
 
 
-def _extinctions(
-    scene: Mapping[str, Any], config: Config, frame: FrameSource
-) -> tuple[float, float]:
-    """Of grey and of coloured smoke, as a frame was stylized."""
+def _extinctions(scene: "Scene", config: Config, frame: FrameSource) -> tuple[float, float]:
+    """The extinctions of grey and of coloured smoke, as a frame was stylized."""
     own = frame_config(config, frame.controls, frame.time_code)
     if own is not config:
-        from usdsmoke.core.views.scene import Scene, frame_scene
+        from usdsmoke.core.views.scene import frame_scene
 
-        scene = dataclasses.asdict(frame_scene(Scene(**scene), own.optics.gamma))
-    return scene["gamma_w_shape"], scene["gamma_w"]
+        scene = frame_scene(scene, own.optics.gamma)
+    return scene.gamma_w_shape, scene.gamma_w
