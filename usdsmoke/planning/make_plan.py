@@ -1,4 +1,4 @@
-"""Makes the plan of a run from USD values and VDB headers.
+"""Makes the plan of a run from USD values and VDB headers, and checks that it fits a machine.
 
 No voxel is read and torch is not loaded.
 """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke.base.settings import Config
-from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _NO_MOTION = "the Volume has no velocity: nothing is carried from frame to frame"
 _ONE_FRAME = "one frame: nothing is carried from frame to frame"
 _LEAST_FRAMES, _FEW_FRAMES = 3, 4
+_CARRYING = 1.2  # assumed: times the iterations' cost, as a warm frame also moves its neighbour's
 _TEXTS = {
     "temporal": (
         "temporal error (mean over neighbouring frames)",
@@ -131,7 +132,7 @@ def _plan(error: str, case: Case) -> Plan:
     shot = _shot(case)
     config, n = case.config, len(shot.frames)
     chosen, warm = min(config.windows.size, n), _warm_share(case)
-    sizes = [chosen, *(size for size in (n, max(n // 2, 2), 1, 2, 3) if size < n or size == n)]
+    sizes = [chosen, *(size for size in (*_first_sizes(n), 2, 3) if size <= n)]
     measure = partial(_temporal_error, shot) if error == "temporal" else shot.style_error
     tasks = [
         Task(
@@ -170,16 +171,21 @@ def _shot(case: Case) -> _Shot:
         most = len(case.neighbours(max(case.config.windows.size, _FEW_FRAMES)))
 
         def needed(n: int) -> float:
-            efforts = [_effort(n, size, warm) for size in {n, max(n // 2, 2), 1}]
+            efforts = [_effort(n, size, warm) for size in set(_first_sizes(n))]
             return first + N_RUNS * seconds * sum(efforts)
 
         n = next((n for n in range(most, _LEAST_FRAMES, -1) if needed(n) <= case.allowed), None)
         n = n or min(most, _LEAST_FRAMES)
         need_seconds(case, f"three points of {n} frames and the references", needed(n))
         reference = reference_of(case, step)
-        case.cache["shot"] = _Shot(case, _frames(case, n), _config(case), reference)
+        case.cache["shot"] = _Shot(case, _frames(case, n), _main_step_config(case), reference)
     shot: _Shot = case.cache["shot"]
     return shot
+
+
+def _first_sizes(n: int) -> tuple[int, int, int]:
+    """The window sizes that say most about n frames."""
+    return n, max(n // 2, 2), 1
 
 
 def _effort(n_frames: int, size: int, warm: float) -> float:
@@ -189,10 +195,11 @@ def _effort(n_frames: int, size: int, warm: float) -> float:
 
 
 def _warm_share(case: Case) -> float:
+    """Cost of a frame that starts from its neighbour, in configured runs of one."""
     from usdsmoke.core.smoke.schedule import warm_iterations
 
     base = base_iterations(case, main_step(case))
-    return 1.2 * sum(warm_iterations(base, case.config.windows.warm_iterations)) / sum(base)
+    return _CARRYING * sum(warm_iterations(base, case.config.windows.warm_iterations)) / sum(base)
 
 
 def _label(size: int, meant: int) -> str:
@@ -227,7 +234,7 @@ def _frames(case: Case, n_frames: int) -> list[VolumeFrame]:
     return [*moving, replace(frames[-1], velocity=None, velocity_to_stage=None)]
 
 
-def _config(case: Case) -> Config:
+def _main_step_config(case: Case) -> Config:
     """The settings with the main step alone; motion is that of the frames."""
     config = case.config.replace(grids=case.config.grids.replace(refine=1))
     config = config.replace(stage=config.stage.replace(motion="velocity"))
@@ -275,7 +282,7 @@ def _painted(
     return smoke, change[:, None].to(smoke.density)
 
 
-def _union(source: VolumeFrame, found: "StylizedFrame") -> Any:
+def _union(source: VolumeFrame, found: "StylizedFrame") -> DenseField:
     """A field that is above 0 wherever there is smoke before or after."""
     fields = (source.density, found.density)
     ijk_min, shape = union_box(fields)
@@ -283,7 +290,7 @@ def _union(source: VolumeFrame, found: "StylizedFrame") -> Any:
     return replace(found.density, values=np.maximum(*both).clip(0), ijk_min=ijk_min)
 
 
-def _values_at(field: Any, smoke: "ActiveSmoke") -> np.ndarray:
+def _values_at(field: DenseField, smoke: "ActiveSmoke") -> np.ndarray:
     index = smoke.ijk.cpu().numpy() - np.asarray(field.ijk_min)
     inside = ((index >= 0) & (index < field.values.shape)).all(axis=1)
     values = np.zeros(len(index), np.float32)

@@ -32,7 +32,7 @@ def author_material(
 ) -> None:
     """Author the material below the Volume, and bind the Volume to it."""
     layer = volume_spec.layer
-    path = _free_path(prim)
+    path = _material_path(prim)
     spec = _define(layer, path, "Material")
     smoke = _smoke(prim, volume)
     shader = f"./{shader_name(config)}"
@@ -59,7 +59,7 @@ def _bind(volume_spec: Sdf.PrimSpec, name: str, targets: list[Sdf.Path]) -> None
         relationship.targetPathList.ClearEditsAndMakeExplicit()
 
 
-def _free_path(prim: Usd.Prim) -> Sdf.Path:
+def _material_path(prim: Usd.Prim) -> Sdf.Path:
     path, number = prim.GetPath().AppendChild(_NAME), 2
     while prim.GetStage().GetPrimAtPath(path):
         path, number = prim.GetPath().AppendChild(f"{_NAME}_{number}"), number + 1
