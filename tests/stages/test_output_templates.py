@@ -128,6 +128,7 @@ def test_windows_on_a_farm_are_delivered_by_the_assembly(farm: Shot) -> None:
         ("C:\\{name}.{frame}.vdb", "':"),
         ("{name}.{frame.vdb", "'{'"),
         ("VDB/{name}.{frame}.vdb", "holds the runs"),
+        ("{name}.{frame:4d}.vdb", r"format '4d' of \{frame\}"),  # Python pads it with spaces
     ],
 )
 def test_a_template_that_is_no_path_of_frames_is_refused(

@@ -12,7 +12,7 @@ from typing import Any
 from pxr import Ar, Sdf, Tf, Usd
 
 from usdsmoke.base.errors import FileUnreadable, LayerError, StageError
-from usdsmoke.base.naming import RUNS_FOLDER
+from usdsmoke.base.naming import find_look_layers, find_run_files
 from usdsmoke.base.record_format import (
     RECORD_FILE,
     RECORD_FORMAT,
@@ -144,8 +144,8 @@ def _of_grids(path: Path) -> list[FoundRecord]:
     if not run:
         return []
     for output in path.parents:  # OUT/vdb/KEY/NAME.vdb, or as layer.files puts it
-        looks = _in_folder(output) if any(output.glob("look*.usd[ac]")) else []
-        records = map(_of_run, sorted(output.glob(f"{RUNS_FOLDER}/*/{RECORD_FILE}")))
+        looks = _in_folder(output) if find_look_layers(output) else []
+        records = map(_of_run, find_run_files(output, RECORD_FILE))
         for found in (looks, records):
             if ours := [r for r in found if run in (r.record.run, *r.record.grown_from)]:
                 return ours

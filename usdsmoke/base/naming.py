@@ -1,9 +1,9 @@
-"""Names of a result's files and grids: a stem per Volume, a number per timeCode."""
+"""Names of a result's files and grids: a stem per Volume, a number per timeCode; and its files."""
 
 import math
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from usdsmoke.base.errors import ConfigError, LayerError
@@ -24,7 +24,7 @@ ASSET_SOURCE = "usdsmokeAssetSource"  # in an asset's customLayerData: its sourc
 
 _DECIMALS = 6  # most decimals of a fractional timeCode
 _FIELD = re.compile(r"\{(\w*)(?::([^{}]*))?\}")  # of a template: name and format
-_WIDTH = re.compile(r"0?[1-9]d")
+_WIDTH = re.compile(r"0[1-9]d")
 
 
 def channel_names(name: str) -> tuple[str, str, str]:
@@ -145,8 +145,8 @@ def frame_places(
         names: text by field; letters, digits, ``_``, ``-`` and ``.`` only.
 
     Raises:
-        ConfigError: a field is unknown, there is no ``{frame}``, or the path is none of a VDB file
-            inside the output folder.
+        ConfigError: a field is unknown, there is no ``{frame}``, or the path does not name a
+            VDB file inside the output folder.
         LayerError: two timeCodes are too close for names of their own.
     """
     if not template:
@@ -196,9 +196,14 @@ def _is_exact(time_codes: Sequence[float], decimals: int) -> bool:
     return all(abs(code - round(code, decimals)) < 0.5 * 10**-_DECIMALS for code in time_codes)
 
 
-def run_record_files(output: Path) -> Iterator[Path]:
-    """The records of the runs in an output folder, finished or not, sorted by name."""
-    yield from sorted(output.glob(f"{RUNS_FOLDER}/*/{RUN_RECORD}"))
+def find_run_files(output: Path, name: str = RUN_RECORD) -> list[Path]:
+    """The files of one name in the folders of an output folder's runs, finished or not, sorted."""
+    return sorted(output.glob(f"{RUNS_FOLDER}/*/{name}"))
+
+
+def find_look_layers(output: Path) -> list[Path]:
+    """The layers of the looks in an output folder, by their names alone, sorted."""
+    return sorted([*output.glob("look.usd[ac]"), *output.glob("look_*.usd[ac]")])
 
 
 def relative_asset_path(file_path: str | Path, folder: Path) -> str:

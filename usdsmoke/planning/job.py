@@ -11,7 +11,7 @@ import numpy as np
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
-from usdsmoke.base.naming import SCATTERING, relative_asset_path, run_record_files
+from usdsmoke.base.naming import SCATTERING, find_run_files, relative_asset_path
 from usdsmoke.base.resolve import (
     FilePath,
     Settings,
@@ -171,7 +171,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     inputs = [*files, *(Path(file_path) for file_path in earlier.layers)]
     check_output_folder(output, config.layer.look, inputs, written)
     if fits:  # of a run that has begun, ``OpenRun.check_disk`` looks at the rest
-        check_plan(plan, None if any(run_record_files(output)) else output)
+        check_plan(plan, None if find_run_files(output) else output)
     return Job(request, stage, plan, styles, style_files, output, targets, earlier, files, fits)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usdsmoke.base.errors import LayerError, WriteFailed
+from usdsmoke.base.naming import find_look_layers
 
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
@@ -102,8 +103,8 @@ def _check_look_name(output: Path, look: str) -> None:
 
     Many file systems treat the two as one file.
     """
-    for file_path in sorted(output.glob("look_*.usd[ac]")):
-        other = file_path.stem.removeprefix("look_")
+    for file_path in find_look_layers(output):
+        other = file_path.stem.removeprefix("look").removeprefix("_")
         if other != look and other.casefold() == look.casefold():
             raise LayerError(
                 f"{output} has a look {other!r}, which differs from {look!r} in upper and lower "

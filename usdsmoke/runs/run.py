@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.locks import hold_file
-from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, RUNS_FOLDER, run_record_files
+from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, RUNS_FOLDER, find_run_files
 from usdsmoke.base.publish import (
     make_folders,
     publish_file,
@@ -294,7 +294,7 @@ class Run:
 
 def find_runs(output: Path) -> Iterator[Run]:
     """The runs that left a record in an output folder, finished or not, in the order of names."""
-    for record_path in run_record_files(output):
+    for record_path in find_run_files(output):
         try:
             record = _read_json(record_path)
             known = {name: record[name] for name in _record_names() if name in record}

@@ -22,7 +22,13 @@ from typing import Any
 from pxr import Sdf, Tf, Usd, UsdGeom
 
 from usdsmoke.base.errors import LayerError
-from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET, relative_asset_path
+from usdsmoke.base.naming import (
+    ASSET_SOURCE,
+    ORIGINAL,
+    VARIANT_SET,
+    find_look_layers,
+    relative_asset_path,
+)
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.layer_record import RECORD_KEY, record_values
 
@@ -169,7 +175,7 @@ def author_asset(stage: Usd.Stage, look: str, look_layer: Path, folder: Path) ->
 def _find_looks(folder: Path, source_file: Path) -> dict[str, _Look]:
     """The looks of this source by name, in the order of names."""
     found = {}
-    for file_path in sorted([*folder.glob("look*.usda"), *folder.glob("look*.usdc")]):
+    for file_path in find_look_layers(folder):
         try:
             with captured_diagnostics():
                 layer = Sdf.Layer.OpenAsAnonymous(str(file_path), metadataOnly=True)
