@@ -112,7 +112,7 @@ def test_windows_on_a_farm_are_delivered_by_the_assembly(farm: Shot) -> None:
         run_window(Request(farm.stage, farm.style, farm.output, settings), window)
         assert files_below(farm.output) == []
     contents(assemble(farm.output).root_stage)
-    assert len(files_below(farm.output)) == 7
+    assert len(files_below(farm.output)) == 8
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from torch import Tensor
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import scene_of
 from usdsmoke.base.resolve import resolve_config
-from usdsmoke.core.smoke.srgb import decode_srgb, luminance
+from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.pictures import ColourView, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, make_targets
@@ -46,7 +46,7 @@ def painted(**weights: Any) -> tuple[ColourView, Tensor, Tensor]:
 def likeness(view: ColourView, picture: Tensor, grey: Tensor) -> float:
     """Correlation of luminance and grey where there is smoke."""
     inside = view.alpha > 0.3
-    return float(np.corrcoef(luminance(picture)[inside], grey[inside])[0, 1])
+    return float(np.corrcoef(luma(picture)[inside], grey[inside])[0, 1])
 
 
 def test_content_and_edges_keep_light_and_dark_where_the_smoke_s_own_picture_has_them():

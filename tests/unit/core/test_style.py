@@ -6,7 +6,7 @@ import torch
 
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.sections import StyleConfig
-from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.style.style_image import SMALLEST, adjust_tones, match_grey, scale_style
 
 LIKE = torch.zeros(())
@@ -57,7 +57,7 @@ def test_colour_scales_the_distance_from_grey_and_lift_raises_black():
     assert np.array_equal(adjust_tones(style, StyleConfig()), style)
     grey = adjust_tones(style, StyleConfig(colour=0.0))
     assert np.ptp(grey, axis=-1).max() < 1e-6
-    assert np.allclose(luminance(torch.tensor(grey)), luminance(torch.tensor(style)), atol=1e-6)
+    assert np.allclose(luma(torch.tensor(grey)), luma(torch.tensor(style)), atol=1e-6)
     more = adjust_tones(style, StyleConfig(colour=1.5))
     assert np.ptp(more[0, 1]) == pytest.approx(0.3) and more.min() >= 0 and more.max() <= 1
     lifted = adjust_tones(style, StyleConfig(lift=0.25))

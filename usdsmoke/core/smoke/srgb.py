@@ -1,4 +1,4 @@
-"""Display-encoded and scene-linear colours, and luminance."""
+"""Display-encoded and scene-linear colours, their luma and luminance."""
 
 from typing import Any, cast
 
@@ -8,6 +8,7 @@ from torch.autograd.function import once_differentiable
 
 from usdsmoke.core.smoke.memory import share_rows
 
+REC709_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of red, green and blue
 CHUNK_ELEMENTS = 2**16  # numbers that are decoded at once
 
 
@@ -57,6 +58,11 @@ class _Decode(torch.autograd.Function):
         return upstream * slope.view(upstream.shape)
 
 
-def luminance(picture: Tensor) -> Tensor:
-    """Rec.709 luma [...] of display-encoded colours [... 3]."""
-    return picture @ picture.new_tensor([0.2126, 0.7152, 0.0722])
+def luma(encoded: Tensor) -> Tensor:
+    """Rec.709 luma [...] of display-encoded colours [... 3]. [ITU-R BT.709-6]"""
+    return encoded @ encoded.new_tensor(REC709_WEIGHTS)
+
+
+def luminance(linear: Tensor) -> Tensor:
+    """Luminance [...] of scene-linear colours [... 3], Rec.709, white has 1. [ITU-R BT.709-6]"""
+    return linear @ linear.new_tensor(REC709_WEIGHTS)

@@ -22,7 +22,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import spread_colours
-from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luminance
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -247,7 +247,7 @@ def _content_picture(
     grey = opacity(scene.gamma_w_shape * columns) * scene.exposure_shape
     mean, deviation = targets.brightness
     light = mean + (grey - scene.grey_mean) / max(scene.grey_deviation, 0.05) * deviation
-    background = luminance(encode_srgb(targets.background))
+    background = luma(encode_srgb(targets.background))
     composite = guide * light.clamp(0, 1) + (1 - guide) * background
     return composite[..., None].expand(-1, -1, 3)
 

@@ -13,17 +13,16 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import Scattering, VolumeFrame
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.steps.pictures import ColourView, prepare_views
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.views.lighting import Lighting, light_smoke
 from usdsmoke.core.views.scene import Scene, frame_views
 
-N_VIEWS = 4
-FACTOR = 2  # voxels and pixels are this many times as large: shares need no detail
-LIT = 0.95  # rank of the pixels that count as smoke in the light
-ADVISED = 0.5  # of the style's white, which an advised exposure brings these to
-_WEIGHTS = (0.2126, 0.7152, 0.0722)  # luminance of linear Rec.709
+_N_VIEWS = 4
+_FACTOR = 2  # voxels and pixels are this many times as large: shares need no detail
+_LIT = 0.95  # rank of the pixels that count as smoke in the light
+_ADVISED = 0.5  # of the style's white, which an advised exposure brings these to
 
 
 def light_report(problem: StepProblem, painted: ActiveSmoke, colours: Tensor) -> LightReport | None:
@@ -53,12 +52,12 @@ def light_report(problem: StepProblem, painted: ActiveSmoke, colours: Tensor) ->
     if len(brightness) == 0:
         return None
     brightness = brightness / max(problem.targets.white, 1e-3)
-    lit, wanted = float(brightness.quantile(LIT)), 1.0 if lighting.is_painted else ADVISED
+    lit, target = float(brightness.quantile(_LIT)), 1.0 if lighting.is_painted else _ADVISED
     return LightReport(
         share=float(lamps.sum()) / total if total > 0 else 0.0,
         outshone=0.0 if lighting.is_painted else float((brightness > 1).double().mean()),
         reach=lit,
-        advised=_advised(scene.stops, wanted / lit) if lit > 0 else None,
+        advised=_advised(scene.stops, target / lit) if lit > 0 else None,
     )
 
 
@@ -87,7 +86,7 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
         octave = coarsen(bounded(smoke))
         views = _views(octave, scene, config, lighting, None)
         brightness = _brightness(views, octave)
-        if len(brightness) and (lit := float(brightness.quantile(LIT))) > 0:
+        if len(brightness) and (lit := float(brightness.quantile(_LIT))) > 0:
             found.append(-math.log2(lit))
     stops = float(np.median(found)) if found else 0.0
     return min(max(stops, -MOST_STOPS), MOST_STOPS)
@@ -96,8 +95,8 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
 def _views(
     octave: ActiveSmoke, scene: Scene, config: Config, lighting: Lighting, share: Tensor | None
 ) -> list[ColourView]:
-    pool, seed = config.views.replace(pool=N_VIEWS), config.optimize.seed
-    directions = frame_views(octave, pool, scene, seed, FACTOR)
+    pool, seed = config.views.replace(pool=_N_VIEWS), config.optimize.seed
+    directions = frame_views(octave, pool, scene, seed, _FACTOR)
     made = prepare_views(octave, directions, scene.gamma_w, scene.exposure, share, lighting)
     return list(made)
 
@@ -109,7 +108,7 @@ def _brightness(views: Sequence[ColourView], painted: ActiveSmoke) -> Tensor:
         colours = painted.positions.new_zeros(len(painted.ijk), 3).to(view.alpha)
         picture = view.shown(colours if view.light is None else colours + 1)
         smoke = view.alpha > 0.5 * view.alpha.max()
-        light = picture[smoke].double() @ picture.new_tensor(_WEIGHTS, dtype=torch.float64)
+        light = luminance(picture[smoke].double())
         found.append(light / view.alpha[smoke])
     return torch.cat(found)
 

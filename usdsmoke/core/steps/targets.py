@@ -11,7 +11,7 @@ from torch import Tensor
 from usdsmoke.base.sections import LossesConfig, StyleConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.smoke.srgb import decode_srgb, luminance
+from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
@@ -44,12 +44,12 @@ class StyleFeatures:
     @cached_property
     def white(self) -> float:
         """Linear luminance that one pixel in a hundred is brighter than."""
-        return decode_srgb(luminance(self._pixels).flatten().quantile(0.99)).item()
+        return decode_srgb(luma(self._pixels).flatten().quantile(0.99)).item()
 
     @cached_property
     def brightness(self) -> tuple[float, float]:
         """Mean and deviation of the luminance, display-encoded."""
-        light = luminance(self._pixels)
+        light = luma(self._pixels)
         return float(light.mean()), float(light.std(correction=0))
 
 

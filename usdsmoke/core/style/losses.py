@@ -27,7 +27,7 @@ from torch import Tensor
 
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.smoke.memory import accumulate
-from usdsmoke.core.smoke.srgb import luminance
+from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
 from usdsmoke.core.style.nearest import nearest_distance, thin_out
@@ -99,7 +99,7 @@ class PictureLoss:
 
     def _content_loss(self, picture: Tensor, guide: Tensor, content: Content) -> Tensor:
         losses, total = self._losses, picture.new_zeros(())
-        grey = luminance(picture)[..., None].expand(-1, -1, 3)
+        grey = luma(picture)[..., None].expand(-1, -1, 3)
         if losses.content:
             for (share, target), maps in zip(self._targets, content.maps, strict=True):
                 total = total + share * losses.content * target.content_loss(grey, maps, guide)

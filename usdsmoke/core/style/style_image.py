@@ -6,7 +6,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.sections import StyleConfig
-from usdsmoke.core.smoke.srgb import luminance
+from usdsmoke.core.smoke.srgb import luma
 
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
@@ -47,7 +47,7 @@ def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
     """
     if config.colour == 1 and config.lift == 0:
         return style
-    grey = luminance(torch.as_tensor(np.ascontiguousarray(style))).numpy()[..., None]
+    grey = luma(torch.as_tensor(np.ascontiguousarray(style))).numpy()[..., None]
     toned = np.clip(grey + config.colour * (style - grey), 0, 1)
     return (config.lift + (1 - config.lift) * toned).astype(style.dtype)
 
@@ -61,7 +61,7 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
         style: [H W 3], display-encoded.
         mean, deviation: of the grey level inside the smoke's silhouette.
     """
-    light = luminance(style)
+    light = luma(style)
     spread = light.std(correction=0).clamp_min(1e-4)
     contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
     matched = (light - light.mean()) / spread * contrast + mean
