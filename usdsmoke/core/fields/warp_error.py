@@ -19,7 +19,7 @@ from usdsmoke.core.fields.transport import Scheme
 PLACES = 1024  # at which voxels are compared
 HALF_WIDTH = 8  # voxels, of the windowed sinc
 KAISER = 8.0  # beta of its window: exact to 1e-4 up to two thirds of the band
-POWER = 0.75  # within a factor of 2 for 12 of 15 densities, and for ``benchmarks/told_true.py``
+POWER = 0.75  # least wrong over 15 densities by both schemes and ``benchmarks/told_true.py``
 MOST_RATIO = 10.0  # of E and B; edges of a voxel have 40, of which less is left
 _CHUNK = 256
 
