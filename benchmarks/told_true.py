@@ -62,7 +62,9 @@ class Row:
 
     @property
     def within(self) -> bool:
-        """Whether told is within a factor of 2, or both are below a thousandth."""
+        """Whether told is within a factor of 2, or left out, or both are below a thousandth."""
+        if not np.isfinite(self.told):
+            return True
         if max(self.told, self.true) < 1e-3:
             return True
         return self.true > 0 and 0.5 <= self.told / self.true <= 2
@@ -296,7 +298,9 @@ def _against_time(rows: Sequence[Row]) -> list[str]:
 
 
 def _line(row: Row) -> str:
-    if not np.isfinite(row.true):
+    if not np.isfinite(row.told):
+        cells = [row.scene, row.row, "left out", f"{row.true:.2%}", "", row.remark]
+    elif not np.isfinite(row.true):
         cells = [row.scene, row.row, f"{row.told:.2%}", "", "", row.remark]
     else:
         ratio = row.told / row.true if row.true > 0 else np.inf
@@ -307,7 +311,7 @@ def _line(row: Row) -> str:
 
 
 def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
-    known = [row for row in rows if np.isfinite(row.true)]
+    known = [row for row in rows if np.isfinite([row.told, row.true]).all()]
     intro = [
         "# The error budget, told and true",
         "",
