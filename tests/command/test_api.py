@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -50,6 +51,21 @@ def test_an_open_stage_is_taken_like_its_path(shot: Shot) -> None:
     stage.DefinePrim("/Unsaved")
     with pytest.raises(usdsmoke.UsdSmokeError, match="unsaved"):
         usdsmoke.plan(stage, shot.style)
+
+
+def test_previews_networks_and_reports_print_in_a_few_lines() -> None:
+    from usdsmoke.pictures.preview import PreviewResult
+    from usdsmoke.runs.train import TrainResult
+    from usdsmoke.work_precision import Report, ReportResult
+
+    files = (Path("a.exr"), Path("b.exr"))
+    drawn = PreviewResult(files, (1.0, 2.0), 64, 32, "", (0.0, 0.0), {"/smoke": 1.0}, ("dim",))
+    assert str(drawn).splitlines() == ["a.exr and 1 more: 64 x 32 pixels", "dim"]
+    network = TrainResult(Path("net.safetensors"), "/smoke", (1.0,), 2.0, 0.25, 0.5, 8, 99, 1.0)
+    assert "net.safetensors" in str(network) and "1 frame," in str(network)
+    assert "0.25" in str(network) and "0.5" in str(network) and "\n" not in str(network)
+    page = ReportResult(Path("page.html"), (Path("page.html"),), Report("title", {}, (), (), ()))
+    assert str(page) == "page.html"
 
 
 def test_what_is_no_stage_or_no_settings_is_refused_by_name(shot: Shot) -> None:
