@@ -61,6 +61,28 @@ def test_light_through_a_ball_is_of_second_order(gamma_w: float, towards: np.nda
     assert min(-np.diff(np.log2(errors))) > 1.85
 
 
+@pytest.mark.parametrize("towards", [TO_EYE, None], ids=["sun", "dome"])
+@pytest.mark.parametrize("gamma_w", [2.0, 20.0])
+def test_a_picture_of_scattered_light_is_of_second_order(
+    gamma_w: float, towards: tuple[float, float, float] | None
+) -> None:
+    """By what each halving of the voxels changes in the mean of the picture."""
+    scattering, means = Scattering((LightSource("/light", (1.0, 1.0, 1.0), towards),), 0.9), []
+    for n in (12, 24, 48, 96):
+        smoke = gaussian(n)
+        view = View(np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2], np.zeros(3), n, n, 2 / n)
+        image, _ = colour_map(
+            smoke.positions, smoke.density, smoke.edges, gamma_w, view, smoke.voxel_size
+        )
+        lighting = light_smoke(smoke, gamma_w, scattering)
+        assert lighting is not None
+        light = lighting.on(smoke.positions).scattered(view.forward)
+        means.append(float(image.apply(light).mean()))
+    changes = np.abs(np.diff(means))
+    assert changes[-1] < 5e-3 * means[-1]
+    assert min(np.log2(changes[:-1] / changes[1:])) > 1.5
+
+
 @pytest.mark.parametrize("depth", [1e-3, 1.0, 1e3])
 def test_stiff_smoke_gives_shares_that_fall_along_the_way(depth: float) -> None:
     smoke = on_lattice(torch.ones(12, 12, 12, dtype=torch.float64), 1.0)
