@@ -28,7 +28,7 @@ def real(shot: Shot) -> Shot:
 def test_a_result_made_through_a_link_opens_in_its_real_folder(linked: Shot) -> None:
     result = run(linked, *WINDOWS)
     assert result.root_stage == real(linked).output / "shot_look.usda"
-    assert len(contents(result.root_stage)) == 7
+    assert len(contents(result.root_stage)) == 8
 
 
 def test_parts_made_through_a_link_and_without_it_are_one_run_and_one_stage(linked: Shot) -> None:
@@ -48,7 +48,7 @@ def test_a_whole_tree_behind_a_link_opens_by_either_name(farm: Shot, tmp_path: P
     for folder in (farm.folder, tree):
         stage = Usd.Stage.Open(str(folder / "out/shot_look.usda"))
         assert stage.GetPrimAtPath("/World/smoke/density").IsValid()
-        assert len(contents(folder / "out/shot_look.usda")) == 7
+        assert len(contents(folder / "out/shot_look.usda")) == 8
 
 
 def test_a_link_to_an_inputs_folder_is_kept_where_it_is_no_detour(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def test_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> Non
     listed = {name for line in lines if line.startswith("without ") for name in budget.left_out
               if name in line}  # fmt: skip
     assert listed == set(budget.left_out)
-    assert any("4 frames" in line and "there are no 5 frames" in line for line in lines)
+    assert any("4 frames" in line and "fewer than 5 frames" in line for line in lines)
 
 
 @pytest.mark.usefixtures("core")

@@ -90,7 +90,7 @@ def iterations_of(step: str, frame: VolumeFrame) -> tuple[int, int]:
     """Elements that two iterations of a step make, and those of them that convolutions make."""
     works = []
     for number in (2, 4):
-        views = {"pool": 2, "image_size": 16, "camera": "/camera"}
+        views = {"pool": 2, "image_size": 32, "camera": "/camera"}
         settings = {step: {"iterations": [number]}, "views": views}
         config = quick_config(optimize={"steps": [step]}, **settings)
         with Elements(views=False) as work:

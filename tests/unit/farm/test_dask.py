@@ -90,12 +90,12 @@ def test_an_address_without_a_protocol_is_refused(shot: Shot, address: str) -> N
         stylize_on_cluster(address, Request(shot.stage, shot.style, shot.output))
 
 
-def test_the_command_ends_with_1_where_no_cluster_is(
+def test_the_command_ends_with_1_where_dask_is_missing(
     shot: Shot, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(shot.arguments("--cluster", "tcp://127.0.0.1:9", "--json")) == 1
-    assert json.loads(capsys.readouterr().out)["error"]["type"] == "ClusterError"
+    assert json.loads(capsys.readouterr().out)["error"]["type"] == "MissingPackage"
 
 
 @pytest.mark.parametrize("other", [["--coarse"], ["--window", "0"]])

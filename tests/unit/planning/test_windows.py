@@ -26,7 +26,7 @@ def test_every_frame_is_in_exactly_one_window_and_in_order(
 
 
 @given(st.integers(1, 60), st.integers(1, 12), st.integers(0, 6))
-def test_without_gaps_all_but_the_last_window_are_full_and_it_is_no_shorter_than_the_overlap(
+def test_without_gaps_all_but_the_last_window_are_full(
     n_frames: int, size: int, overlap: int
 ) -> None:
     config = WindowsConfig(size=size, overlap=overlap)
