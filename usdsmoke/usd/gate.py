@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdUtils
 
 from usdsmoke.base.errors import OutputExists, UsdSmokeError
 from usdsmoke.base.naming import relative_asset_path
@@ -23,7 +23,9 @@ def validate_look(
 ) -> tuple[list[Finding], list[Finding]]:
     """The findings that a look is to blame for, and those that its source has without it.
 
-    Rule, severity, prim and timeCode decide whether two findings are the same one.
+    Rule, severity, prim and timeCode decide whether two findings are the same one, and the text of
+    those of a whole stage. A finding on a file that only the look names is the look's: OpenUSD's
+    validators follow muted layers too.
 
     Args:
         stage: the root layer of a result, or any stage with looks.
@@ -33,10 +35,13 @@ def validate_look(
     """
     source = open_original(stage)
     known = {_what(finding) for finding in validate(source)}
-    findings = validate(stage)
-    own = [finding for finding in findings if _what(finding) not in known]
-    own = [*_switched(source), *own]
-    return own, [finding for finding in findings if _what(finding) in known]
+    own_files = _files_named(open_stage(stage)) - _files_named(source)
+    own, of_source = list[Finding](), list[Finding]()
+    for finding in validate(stage):
+        names_own = any(file in finding.message for file in own_files)
+        is_known = _what(finding) in known and (finding.prim_path or not names_own)
+        (of_source if is_known else own).append(finding)
+    return [*_switched(source), *own], of_source
 
 
 @readable_values()
@@ -108,8 +113,21 @@ def _switched(source: Usd.Stage) -> list[Finding]:
     return found
 
 
+def _files_named(stage: Usd.Stage) -> set[str]:
+    """Absolute paths that the layers in use name, those of sublayers aside."""
+    muted, files = set(stage.GetMutedLayers()), set[str]()
+    for layer in stage.GetUsedLayers():
+        if layer.anonymous or layer.identifier in muted:
+            continue
+        _, references, payloads = UsdUtils.ExtractExternalReferences(layer.identifier)
+        for path in (*references, *payloads):
+            files.add(os.path.normpath(Sdf.ComputeAssetPathRelativeToLayer(layer, path)))
+    return files
+
+
 def _what(finding: Finding) -> tuple[object, ...]:
-    return finding.severity, finding.rule, finding.prim_path, finding.time_code
+    text = "" if finding.prim_path else finding.message
+    return finding.severity, finding.rule, finding.prim_path, finding.time_code, text
 
 
 def _line(finding: Finding) -> str:

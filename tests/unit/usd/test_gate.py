@@ -51,6 +51,21 @@ def test_faults_of_the_source_are_not_the_look_s(tmp_path, capsys):
     assert main(["validate", "--look-only", *ignored, str(files.root_stage)]) == 0
 
 
+@pytest.mark.parametrize("mode", ["sublayer", "reference"])
+def test_a_missing_file_of_the_look_that_is_no_field_is_the_looks(tmp_path, mode):
+    """OpenUSD's own validator follows the look even where it is muted."""
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim(sequence([1])))
+    write_text(tmp_path / "shot.usda", world(body))
+    files = make_look(tmp_path / "shot.usda", tmp_path / "out", ours=True, mode=mode)
+    (shader,) = (tmp_path / "out").glob("*.glslfx")
+    assert not [f for f in validate_look(files.root_stage)[0] if f.severity == Severity.ERROR]
+    shader.unlink()
+    own, of_source = validate_look(files.root_stage)
+    assert any(shader.name in f.message for f in own if f.severity == Severity.ERROR)
+    assert not any(shader.name in f.message for f in of_source)
+
+
 def test_a_stage_without_a_look_is_refused(tmp_path):
     write_sequence(tmp_path, [1])
     body = volume_prim(density_prim(sequence([1])))
