@@ -298,14 +298,18 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
             layer without its source.
     """
     problems: list[str] = []
-    if config.frames or config.prims:  # what is named must be there
+    if config.prims:  # what is named must be there
         selected = _find(stage, config)
     else:
         selected = _find(stage, config, problems)
-    try:
-        whole = _find(stage, config.replace(frames="")) if config.frames else selected
-    except (AssetNotResolved, FieldNotFound):
-        whole = selected  # files of frames that are not requested may be missing
+    whole, faults = selected, list[str]()
+    if config.frames:
+        try:
+            whole = _find(stage, config.replace(frames=""), faults)
+        except (AssetNotResolved, FieldNotFound):
+            whole = selected  # files of frames that are not requested may be missing
+        if len(problems) > len(faults):  # not of a Volume that cannot be drawn at all
+            selected = _find(stage, config)
     smoke = Smoke(stage, selected, whole)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None

@@ -352,6 +352,11 @@ def test_inspect_and_preview_show_the_rest(tmp_path, capsys):
     draw = ["preview", str(stage_file), "-o", str(tmp_path / "a.png"), "--width", "16"]
     assert main(draw) == 0
     assert "no file at timeCode 3" in capsys.readouterr().err
+    assert main([*draw, "--frames", "2"]) == 0
+    assert "/World/bare" in capsys.readouterr().err
+    for beyond in ("3", "9", "2-9"):
+        assert main([*draw, "--frames", beyond]) == 1
+    assert "--allow-missing" in capsys.readouterr().err
     assert main([*draw, "--prim", "/World/smoke", "--frames", "3"]) == 1
     assert "smoke.0003.vdb" in capsys.readouterr().err
 
