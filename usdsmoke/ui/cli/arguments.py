@@ -186,7 +186,7 @@ def _add_validate(commands: Any) -> None:
         "--mend",
         metavar="NEW.usda",
         help="write a new layer above the stage that fixes missing extents, wrong types of fields "
-        "and absolute paths, and validate it",
+        "and absolute paths, and that is then validated",
     )
 
 
