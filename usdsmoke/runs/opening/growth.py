@@ -9,6 +9,7 @@ written again, of a run with the earlier scenes, which the job and the record th
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from usdsmoke.base.errors import UsdSmokeError, count_text
@@ -58,7 +59,7 @@ class Growth:
                 f"{_named(stay)}, extinction and picture size"
             )
 
-    @property
+    @cached_property
     def starts(self) -> set[str]:
         """The files of the coarse starts that stay the same and are there."""
         before = {volume.source.prim_path: volume for volume in self.before.volumes}
@@ -87,7 +88,7 @@ class Growth:
     def _is_rewritten(self, frame: FramePlan) -> bool:
         return any(field.file_path in self.rewritten for field in frame.source.fields.values())
 
-    @property
+    @cached_property
     def windows(self) -> list[tuple[WindowTask, WindowTask]]:
         """The windows that stay the same, each with the earlier run's."""
         before = {
