@@ -14,6 +14,7 @@ light that is scattered more often, see ``bounces``.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -63,14 +64,19 @@ class Lighting:
 
     def _sky(self, positions: Tensor) -> Tensor:
         """The share of a dome that is seen through the smoke, [P K], see ``_terms``."""
+        found, near = sample_colours(*self._seen_sky, positions)
+        return torch.where(near > 0, found, torch.ones_like(found))
+
+    @cached_property
+    def _seen_sky(self) -> tuple[ActiveSmoke, Tensor]:
+        """The smoke at half its resolution, and that share in its voxels; for all positions."""
         coarse, directions = coarsen(self.smoke), sky_directions()
         total = self._terms(coarse.density.new_zeros(len(coarse.ijk)))
         for towards in directions:
             view = fit_view(light_view(towards, coarse.voxel_size), coarse)
             seen = transmittances(coarse, self.gamma_w, view, coarse.positions, both=True)
             total += self._terms(seen)
-        found, near = sample_colours(coarse, total / len(directions), positions)
-        return torch.where(near > 0, found, torch.ones_like(found))
+        return coarse, total / len(directions)
 
     def _terms(self, shares: Tensor) -> Tensor:
         """[P K] of transmittances [P]: K = 1 without bounces."""
