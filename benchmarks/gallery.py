@@ -101,9 +101,8 @@ def write_page(
         "# Gallery",
         "",
         "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the",
-        "style, then each scene from the front, and volumes from the side too. Scores are those of",
-        "[quality and cost](../README.md#quality-and-cost), from all sides; *outliers* is the part",
-        "of pixels in colours that the style does not have.",
+        "style, then each scene from the front; volumes are also shown from the side. [Quality and",
+        "cost](../README.md#quality-and-cost) explains the scores, which are from all sides.",
         "",
     ]
     for style, cells in rows.items():
