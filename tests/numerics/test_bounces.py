@@ -15,11 +15,11 @@ from usdsmoke.core.views.lighting import (
     Lighting,
     LitPoints,
     light_smoke,
-    light_view,
     sky_directions,
 )
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import fit_view
+from usdsmoke.core.views.shadows import light_view
 
 N = 16
 SMOKE = activate(field_of(lumpy_ball(N)), np.eye(4), torch.device("cpu"))

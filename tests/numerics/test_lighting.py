@@ -12,9 +12,10 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.pictures import ColourView
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.lighting import light_smoke, light_view, phase, sky_directions
-from usdsmoke.core.views.project import colour_map, transmittances
+from usdsmoke.core.views.lighting import light_smoke, phase, sky_directions
+from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import fit_view
+from usdsmoke.core.views.shadows import trace_shadows
 
 WIDTH = 0.3  # of the smoke, stage units
 TILTED = np.array([0.48, 0.6, 0.64])
@@ -44,8 +45,7 @@ def depth_towards(smoke: ActiveSmoke, towards: np.ndarray, gamma_w: float) -> to
 
 
 def arriving(smoke: ActiveSmoke, gamma_w: float, towards: np.ndarray) -> torch.Tensor:
-    view = fit_view(light_view(towards, smoke.voxel_size), smoke)
-    return transmittances(smoke, gamma_w, view, smoke.positions)
+    return trace_shadows(smoke, gamma_w, towards).at(smoke.positions)
 
 
 @pytest.mark.parametrize("gamma_w", [1.0, 10.0])

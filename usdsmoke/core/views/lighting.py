@@ -24,8 +24,7 @@ from usdsmoke.base.volume import DenseField, Scattering
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.views.bounces import softer, weights
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.project import transmittances
-from usdsmoke.core.views.scene import fit_view
+from usdsmoke.core.views.shadows import ShadowMap, trace_shadows
 
 
 @dataclass(frozen=True)
@@ -47,20 +46,26 @@ class Lighting:
         lights, g = self.scattering.lights, self.scattering.anisotropy
         has_sky = self.scattering.bounces or any(light.towards is None for light in lights)
         sky = self._sky(positions) if has_sky else even[:, :1]
+        shadows = iter(self._shadows)
         for light in lights:
             colour = even.new_tensor(light.colour)
             if light.towards is None:
                 even += self._weighed(sky, sky).sum(1, keepdim=True) * colour
                 continue
             towards = np.asarray(light.towards, float)
-            terms = self._terms(_arriving(self.smoke, self.gamma_w, towards, positions))
-            terms = self._weighed(terms, sky)
+            terms = self._weighed(self._terms(next(shadows).at(positions)), sky)
             if g:
                 powers = enumerate(terms.split(1, dim=1), start=1)
                 beams += [(towards, g**k, part * colour) for k, part in powers]
             else:
                 even += terms.sum(1, keepdim=True) * colour / (4 * math.pi)
         return LitPoints(self.scattering, even, tuple(beams))
+
+    @cached_property
+    def _shadows(self) -> list[ShadowMap]:
+        """Of each distant light, in their order; for all positions."""
+        ways = [light.towards for light in self.scattering.lights if light.towards is not None]
+        return [trace_shadows(self.smoke, self.gamma_w, np.asarray(way, float)) for way in ways]
 
     def _sky(self, positions: Tensor) -> Tensor:
         """The share of a dome that is seen through the smoke, [P K], see ``_terms``."""
@@ -73,9 +78,8 @@ class Lighting:
         coarse, directions = coarsen(self.smoke), sky_directions()
         total = self._terms(coarse.density.new_zeros(len(coarse.ijk)))
         for towards in directions:
-            view = fit_view(light_view(towards, coarse.voxel_size), coarse)
-            seen = transmittances(coarse, self.gamma_w, view, coarse.positions, both=True)
-            total += self._terms(seen)
+            seen = trace_shadows(coarse, self.gamma_w, towards, both=True)
+            total += self._terms(seen.at(coarse.positions))
         return coarse, total / len(directions)
 
     def _terms(self, shares: Tensor) -> Tensor:
@@ -133,26 +137,6 @@ def light_smoke(smoke: ActiveSmoke, gamma_w: float, scattering: Scattering) -> L
     if not scattering.lights or scattering.albedo == 0 or len(smoke.ijk) == 0:
         return None
     return Lighting(smoke, gamma_w, scattering)
-
-
-def _arriving(smoke: ActiveSmoke, gamma_w: float, towards: np.ndarray, positions: Tensor) -> Tensor:
-    """Transmittance from points to a light, [P]."""
-    view = fit_view(light_view(towards, smoke.voxel_size), smoke)
-    return transmittances(smoke, gamma_w, view, positions)
-
-
-def light_view(towards: np.ndarray, pixel_size: float) -> View:
-    """A view along the light's way, one pixel large.
-
-    Args:
-        towards: unit vector to the light, [3].
-        pixel_size: stage units.
-    """
-    forward = -towards
-    side = np.eye(3)[int(np.argmin(np.abs(forward)))]
-    right = np.cross(forward, side)
-    right = right / np.linalg.norm(right)
-    return View(right, np.cross(right, forward), forward, np.zeros(3), 1, 1, pixel_size)
 
 
 def sky_directions() -> np.ndarray:

@@ -9,8 +9,7 @@ linear maps come out of it:
   trilinearly into view-aligned slabs, the slabs are weighted by the rule of ``views.optics``, and
   each voxel gets the share of its slab's weight that it contributed to the slab's optical depth.
 
-The same slabs, seen from a light, tell how much of its light arrives at each voxel
-(``transmittances``).
+The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
@@ -168,7 +166,7 @@ def _spread(
             pixel[:, 2 * dy + dx] = index.to(torch.int32)
 
 
-def _split(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
+def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
     """The points that voxels [N 3] are splatted at, [N n 3] flattened, and n."""
     pixel = view.pixel_size
     if view.focal is not None:  # pixels of every size: the largest ones, of the farthest smoke
@@ -195,7 +193,7 @@ def column_map(
         edges: of a voxel, [3 3] rows, stage units.
         view: of any direction; voxels may be larger than its pixels.
     """
-    points, n_points = _split(positions, edges, view)
+    points, n_points = split_points(positions, edges, view)
     foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
     weight = foot.weight.mul_((volume * foot.per_area)[:, None])
     width = 4 * n_points
@@ -231,7 +229,7 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    points, n_points = _split(positions, edges, view)
+    points, n_points = split_points(positions, edges, view)
     foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
     if len(positions) == 0:
         empty = SparseImage(view.height, view.width, foot.pixel, foot.weight.to(density.dtype))
@@ -244,12 +242,12 @@ def colour_map(
     mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
     pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
     del foot, depth, mass  # each as large as the weights
-    depths = _slab_depths(slab, pixel, weight, n_pixels)
+    depths = slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
-    _light_up(depths)
+    light_up(depths)
     per_depth = depths.view(-1)
     for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)
+        cell, far = slab_cells(slab[part], pixel[part], n_pixels, density.dtype)
         weight[part] *= per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
     del depths, per_depth
     least = NEGLIGIBLE * float(alpha.max())
@@ -263,65 +261,16 @@ def colour_map(
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
 
 
-def transmittances(
-    smoke: ActiveSmoke, gamma_w: float, view: View, positions: Tensor, both: bool = False
-) -> Tensor:
-    """The share that arrives of light that comes along a view, [P] in [0, 1].
-
-    In slab s with optical depth t_s it is exp(-sum_{r<s} t_r) (1 - exp(-t_s)) / t_s, the mean over
-    the slab, interpolated trilinearly at each point. It is bounded for every optical depth, and of
-    second order in the voxel's size where a voxel is optically thin.
-
-    Args:
-        smoke: what casts shadows.
-        gamma_w: extinction per density, 1/stage unit.
-        view: orthographic, looks where the light goes; its picture holds the smoke with a margin of
-            one pixel.
-        positions: [P 3] float64, stage space, among the smoke.
-        both: the mean of this light and of as much that comes the other way, through the same
-            slabs.
-
-    Gradients: none; density is fixed where smoke is lit.
-    """
-    density = smoke.density
-    if len(density) == 0:
-        return density.new_ones(len(positions))
-    points, n_points = _split(smoke.positions, smoke.edges, view)
-    n_pixels, foot = view.height * view.width, project_voxels(points, view)
-    nearest, length = foot.depth.min(), float(foot.depth.max() - foot.depth.min())
-    step = max(smoke.voxel_size, length * n_pixels / MOST_CELLS)
-    slab = (foot.depth - nearest) / step + 1  # behind an empty slab
-    if n_points > 1:
-        density = density.repeat_interleave(n_points)
-    volume = smoke.voxel_volume / n_points
-    mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
-    mass = (foot.weight * mass[:, None]).to(density.dtype)
-    depths, last = _slab_depths(slab, foot.pixel, mass, n_pixels), slab.max()
-    foot = project_voxels(positions, view)
-    slab = ((foot.depth - nearest) / step + 1).clamp_min(0).minimum(last)
-    pixel, bilinear = foot.pixel, foot.weight.to(density.dtype)
-    del points, foot, mass
-    behind = depths.flip(0) if both else None
-    _light_up(depths)
-    if behind is not None:
-        _light_up(behind)
-        depths = (depths + behind.flip(0)) / 2
-    arriving, found = depths.view(-1), density.new_empty(len(slab))
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = _cells(slab[part], pixel[part], n_pixels, density.dtype)
-        here = arriving[cell] * (1 - far) + arriving[cell + n_pixels] * far
-        found[part] = (bilinear[part] * here).sum(1)
-    return found
-
-
-def _cells(slab: Tensor, pixel: Tensor, n_pixels: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+def slab_cells(
+    slab: Tensor, pixel: Tensor, n_pixels: int, dtype: torch.dtype
+) -> tuple[Tensor, Tensor]:
     """The near cells [N 4] of voxels at slab [N] and pixel [N 4], and the far ones' share [N 1]."""
     near = torch.floor(slab)
     cell = near.to(torch.int64)[:, None] * n_pixels + pixel.long()
     return cell, (slab - near).to(dtype)[:, None]
 
 
-def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
+def slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
     """The optical depth of voxels with the shares [N 4] in slabs and pixels, [S P].
 
     On a GPU the order of the sums, and with it the last bits, is not fixed.
@@ -329,13 +278,13 @@ def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> T
     n_cells = (int(slab.max()) + 2) * n_pixels
     near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
     for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = _cells(slab[part], pixel[part], n_pixels, share.dtype)
+        cell, far = slab_cells(slab[part], pixel[part], n_pixels, share.dtype)
         near.index_add_(0, cell.view(-1), (share[part] * (1 - far)).view(-1))
         behind.index_add_(0, (cell + n_pixels).view(-1), (share[part] * far).view(-1))
     return near.add_(behind).view(-1, n_pixels)
 
 
-def _light_up(depths: Tensor) -> None:
+def light_up(depths: Tensor) -> None:
     """Replace optical depths [S P] by what a unit of each adds to the picture."""
     n_slabs, n_pixels = depths.shape
     for part in chunks(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
