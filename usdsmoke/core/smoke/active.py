@@ -1,5 +1,6 @@
 """The active voxels of a frame, and the same smoke at half the resolution."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
@@ -160,16 +162,25 @@ def sample_colours(smoke: ActiveSmoke, colours: Tensor, positions: Tensor) -> tu
     box = densify(smoke.ijk, torch.cat([colours, ones], 1), low, shape).view(
         -1, colours.shape[1] + 1
     )
-    place = positions @ matrix[:3, :3] + matrix[3, :3] - low
-    base = torch.floor(place)
-    part = (place - base).to(colours.dtype)
-    limit = torch.as_tensor(shape, device=place.device) - 1
-    summed = torch.zeros(len(place), box.shape[1], dtype=colours.dtype, device=place.device)
-    for corner in range(8):
-        offset = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=place.device)
-        index = torch.minimum((base.long() + offset).clamp_min(0), limit)
-        weight = torch.where(offset.bool(), part, 1 - part).prod(1, keepdim=True)
-        summed += weight * box[(index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]]
+    limit, stride = (
+        torch.tensor(of, device=positions.device)
+        for of in ([n - 1 for n in shape], [shape[1] * shape[2], shape[2], 1])
+    )
+    summed = box.new_zeros(len(positions), box.shape[1])
+
+    def add(part: slice) -> None:
+        place = positions[part] @ matrix[:3, :3] + matrix[3, :3] - low
+        base = torch.floor(place)
+        share = (place - base).to(colours.dtype)
+        # along each axis: rows and weights of the voxels before and behind the point
+        ends = [torch.minimum((base.long() + end).clamp_min(0), limit) for end in (0, 1)]
+        rows = [(end * stride).T.contiguous() for end in ends]
+        weights = [near.T.contiguous() for near in (1 - share, share)]
+        for i, j, k in itertools.product((0, 1), repeat=3):
+            weight = weights[i][0] * weights[j][1] * weights[k][2]
+            summed[part] += weight[:, None] * box[rows[i][0] + rows[j][1] + rows[k][2]]
+
+    share_rows(add, len(positions), SHARED_ROWS, positions.device)
     near = summed[:, -1:]
     return summed[:, :-1] / near.clamp_min(1e-12), near
 

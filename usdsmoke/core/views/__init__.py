@@ -10,5 +10,6 @@
 - ``march``: pictures by ray marching
 - ``segments``, ``cells``, ``columns``: rays cut at voxels, in any direction and along an axis
 - ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
+- ``shadows``: how much of a distant light arrives at a point
 - ``scene``: what all frames share: extinction, exposure, pixel size
 """
