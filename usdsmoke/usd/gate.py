@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdUtils
 
 from usdsmoke.base.errors import OutputExists, UsdSmokeError
 from usdsmoke.base.naming import relative_asset_path
@@ -25,7 +25,8 @@ def validate_look(
 
     Rule, severity, prim and timeCode decide whether two findings are the same one, and the text of
     those of a whole stage. A finding on a file that only the look names is the look's: OpenUSD's
-    validators follow muted layers too.
+    validators follow muted layers too. All findings of a package (.usdz) with a look are the look's:
+    no renderer reads what packing makes of it.
 
     Args:
         stage: the root layer of a result, or any stage with looks.
@@ -33,9 +34,12 @@ def validate_look(
     Raises:
         StageError: as of ``validate``; or the stage has no look.
     """
+    composed = open_stage(stage)
+    if any(_is_packed_look(layer) for layer in composed.GetUsedLayers()):
+        return validate(stage), []
     source = open_original(stage)
     known = {_what(finding) for finding in validate(source)}
-    own_files = _files_named(open_stage(stage)) - _files_named(source)
+    own_files = _files_named(composed) - _files_named(source)
     own, of_source = list[Finding](), list[Finding]()
     for finding in validate(stage):
         names_own = any(file in finding.message for file in own_files)
@@ -111,6 +115,10 @@ def _switched(source: Usd.Stage) -> list[Finding]:
             text = f"{sentence}. Stylize it again."
             found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
     return found
+
+
+def _is_packed_look(layer: Sdf.Layer) -> bool:
+    return Ar.IsPackageRelativePath(layer.identifier) and bool(record_values(layer))
 
 
 def _files_named(stage: Usd.Stage) -> set[str]:

@@ -44,10 +44,11 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
     if packed:
         package, _ = Ar.SplitPackageRelativePathOuter(packed[0])
         text = (
-            f"the result's files lie inside the package {os.path.basename(package)} and were not "
-            "compared. Unpack it (a .usdz is a zip) to compare them."
+            f"the result's files lie inside the package {os.path.basename(package)}, where renderers "
+            "do not find them: OpenVDB reads plain files only. Unpack it (a .usdz is a zip), and hand "
+            "over the folder."
         )
-        return [Problem(Severity.INFO, "", text)]
+        return [Problem(Severity.ERROR, "", text)]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = list(pool.map(_compare, results.keys(), results.values()))
     return [
