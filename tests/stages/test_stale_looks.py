@@ -155,7 +155,9 @@ def test_a_flattened_stage_without_its_files_tells_what_it_holds(tmp_path: Path)
     assert [style.name for style in record.styles] == ["style.png"]
 
 
-def test_a_package_fails_and_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_package_fails_and_is_said_to_be_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     result = run(takes(tmp_path, "takeB"))
     package = tmp_path / "p.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(result.root_stage), str(package))

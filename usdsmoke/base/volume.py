@@ -115,13 +115,19 @@ class BoundMaterial:
     """A material that a Volume is bound to."""
 
     prim_path: str
-    colours: tuple[str, ...]  # the colour grids of looks that its volume shaders name
+    # The colour grids of looks that its volume shaders name, by render context; "" is for all
+    # others. Empty: it has no volume shader, and renderers take their fallback.
+    readers: Mapping[str, tuple[str, ...]]
     can_replace: bool  # False: a binding of an ancestor or a collection wins over the Volume's own
-    has_volume: bool  # False: it has no volume shader, and renderers take their fallback
 
-    def hides(self, colours: Collection[str]) -> bool:
-        """True if a look with these colour grids is not seen with this material."""
-        return not set(self.colours) & set(colours)
+    def hidden_in(self, colours: Collection[str]) -> tuple[str, ...]:
+        """The contexts in which a look with these colour grids is not seen; ("",) without shaders.
+
+        >>> BoundMaterial("/m", {"ri": (), "arnold": ("emission",)}, True).hidden_in(["emission"])
+        ('ri',)
+        """
+        readers = self.readers or {"": ()}
+        return tuple(name for name, read in readers.items() if not set(read) & set(colours))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
-from usdsmoke.usd.materials import binds_material
+from usdsmoke.usd.materials import binds_material, hiding_words
 
 _SCATTERING = "scattering (optics.albedo)"
 
@@ -26,7 +26,7 @@ def hidden_look(volume: VolumePlan) -> list[Omission]:
     if not _has_colour(volume) or _binds(volume):
         return []
     colours = volume.config.colour_grids
-    hiding = [material for material in volume.source.materials if material.hides(colours)]
+    hiding = [material for material in volume.source.materials if material.hidden_in(colours)]
     if not hiding:
         return []
     path, material = volume.source.prim_path, hiding[0]
@@ -34,8 +34,9 @@ def hidden_look(volume: VolumePlan) -> list[Omission]:
         advice = "its binding is stronger than any on the Volume, so bind another material there"
     else:
         advice = "layer.material=replace binds one that does"
-    reason = f"its material <{material.prim_path}> reads no {' or '.join(colours)}; {advice}"
-    return [Omission(f"the look of <{path}> in renderers", reason)]
+    what, renderers = hiding_words(material, colours)
+    reason = f"its material <{material.prim_path}> {what}; {advice}"
+    return [Omission(f"the look of <{path}> in {renderers}", reason)]
 
 
 def hidden_look_warnings(volumes: Iterable[VolumePlan]) -> list[str]:

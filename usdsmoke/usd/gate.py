@@ -25,8 +25,8 @@ def validate_look(
 
     Rule, severity, prim and timeCode decide whether two findings are the same one, and the text of
     those of a whole stage. A finding on a file that only the look names is the look's: OpenUSD's
-    validators follow muted layers too. All findings of a package (.usdz) with a look are the look's:
-    no renderer reads what packing makes of it.
+    validators follow muted layers too. So are all findings where a look lies in a package (.usdz),
+    whose layers USD does not mute.
 
     Args:
         stage: the root layer of a result, or any stage with looks.

@@ -1,4 +1,10 @@
-"""Which material a Volume is bound to, and whether its volume shader reads a look's colours."""
+"""Which material a Volume is bound to, and which of its volume shaders read a look's colours.
+
+A material may have a volume shader for each render context, such as ``outputs:arnold:volume``. A
+shader reads a grid where one of its inputs names it: by its own value, or by that of an input of
+the material or of a node graph that it is connected to. In Storm an input that is connected to no
+``HwFieldReader`` is a number, whatever its name.
+"""
 
 import re
 from collections.abc import Collection, Iterator
@@ -14,6 +20,18 @@ BINDING = "material:binding"
 _COLLECTION = f"{BINDING}:collection"
 _VOLUME = "volume"  # a terminal of a material: outputs:volume, outputs:arnold:volume
 _NAME = re.compile(r"[\w:]+")
+# Inputs that name grids, such as HwFieldReader's fieldname, MaterialX's geomprop, Arnold's
+# emission_channel, RenderMan's varname, MoonRay's emission_grid.
+_NAMES_GRID = re.compile(r"field|channel|geomprop|primvar|varname|grid|attr", re.IGNORECASE)
+_INPUT = "inputs:"
+_RENDERERS = {
+    "": "renderers without a shader of their own",
+    "glslfx": "Storm",
+    "mtlx": "MaterialX",
+    "arnold": "Arnold",
+    "kma": "Karma",
+    "ri": "RenderMan",
+}
 
 
 def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
@@ -28,10 +46,8 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
     for material, relationship in bound:
         if not material or not relationship or str(material.GetPath()) in found:
             continue
-        shaders = list(_volume_shaders(material))
         path = str(material.GetPath())
-        can_replace = _is_weaker(relationship, volume)
-        found[path] = BoundMaterial(path, _colours_read(shaders), can_replace, bool(shaders))
+        found[path] = BoundMaterial(path, _readers(material), _is_weaker(relationship, volume))
     return tuple(found.values())
 
 
@@ -46,7 +62,7 @@ def binds_material(config: LayerConfig, has_colour: bool, bound: tuple[BoundMate
         return False
     if not all(material.can_replace for material in bound):
         return False
-    return config.material == "replace" or not any(material.has_volume for material in bound)
+    return config.material == "replace" or not any(material.readers for material in bound)
 
 
 def purposes_to_bind(volume: Usd.Prim) -> list[str]:
@@ -67,9 +83,27 @@ def purposes_to_bind(volume: Usd.Prim) -> list[str]:
 
 
 def hiding_material(volume: Usd.Prim, colours: Collection[str]) -> BoundMaterial | None:
-    """A bound material that reads none of ``colours`` for Volumes; None if there is none."""
-    hiding = (material for material in find_materials(volume) if material.hides(colours))
+    """A bound material that reads none of ``colours`` in a context; None if there is none."""
+    hiding = (material for material in find_materials(volume) if material.hidden_in(colours))
     return next(hiding, None)
+
+
+def hiding_words(material: BoundMaterial, colours: Collection[str]) -> tuple[str, str]:
+    """What a material that hides a look does, and the renderers that do not show it.
+
+    >>> some = BoundMaterial("/m", {"glslfx": (), "arnold": ("emission",)}, True)
+    >>> hiding_words(some, ["emission"])
+    ('reads no emission in its shader for Storm (outputs:glslfx:volume)', 'Storm')
+    >>> hiding_words(BoundMaterial("/m", {"": ()}, True), ["emission"])
+    ('reads no emission', 'renderers')
+    """
+    contexts, text = material.hidden_in(colours), f"reads no {' or '.join(colours)}"
+    if len(contexts) >= len(material.readers):
+        return text, "renderers"
+    names = " and ".join(_RENDERERS.get(context, context) for context in contexts)
+    outputs = ", ".join(":".join(filter(None, ("outputs", c, _VOLUME))) for c in contexts)
+    shaders = "shader" if len(contexts) == 1 else "shaders"
+    return f"{text} in its {shaders} for {names} ({outputs})", names
 
 
 def _is_weaker(relationship: Usd.Relationship, volume: Usd.Prim) -> bool:
@@ -80,37 +114,62 @@ def _is_weaker(relationship: Usd.Relationship, volume: Usd.Prim) -> bool:
     return bool(strength != UsdShade.Tokens.strongerThanDescendants)
 
 
-def _volume_shaders(material: UsdShade.Material) -> Iterator[Usd.Prim]:
-    """The shaders and node graphs behind the volume terminals of all render contexts."""
-    to_visit = [
-        output.GetAttr() for output in material.GetOutputs() if _is_volume(output.GetBaseName())
-    ]
-    seen = set()
+def _readers(material: UsdShade.Material) -> dict[str, tuple[str, ...]]:
+    """The colour grids that are read in each context with a volume shader of its own."""
+    found = {}
+    for output in material.GetOutputs():
+        context, _, terminal = output.GetBaseName().rpartition(":")
+        shaders = list(_shaders_behind(output.GetAttr())) if terminal == _VOLUME else []
+        if shaders:
+            found[context] = _colours_read(shaders)
+    return found
+
+
+def _shaders_behind(terminal: Usd.Attribute) -> Iterator[Usd.Prim]:
+    """The shaders of a network, through node graphs and through inputs of the material."""
+    stage, to_visit, seen = terminal.GetStage(), [terminal], set()
     while to_visit:
         for path in to_visit.pop().GetConnections():
-            prim = material.GetPrim().GetStage().GetPrimAtPath(path.GetPrimPath())
-            if not prim or prim in seen or prim == material.GetPrim():
+            prim = stage.GetPrimAtPath(path.GetPrimPath())
+            place = path if prim and prim.IsA(UsdShade.NodeGraph) else path.GetPrimPath()
+            if not prim or place in seen:
                 continue
-            seen.add(prim)
+            seen.add(place)
+            if place == path:  # of a graph or a material this one way alone
+                to_visit += filter(None, [stage.GetAttributeAtPath(path)])
+                continue
             yield prim
             to_visit += [item for item in prim.GetAttributes() if item.HasAuthoredConnections()]
 
 
-def _is_volume(base_name: str) -> bool:
-    """
-    >>> _is_volume("arnold:volume"), _is_volume("surface")
-    (True, False)
-    """
-    return base_name.rpartition(":")[2] == _VOLUME
-
-
 def _colours_read(shaders: Collection[Usd.Prim]) -> tuple[str, ...]:
-    """The colour grids of looks that texts on the shaders name, in whatever input."""
+    """The colour grids of looks that inputs of shaders name."""
     texts = [
-        value
+        _text(attribute)
         for prim in shaders
         for attribute in prim.GetAttributes()
-        if isinstance(value := attribute.Get(), str)
+        if _names_grid(prim, attribute.GetName())
     ]
     words = {word for text in texts for word in _NAME.findall(text)}
     return tuple(name for name in (*COLOUR_VECTORS, *COLOUR_CHANNELS) if name in words)
+
+
+def _names_grid(shader: Usd.Prim, attribute: str) -> bool:
+    name = attribute.removeprefix(_INPUT)
+    if name == attribute or not _NAMES_GRID.search(name):
+        return False
+    mode = shader.GetAttribute("inputs:emission_mode")  # Arnold's, which can switch it off
+    return not (name == "emission_channel" and mode and _text(mode) == "none")
+
+
+def _text(attribute: Usd.Attribute) -> str:
+    """The text that an input has, maybe by way of other inputs; "" for any other value."""
+    stage, seen = attribute.GetStage(), set()
+    while (paths := attribute.GetConnections()) and paths[0] not in seen:
+        source = stage.GetAttributeAtPath(paths[0])
+        if not source or not source.GetName().startswith(_INPUT):
+            return ""  # made by a shader
+        seen.add(paths[0])
+        attribute = source
+    value = attribute.Get()
+    return value if isinstance(value, str) else ""

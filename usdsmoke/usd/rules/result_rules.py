@@ -44,9 +44,9 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
     if packed:
         package, _ = Ar.SplitPackageRelativePathOuter(packed[0])
         text = (
-            f"the result's files lie inside the package {os.path.basename(package)}, where renderers "
-            "do not find them: OpenVDB reads plain files only. Unpack it (a .usdz is a zip), and hand "
-            "over the folder."
+            f"the result's files lie inside the package {os.path.basename(package)}, and OpenVDB "
+            "reads plain files only, so renderers find no smoke. Unpack it (a .usdz is a zip), and "
+            "hand over the folder."
         )
         return [Problem(Severity.ERROR, "", text)]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:

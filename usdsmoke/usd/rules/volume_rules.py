@@ -7,7 +7,7 @@ from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.usd.field_samples import FieldSample, field_targets
-from usdsmoke.usd.materials import hiding_material
+from usdsmoke.usd.materials import hiding_material, hiding_words
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     Problem,
@@ -142,12 +142,13 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     material = hiding_material(volume, colours)
     if material is None:
         return []
+    what, renderers = hiding_words(material, colours)
     advice = "Stylize with --set layer.material=replace, or let the material read it."
     if not material.can_replace:
         advice = "Its binding is stronger than any on the Volume: bind another material there."
     message = (
-        f"the material <{material.prim_path}> reads no {' or '.join(colours)}, so renderers do not "
-        f"show the look. {advice}"
+        f"the material <{material.prim_path}> {what}, so the look is "
+        f"not seen in {renderers}. {advice}"
     )
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]
 
@@ -157,22 +158,28 @@ def check_look_units(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     if LOOK_API not in volume.GetPrimTypeInfo().GetAppliedAPISchemas():
         return []
     scale, metres = units_since(volume)
-    per_unit, per_metre = 1 / scale, 1 / (scale * metres)
-    factors = [
-        f"{names} by {factor:.6g}"
-        for names, factor in (
-            ("Arnold and RenderMan", per_unit),
-            ("MaterialX and Karma", per_metre),
+    changes = [
+        text
+        for text, factor in (
+            (f"the Volume is {scale:.6g} times as large as on the stage of its look", scale),
+            (f"metersPerUnit is {metres:.6g} times what it was there", metres),
         )
         if abs(factor - 1) > _SAME_UNITS
     ]
-    if not factors:
+    factors = [
+        f"{names} by {factor:.6g}"
+        for names, factor in (
+            ("Arnold and RenderMan", 1 / scale),
+            ("MaterialX and Karma", 1 / (scale * metres)),
+        )
+        if abs(factor - 1) > _SAME_UNITS
+    ]
+    if not (changes and factors):
         return []
     message = (
-        f"the look was made for another unit: lengths are {scale:.6g} times as many stage units as "
-        f"then, and a stage unit is {metres:.6g} times as long. usdsmoke's preview, Storm and "
-        "Cycles show the same picture. For others, multiply the extinction and the strength of the "
-        f"emission in the look's material: for {', and for '.join(factors)}"
+        f"{' and '.join(changes)}. usdsmoke's preview, Storm and Cycles show the same picture. For "
+        "others, multiply the extinction and the strength of the emission in the look's material: "
+        f"for {', and for '.join(factors)}"
     )
     return [Problem(Severity.INFO, str(volume.GetPath()), message + ".")]
 

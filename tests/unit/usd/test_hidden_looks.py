@@ -1,0 +1,63 @@
+"""Which renderers do not show a look with a material of the source, by their own shaders."""
+
+import pytest
+from pxr import Usd
+
+from usdsmoke.usd.materials import find_materials, hiding_words
+
+STAGE = """#usda 1.0
+def Volume "smoke" (prepend apiSchemas = ["MaterialBindingAPI"])
+{
+    rel material:binding = </theirs>
+}
+def Material "theirs"
+{
+    SHADERS
+}
+"""
+STORM = """token outputs:glslfx:volume.connect = </theirs/storm.outputs:out>
+        def Shader "storm"
+        {
+            uniform token info:implementationSource = "sourceAsset"
+            uniform asset info:glslfx:sourceAsset = @./theirs.glslfx@
+            %s
+            token outputs:out
+        }
+        def Shader "reader"
+        {
+            uniform token info:id = "HwFieldReader_float3"
+            token inputs:fieldname = "%s"
+            float3 outputs:result
+        }"""
+READS = "float3 inputs:glow.connect = </theirs/reader.outputs:result>"
+ARNOLD = """token outputs:arnold:volume.connect = </theirs/arnold.outputs:out>
+        def Shader "arnold"
+        {
+            uniform token info:id = "arnold:standard_volume"
+            %s
+            token outputs:out
+        }"""
+CHANNEL = 'string inputs:emission_channel = "emission"'
+
+
+@pytest.mark.parametrize(("shaders", "hidden"), [
+    ((STORM % (READS, "density"), ARNOLD % CHANNEL), ["glslfx"]),
+    ((STORM % (READS, "emission"), ARNOLD % ""), ["arnold"]),
+    ((STORM % (READS, "emission"), ARNOLD % CHANNEL), []),
+    ((STORM % (READS, "density"), ARNOLD % ""), ["glslfx", "arnold"]),
+    # a number in Storm, whatever its name
+    ((STORM % ("float3 inputs:emission = (1, 1, 1)", "emission"), ARNOLD % CHANNEL), ["glslfx"]),
+    # the usual form of look development: a channel that the material offers
+    (('string inputs:grid = "emission"',
+      ARNOLD % "string inputs:emission_channel.connect = </theirs.inputs:grid>"), []),
+    ((ARNOLD % 'string inputs:aov_name = "emission"',), ["arnold"]),
+    ((ARNOLD % (CHANNEL + '\nstring inputs:emission_mode = "none"'),), ["arnold"]),
+])  # fmt: skip
+def test_each_renderer_whose_own_shader_hides_the_look_is_named(shaders, hidden):
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(STAGE.replace("SHADERS", "\n".join(shaders)))
+    (found,) = find_materials(stage.GetPrimAtPath("/smoke"))
+    assert sorted(found.hidden_in(["emission"])) == sorted(hidden)
+    if hidden == ["glslfx"]:
+        what, renderers = hiding_words(found, ["emission"])
+        assert "outputs:glslfx:volume" in what and "arnold" not in what and renderers == "Storm"
