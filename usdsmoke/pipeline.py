@@ -5,7 +5,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Job, Request, prepare_job
@@ -15,15 +14,7 @@ from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summar
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import record_scenes, run_coarse_step
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.opening import (
-    find_growth,
-    find_refusal,
-    frames_again,
-    join_run,
-    open_run,
-    open_run_to_assemble,
-    repetition_note,
-)
+from usdsmoke.runs.opening import Course, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
@@ -89,9 +80,9 @@ def plan_request(request: Request, fits: bool = True, whole: bool = True) -> Pla
         whole: note what is in the way of the whole run in the output folder, where ``fits``; False:
             the plan is for a task of it.
     """
-    job = prepare_job(request, fits)
-    found = plan_with_notes(job)
-    if whole and fits and (refusal := find_refusal(job)):
+    course = Course(prepare_job(request, fits))
+    found = course.plan(whole)
+    if whole and fits and (refusal := course.refusal):
         found = replace(
             found, notes=(*found.notes, f"the run would be refused: {refusal.removesuffix('.')}")
         )
@@ -191,7 +182,7 @@ def run_coarse(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = _prepare(request, planned), progress or ignore_progress
+    job, tell = _prepare(request, planned, whole=False), progress or ignore_progress
     with join_run(job, tell) as opened:
         opened.check_disk(())
         had_scenes = bool(opened.run.scenes)
@@ -232,7 +223,7 @@ def run_window(
     job, tell = prepare(request), progress or ignore_progress
     task = job.plan.task(window)  # refused before the plan is shown
     if planned is not None:
-        planned(plan_with_notes(job))
+        planned(plan_with_notes(job, whole=False))
     with join_run(job, tell, task) as opened:
         was_done = opened.run.window(window) is not None and not redo
         if not was_done:
@@ -295,22 +286,18 @@ def prepare(request: Request) -> Job:
     return prepare_job(request)
 
 
-def _prepare(request: Request, planned: _Planned | None) -> Job:
+def _prepare(request: Request, planned: _Planned | None, whole: bool = True) -> Job:
     """The job; the plan is told."""
     job = prepare(request)
     if planned is not None:
-        planned(plan_with_notes(job))
+        planned(plan_with_notes(job, whole))
     return job
 
 
-def plan_with_notes(job: Job) -> Plan:
-    """The plan, with notes where a result goes on or frames of it are done again."""
-    try:
-        again = None if job.request.force else frames_again(job)
-    except OutputExists:  # ``find_refusal`` tells
-        again = None
-    if again is not None:
-        whole, _, numbers = again
-        return replace(job.plan, notes=(*whole.plan.notes, repetition_note(whole.plan, numbers)))
-    growth = find_growth(job)
-    return job.plan if growth is None else replace(job.plan, notes=(*job.plan.notes, *growth.notes))
+def plan_with_notes(job: Job, whole: bool = True) -> Plan:
+    """The plan, with notes and costs of what is left where a run or a result goes on.
+
+    Args:
+        whole: False: the plan is for a task of the run.
+    """
+    return Course(job).plan(whole)

@@ -85,7 +85,7 @@ def test_another_velocity_in_a_file_of_the_same_density_is_an_edited_input(tmp_p
 
 
 @pytest.mark.usefixtures("core")
-def test_the_last_frames_velocity_which_nothing_reads_is_not_compared(tmp_path: Path) -> None:
+def test_a_velocity_that_is_only_copied_is_compared_too(tmp_path: Path) -> None:
     shot = make_shot(tmp_path, names=("density", "vel"))
     done = shot, run(shot, "layer.copy_velocity=true")
     file = shot.stage.parent / "cache/smoke.0003.vdb"
@@ -94,9 +94,15 @@ def test_the_last_frames_velocity_which_nothing_reads_is_not_compared(tmp_path: 
     assert file.read_bytes() != before
     change = only(done)
     assert (change.kind, change.severity) == ("input-rewritten", "note")
-    assert "vel" in change.found and "none" not in change.found
+    assert "vel" not in change.found
+    density, velocity = read_grids(
+        file, [GridRequest("density"), GridRequest("vel")], GridsConfig()
+    )
+    velocity.values[0, 0, 0] += 1
+    write_frame(file, [density, velocity], {}, False, GridsConfig())
+    assert only(done).expected.startswith("vel ")
     write_vdb(file, ("density", "vel"), value=0.125)
-    assert only(done).expected.startswith("density ")
+    assert {change.expected.split()[0] for change in verify(done[1].look_layer)} >= {"density"}
 
 
 def test_an_input_that_is_gone_is_named(finished: Finished) -> None:

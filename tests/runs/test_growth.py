@@ -48,8 +48,8 @@ def test_windows_with_the_same_frames_and_starts_stay(long_shot: Shot, core: Fak
     before = {path.name: path.stat().st_ino for path in first.frames}
     core.stylized.clear(), core.coarse.clear()
     result = run(long_shot, *WINDOWS, "stage.frames=1-12")
-    # starts of 1 to 5 stay, so windows 1-2 (with 3) and 3-4 (with 5) do
-    assert core.coarse == [6, 7, 8, 9, 10, 11, 12]
+    # starts of 1 to 6 stay, so windows 1-2 (with 3) and 3-4 (with 5) do
+    assert core.coarse == [7, 8, 9, 10, 11, 12]
     assert core.stylized == [5, 6, 7, 7, 8, 9, 9, 10, 11, 11, 12]
     assert [path.stat().st_ino == before.get(path.name) for path in result.frames][:4] == [
         True, True, False, True,  # 3 is blended again from both parts
@@ -102,7 +102,7 @@ def test_a_stopped_growth_leaves_the_result_and_goes_on(long_shot: Shot, core: F
 
 
 def test_the_real_core_gives_a_grown_look_the_bits_of_one_made_at_once(tmp_path: Path) -> None:
-    """What is taken over must not depend on later frames: see ``FRAMES_AHEAD``."""
+    """What is taken over must not depend on later frames: see ``frames_ahead``."""
     shot = make_shot(tmp_path / "shot", n_frames=9)
     axes = np.meshgrid(*[np.linspace(-1, 1, n) for n in (8, 10, 8)], indexing="ij")
     for code in range(1, 10):
@@ -118,7 +118,7 @@ def test_the_real_core_gives_a_grown_look_the_bits_of_one_made_at_once(tmp_path:
     old = {path.name: path.stat().st_ino for path in first.frames}
     grown = run(shot, *WINDOWS, *quick)
     stay = [path.name for path in grown.frames if path.stat().st_ino == old.get(path.name)]
-    assert stay == ["smoke.0001.vdb", "smoke.0002.vdb"]
+    assert stay == ["smoke.0001.vdb", "smoke.0002.vdb", "smoke.0004.vdb"]  # 3 is blended again
     other = dataclasses.replace(shot, output=tmp_path / "at_once")
     at_once = run(other, *WINDOWS, *quick, "optics.frames=1-7")
     assert contents(grown.root_stage) == contents(at_once.root_stage)
@@ -179,7 +179,8 @@ def test_a_refusal_says_in_words_what_differs(
 @pytest.mark.usefixtures("core")
 def test_hashes_are_printed_on_request(long_shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
     run(long_shot, "stage.frames=1-2")
-    write_vdb(long_shot.folder / "in/cache/smoke.0002.vdb", ("density",), value=0.125)
+    for code in (1, 2):
+        rewrite_source(long_shot, code)
     assert main(long_shot.arguments("--frames", "1-2")) == 1
     assert 'smoke.0002.vdb: was "' not in capsys.readouterr().err
     assert main(long_shot.arguments("--frames", "1-2", "--verbose")) == 1
@@ -245,7 +246,7 @@ def test_one_rewritten_source_file_redoes_its_window_alone(
     assert main(long_shot.arguments(*more, "--jobs", "1")) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "smoke.0006.vdb has other content" in said
-    assert "Done again: timeCodes 5-8," in said and "Kept: timeCodes 1-4,9-12," in said
+    assert "done: timeCodes 5-8" in said and "kept: timeCodes 1-4,9-12," in said
     assert core.stylized == [5, 6, 7, 8]
     (found,) = find_records(long_shot.output)
     files = [found.place(frame.file) for frame in found.record.frames]
@@ -262,12 +263,12 @@ def test_one_rewritten_source_file_redoes_its_window_alone(
 def test_a_rewritten_source_file_redoes_what_starts_from_it(
     long_shot: Shot, core: FakeCore
 ) -> None:
-    """Coarse starts look three frames ahead, and go on to the end."""
+    """Coarse starts look two frames ahead, and go on to the end."""
     run(long_shot, *WINDOWS)
     rewrite_source(long_shot, 9)
     core.coarse.clear(), core.stylized.clear()
     result = run(long_shot, *WINDOWS)
-    assert core.coarse == [6, 7, 8, 9, 10, 11, 12]  # from the last one that stays on
+    assert core.coarse == [7, 8, 9, 10, 11, 12]  # from the last one that stays on
     assert core.stylized[0] == 5 and {1, 2, 3, 4} & {*core.stylized} == set()
     fresh = run(dataclasses.replace(long_shot, output=long_shot.folder / "at_once"), *WINDOWS)
     assert contents(result.root_stage) == contents(fresh.root_stage)
@@ -285,14 +286,57 @@ def test_a_rewritten_source_file_leaves_the_extinction_that_was_measured_on_it(
     assert found.record.extinction["/World/smoke"].colour == 2.0
 
 
-def test_rewritten_source_files_of_all_windows_are_a_refusal(
+def test_source_files_that_are_all_rewritten_are_a_refusal_with_its_reason(
     long_shot: Shot, core: FakeCore
 ) -> None:
     run(long_shot, *ALONE)
-    for code in (1, 5, 9):
+    for code in range(1, 13):
         rewrite_source(long_shot, code)
-    with pytest.raises(OutputExists, match=r"smoke\.0001\.vdb .*smoke\.0005\.vdb "):
+    with pytest.raises(OutputExists, match=r"smoke\.0001\.vdb .*smoke\.0005\.vdb ") as caught:
         run(long_shot, *ALONE)
+    assert "select all" not in str(caught.value) and "measured" not in str(caught.value)
+    assert core.stylized == [*range(1, 13)]
+
+
+@pytest.mark.parametrize(("overlap", "redone"), [(0, {3, 4, 5, 6}), (1, {1, 2, 3, 4, 5, 6})])
+def test_one_rewritten_file_of_a_short_shot_redoes_the_windows_that_it_reaches(
+    tmp_path: Path, core: FakeCore, overlap: int, redone: set[float]
+) -> None:
+    """With default settings but windows of two: coarse starts look two frames ahead."""
+    shot = make_shot(tmp_path / "shot", n_frames=6)
+    settings = ("windows.size=2", f"windows.overlap={overlap}", "optics.gamma=2",
+                "optics.gamma_shape=1")  # fmt: skip
+    run(shot, *settings)
+    rewrite_source(shot, 5)
+    core.stylized.clear()
+    result = run(shot, *settings)
+    assert {*core.stylized} == redone
+    assert verify(result.look_layer) == []
+    fresh = run(dataclasses.replace(shot, output=shot.folder / "at_once"), *settings)
+    assert contents(result.root_stage) == contents(fresh.root_stage)
+
+
+def test_one_rewritten_file_of_a_single_window_is_no_refusal(
+    tmp_path: Path, core: FakeCore
+) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=4)
+    run(shot)
+    rewrite_source(shot, 2)
+    core.stylized.clear()
+    notes = make_plan(shot.stage, shot.style, shot.output).notes
+    run(shot)
+    assert core.stylized == [1, 2, 3, 4]
+    assert "done: timeCodes 1-4" in " ".join(notes)
+
+
+@pytest.mark.usefixtures("core")
+def test_a_part_of_a_result_whose_source_was_rewritten_is_refused_with_what_to_select(
+    long_shot: Shot,
+) -> None:
+    run(long_shot, *ALONE)
+    rewrite_source(long_shot, 6)
+    with pytest.raises(OutputExists, match="select all of the result's frames"):
+        run(long_shot, *ALONE, "stage.frames=6")
 
 
 def test_a_rewritten_source_file_redoes_windows_of_a_farm(long_shot: Shot, core: FakeCore) -> None:
@@ -328,7 +372,7 @@ def test_the_plan_of_a_frame_that_is_done_again_speaks_of_its_result(
     run(long_shot, *ALONE)
     settings = [*ALONE, "stage.frames=6"]
     notes = " ".join(make_plan(long_shot.stage, long_shot.style, long_shot.output, settings).notes)
-    assert "frames 5-8 are done again" in notes and "Frames 1-4,9-12, extinction" in notes
+    assert "done: timeCodes 5-8" in notes and "kept: timeCodes 1-4,9-12, extinction" in notes
     assert "measured on the 1 selected" not in notes
     fresh = make_plan(long_shot.stage, long_shot.style, long_shot.folder / "fresh", settings).notes
     assert "measured on the 1 selected" in " ".join(fresh)

@@ -10,6 +10,7 @@ from pxr import Usd, UsdUtils
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot, make_style, run
 from tests.fixtures.usd_fixtures import sequence, write_text, write_vdb
 from usdsmoke import provenance, verify
+from usdsmoke.pipeline import plan
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.gate import validate_look
 from usdsmoke.usd.rules import Severity, validate
@@ -106,6 +107,32 @@ def test_a_source_written_again_with_the_same_grids_is_a_note(tmp_path: Path) ->
         found = [item for item in validate(result.root_stage) if item.rule == "LookStale"]
         assert [item.severity for item in found] == [severity]
     assert "has other content" in found[0].message
+
+
+def test_a_cache_published_again_with_the_same_grids_is_the_same_to_every_command(
+    tmp_path: Path,
+) -> None:
+    """Programs give each file that they write another name of its own (a UUID)."""
+    shot = make_shot(tmp_path, names=("density", "vel"))
+    settings = ("layer.copy_velocity=true", "windows.size=2")
+    result = run(shot, *settings)
+    files = sorted((shot.stage.parent / "cache").glob("*.vdb"))
+    for code, cache in enumerate(files, start=1):
+        before = cache.read_bytes()
+        write_vdb(cache, ("density", "vel"), value=0.5 + code / 8)
+        os.utime(cache, (2_000_000_000, 2_000_000_000))
+        assert cache.read_bytes() != before
+    found = [item for item in validate(result.root_stage) if item.rule == "LookStale"]
+    assert {item.severity for item in found} == {Severity.INFO}
+    assert {change.severity for change in verify(result.look_layer)} == {"note"}
+    notes = " ".join(plan(shot.stage, shot.style, shot.output, settings).notes)
+    assert "already holds this result" in notes and "other content" not in notes
+    again = run(shot, *settings, "stage.frames=3")  # a window of it once more
+    assert contents(again.root_stage) == contents(result.root_stage)
+    write_vdb(files[2], ("density", "vel"), value=0.5)
+    assert "smoke.0003.vdb has other content" in " ".join(
+        plan(shot.stage, shot.style, shot.output, settings).notes
+    )
 
 
 def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(

@@ -29,7 +29,7 @@ class SourceGrid:
     field: str  # density, velocity, mask, or the name of one that is copied as it is
     file: str
     grid: str  # names of the grids in the file
-    hash: str = ""  # content hash; "" for a velocity that is only copied
+    hash: str = ""  # content hash; "" in records of versions that had none
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,8 @@ def stylize_in_processes(
     clock = PartClock()
     with clock.part("preparing"):
         job = prepare(request)
-        found, n_processes = plan_with_notes(job), jobs or choose_jobs(job.plan)
+        found = plan_with_notes(job)
+        n_processes = jobs or choose_jobs(found)
     if n_processes > 1:
         tasks = divide_job(job)
         n_processes = min(n_processes, len(tasks.windows))

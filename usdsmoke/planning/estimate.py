@@ -105,6 +105,7 @@ def estimate_run(
     threads: int | None = None,
     twice: Sequence[FrameSize] = (),
     coarse: Sequence[FrameSize] = (),
+    has_starts: bool = False,
 ) -> CostEstimate:
     """Peak memory, time and bytes written, by the formulae at the top of this file.
 
@@ -113,10 +114,12 @@ def estimate_run(
         threads: None takes the configured number, or all of the machine.
         twice: the frames that two windows compute.
         coarse: the frames of the shared coarse step; ``window_start`` is that of its chains.
+        has_starts: frames start from such a step also where ``coarse`` is empty: it is done.
     """
     again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
-    finest = 1.0 / coarse_factor(config) if coarse else 1.0
-    above = (finest if coarse else 0.0, 1.0)
+    is_shared = has_starts or bool(coarse)
+    finest = 1.0 / coarse_factor(config) if is_shared else 1.0
+    above = (finest if is_shared else 0.0, 1.0)
     speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
     return CostEstimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,

@@ -83,16 +83,20 @@ class FrameReader:
         """Content hashes of a frame's sources, all of which are read: of ``density``, ``mask`` and
         ``velocity`` as read, and of the other grids that are copied, by the names of the copies.
 
+        A velocity that is only copied is hashed as it is copied.
+
         Raises:
             GridError, NonFiniteError: see ``read``.
         """
         found = _hashes(self.read(volume, frame))
+        if "velocity" not in found and (copied := self.read_velocity_copy(volume, frame)):
+            found["velocity"] = hash_fields(copied)
         others = {grid.name: self._read_other(volume, grid) for grid in frame.others}
         return {name: hash_fields([field]) for name, field in others.items()} | found
 
 
 def _files(frames: Iterable[FramePlan]) -> set[str]:
-    return {field.file_path for frame in frames for field in frame.source.fields.values()}
+    return {file_path for frame in frames for file_path in frame.files}
 
 
 def read_frame(

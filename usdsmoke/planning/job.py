@@ -110,6 +110,8 @@ class Job:
     # with, whose files have been written again; none: they are measured.
     scenes: tuple[Mapping[str, Any], ...] = ()
     digests: dict[str, FileDigest] = dataclasses.field(default_factory=dict, compare=False)
+    # Whether a file with other bytes has the grids that a run has read, by the run's id and file.
+    same_grids: dict[tuple[str, str], bool] = dataclasses.field(default_factory=dict, compare=False)
 
     def pictures(self, volume: VolumePlan) -> list[np.ndarray]:
         """The pixels of a Volume's style images."""
@@ -128,7 +130,7 @@ class Job:
     def with_config(self, config: Config) -> "Job":
         """The same job with other settings, prepared anew."""
         job = prepare_job(self.request.with_config(config), self.fits)
-        return dataclasses.replace(job, digests=self.digests)
+        return dataclasses.replace(job, digests=self.digests, same_grids=self.same_grids)
 
 
 def prepare_job(request: Request, fits: bool = True) -> Job:

@@ -4,7 +4,7 @@ No voxel is read and torch is not loaded.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from usdsmoke.planning.frames import (
     is_copied,
 )
 from usdsmoke.planning.needs import list_needed, list_omitted
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import visible_share
 from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
@@ -70,13 +70,14 @@ def make_plan(
             raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
         volumes.append(planned)
     volumes = _with_places(volumes, volume_stems(paths), config)
+    costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
     return Plan(
         source=source,
         config=config,
         volumes=tuple(volumes),
         needed=list_needed(config, volumes),
         omitted=list_omitted(source, config, volumes),
-        estimate=add_estimates([_estimate(planned) for planned in volumes]),
+        estimate=add_estimates(costs),
         notes=list_remarks(volumes),
     )
 
@@ -105,17 +106,46 @@ def _with_places(
     return placed
 
 
-def _estimate(volume: VolumePlan) -> CostEstimate:
-    sizes, twice = (
-        [frame.size for frame in frames] for frames in (volume.frames, volume.overlap_frames)
-    )
+def estimate_part(
+    plan: Plan, tasks: Sequence[WindowTask], started: Collection[str] = ()
+) -> CostEstimate:
+    """The costs of some windows of a plan, and of the coarse step that is left.
+
+    Args:
+        tasks: the windows to do.
+        started: files of the frames whose coarse start is there.
+    """
+    found = []
+    for number, volume in enumerate(plan.volumes):
+        own = [task for task in tasks if task.volume_number == number]
+        codes = {code for task in own for code in task.window.time_codes}
+        frames = [frame for frame in volume.frames if frame.source.time_code in codes]
+        twice = [
+            f for task in own for f in task.frames if f.source.time_code in task.window.overlap
+        ]
+        coarse = [frame for frame in volume.coarse_frames if frame.file_name not in started]
+        found.append(_estimate(volume, frames, twice, coarse))
+    return add_estimates(found)
+
+
+def _estimate(
+    volume: VolumePlan,
+    frames: Sequence[FramePlan],
+    twice: Sequence[FramePlan],
+    coarse: Sequence[FramePlan],
+) -> CostEstimate:
     first = {codes[0] for codes in volume.coarse_runs}
-    coarse = [
-        replace(frame.size, window_start=frame.source.time_code in first)
-        for frame in volume.coarse_frames
-    ]
-    estimate = estimate_run(sizes, volume.config, len(volume.styles), twice=twice, coarse=coarse)
-    return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, volume.frames)))
+    estimate = estimate_run(
+        [frame.size for frame in frames],
+        volume.config,
+        len(volume.styles),
+        twice=[frame.size for frame in twice],
+        coarse=[
+            replace(frame.size, window_start=frame.source.time_code in first) for frame in coarse
+        ],
+        has_starts=bool(volume.coarse_runs),
+    )
+    return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, frames)))
 
 
 def _decoded_bytes(frame: FramePlan) -> int:

@@ -43,6 +43,11 @@ class FramePlan:
         """True when the header says that no voxel is active."""
         return self.size.active_voxels == 0
 
+    @property
+    def files(self) -> set[str]:
+        """The VDB files that it is read from."""
+        return {field.file_path for field in self.source.fields.values()}
+
 
 @dataclass(frozen=True)
 class VolumePlan:

@@ -44,6 +44,11 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
+def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
+    """What is said where scenes are measured on some of the timeCodes."""
+    return [text for volume in volumes for text in _part(volume)]
+
+
 def measured_on_part(volume: VolumePlan) -> bool:
     """Whether extinction and exposure are measured on some of a Volume's timeCodes."""
     optics = volume.config.optics

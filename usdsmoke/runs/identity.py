@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke import __version__
+from usdsmoke.base.errors import GridError, NonFiniteError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
+from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import FileDigest, Job, selected_variants
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
@@ -116,8 +118,9 @@ def describe_run(
 ) -> dict[str, Any]:
     """Everything that decides a result, as JSON values: equal descriptions give equal results.
 
-    Files are named relative to the stage, so that a moved shot is still the same run. Threads and
-    device stand there as asked for; they may be left to the machine.
+    Files are named relative to the stage, so that a moved shot is still the same run. One that was
+    written again counts as it was where its grids are those that a result was made from. Threads
+    and device stand there as asked for; they may be left to the machine.
 
     Args:
         earlier: has the digests of files that are not read again: those that are as large and as
@@ -135,8 +138,11 @@ def describe_run(
         name = os.path.relpath(file_path, folder)
         if name in known and requested is not None and file_path not in requested:
             files[name] = known[name]
-        else:
-            files[name] = _file_digest(job, file_path, known.get(name), stamps.get(name))
+            continue
+        files[name] = _file_digest(job, file_path, known.get(name), stamps.get(name))
+        before = known.get(name, files[name])
+        if earlier is not None and files[name] != before:
+            files[name] = before if _has_same_grids(job, earlier, file_path) else files[name]
     return {
         **({"requests": requests} if requests else {}),
         "version": __version__,
@@ -165,6 +171,35 @@ def _file_digest(
         else:
             job.digests[file_path] = FileDigest(hash_file(file_path), now)
     return job.digests[file_path].sha256
+
+
+def _has_same_grids(job: Job, run: Run, file_path: str) -> bool:
+    """Whether the grids that a result was made from are still in a file with other bytes."""
+    key = run.run_id, file_path
+    if key not in job.same_grids:
+        job.same_grids[key] = _compare_grids(job, run, file_path)
+    return job.same_grids[key]
+
+
+def _compare_grids(job: Job, run: Run, file_path: str) -> bool:
+    recorded = {
+        (record["prim_path"], record["time_code"]): record["source_hashes"]
+        for record in run.frames.values()
+    }
+    reader, is_known = FrameReader(job.plan), False
+    for volume in job.plan.volumes:
+        for frame in volume.frames:
+            before = recorded.get((volume.source.prim_path, frame.source.time_code))
+            if before is None or file_path not in frame.files:
+                continue
+            try:
+                now = reader.hash_sources(volume, frame)
+            except (GridError, NonFiniteError):
+                return False
+            if any(now.get(name) != digest for name, digest in before.items()):
+                return False
+            is_known = True
+    return is_known
 
 
 def _stamp(file_path: str) -> tuple[int, int] | None:

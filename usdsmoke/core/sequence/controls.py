@@ -3,7 +3,7 @@
 No torch here, because the plan uses it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.setting_model import extra_of
@@ -17,10 +17,6 @@ SETTINGS = {
     for name, field in declared_settings().items()
     if "control" in (extra := extra_of(field))
 }
-
-# A frame's coarse start may depend on so many frames after it: its colours are averaged with the
-# next frame's, on density that is averaged with the one after it, whose strength may be 0.
-FRAMES_AHEAD = 3
 
 
 def frame_config(
@@ -76,6 +72,23 @@ def in_effect(config: Config, controls: FrameControls) -> bool:
     """Whether the effect is to be seen in a frame: otherwise the source is given back."""
     strength = config.optimize.strength if controls.strength is None else controls.strength
     return config.losses.style > 0 and strength > 0
+
+
+def frames_ahead(config: Config, controls: Iterable[FrameControls]) -> int:
+    """On how many frames after it a frame's coarse start depends at most.
+
+    Its colours are averaged with the next frame's. Those are painted on density that is averaged
+    with the one after it, and where that one has a strength of 0, it is left out or not for the
+    strength of a third.
+
+    Args:
+        controls: of all frames.
+    """
+    steps = config.optimize.steps
+    n_painted = "colour" in steps and config.colour.smoothing > 0
+    n_moved = "shape" in steps and config.shape.smoothing > 0
+    n_unseen = not all(in_effect(config, own) for own in controls)
+    return int(n_painted) + int(n_moved) + int(n_unseen)
 
 
 def is_computed(effect: Sequence[bool]) -> list[bool]:

@@ -1,26 +1,27 @@
 """Which run a call belongs to.
 
 - ``choose``: a run that is begun, continued, joined, repeated or refused
+- ``course``: the same for the plan, before anything is written
 - ``growth``: a result that gets more frames or whose source changed in part: what stays
+- ``refusals``: what is in the way
 """
 
 from usdsmoke.runs.opening.choose import (
-    find_refusal,
     frames_again,
     join_run,
     open_run,
     open_run_to_assemble,
-    refuse_result,
 )
-from usdsmoke.runs.opening.growth import find_growth, repetition_note
+from usdsmoke.runs.opening.course import Course
+from usdsmoke.runs.opening.growth import find_growth
+from usdsmoke.runs.opening.refusals import refuse_result
 
 __all__ = [
+    "Course",
     "find_growth",
-    "find_refusal",
     "frames_again",
     "join_run",
     "open_run",
     "open_run_to_assemble",
     "refuse_result",
-    "repetition_note",
 ]

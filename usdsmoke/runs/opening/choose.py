@@ -1,28 +1,31 @@
 """Which run a call belongs to: begun, continued, joined, done again, made longer, or refused."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from usdsmoke.base.errors import Interrupted, LayerError, OutputExists
 from usdsmoke.base.locks import OutputLock, hold_file, lock_output
 from usdsmoke.base.publish import remove_empty
-from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
-from usdsmoke.runs.changes import Changes
 from usdsmoke.runs.delivery import check_delivery
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.opening.growth import Growth, find_growth, take_over
+from usdsmoke.runs.opening.refusals import (
+    FORCE,
+    find_results,
+    other_result,
+    refuse_result,
+    unfinished_in_the_way,
+)
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, find_runs, new_run
 from usdsmoke.runs.run_machine import with_settled
 from usdsmoke.usd.look import published_runs
 
 _BEGINNING = "vdb/begin.lock"  # held while a run begins
-_MOST_NAMED = 3  # frames in a message
-_FORCE = "--force (force=True in Python)"
 
 
 # A whole run, by one process
@@ -75,7 +78,7 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
                 if changes := Identity(whole).changes(run):
                     if changes.only_files and whole.plan.n_frames == job.plan.n_frames:
                         return None  # see ``find_growth``
-                    raise _other_result(run.output, changes)
+                    raise other_result(run.output, changes, is_part=True)
                 return with_settled(whole, run), run, numbers
     return None
 
@@ -130,7 +133,7 @@ def join_run(
             or missing_starts(run, job.plan, task.frames)
         ):
             return None
-        return {field.file_path for frame in task.frames for field in frame.source.fields.values()}
+        return {file_path for frame in task.frames for file_path in frame.files}
 
     def waits() -> None:
         tell(WAITING)
@@ -224,7 +227,7 @@ def open_run_to_assemble(
         if changes:
             raise OutputExists(
                 f"the inputs of the run in {run.folder} have changed: {changes}. "
-                f"Restore them, or stylize again with {_FORCE}.",
+                f"Restore them, or stylize again with {FORCE}.",
                 changes.details,
             )
         try:
@@ -287,13 +290,13 @@ def _choose_run(
     """
     output, force = job.output, job.request.force
     check_delivery(job.plan, output)
-    published, runs, results = _results(job)
+    published, runs, results = find_results(job)
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if not identity.is_of(run)]
-    _refuse_result(job, identity, growth)
+    refuse_result(job, identity, growth)
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
-        raise _unfinished_in_the_way(output, others[0], identity)
+        raise unfinished_in_the_way(output, others[0], identity)
     for run in given_up:
         run.remove()
     for run in unfinished:
@@ -303,93 +306,3 @@ def _choose_run(
     if growth is not None:  # the machine stays the same too
         return new_run(output, identity.beside(growth.earlier), identity.stamps)
     return new_run(output, identity.alone(), identity.stamps)
-
-
-def refuse_result(job: Job) -> None:
-    """Raise OutputExists or LayerError where files are in the way of a job; nothing is written."""
-    check_delivery(job.plan, job.output)
-    _refuse_result(job, Identity(job), find_growth(job))
-
-
-def find_refusal(job: Job) -> str:
-    """Why ``open_run`` would refuse a whole job for what is in its output folder; "" where it would
-    not. Nothing is written."""
-    try:
-        if not job.request.force and frames_again(job) is not None:
-            return ""
-        check_delivery(job.plan, job.output)
-        _, runs, results = _results(job)
-        if (runs or results) and not job.request.force:
-            identity = Identity(job)
-            _refuse_result(job, identity, find_growth(job))
-            for run_id, run in runs.items():
-                if run_id not in results and not identity.is_of(run):
-                    raise _unfinished_in_the_way(job.output, run, identity)
-    except (OutputExists, LayerError) as error:
-        return str(error)
-    return ""
-
-
-def _refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
-    _, runs, results = _results(job)
-    in_the_way = results - ({growth.earlier.run_id} if growth else set())
-    if in_the_way and not job.request.force:
-        known = [runs[run_id] for run_id in sorted(in_the_way) if run_id in runs]
-        raise _result_in_the_way(job.output, known, identity)
-
-
-def _results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
-    """Ids of published runs, the runs of the job's look by id, and ids of finished results."""
-    published = published_runs(job.targets.look_layer)
-    runs = {run.run_id: run for run in find_runs(job.output) if run.look == job.config.layer.look}
-    results = {run_id for run_id in published if run_id not in runs or runs[run_id].complete}
-    return published, runs, results
-
-
-def _unfinished_in_the_way(output: Path, run: Run, identity: Identity) -> OutputExists:
-    changes = identity.changes(run)
-    return OutputExists(
-        f"{output} holds an unfinished run with different settings or inputs: {changes}. "
-        "Finish it with its own settings, choose another output folder, or discard it with "
-        f"{_FORCE}.",
-        changes.details,
-    )
-
-
-def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:
-    """Why a result stays as it is, and what can be done instead."""
-    advice = f"choose another output folder or look, or replace it with {_FORCE}."
-    if not known:
-        return OutputExists(f"{output} already holds a result. {advice[0].upper()}{advice[1:]}")
-    run = known[0]
-    if changes := identity.changes(run):
-        return _other_result(output, changes)
-    lost = [name for name in sorted(run.frames) if run.finished(name) is None]
-    if lost:
-        named = ", ".join(lost[:_MOST_NAMED])
-        more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
-        codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
-        are = "is" if len(lost) == 1 else "are"
-        return OutputExists(
-            f"{named}{more} {are} missing or changed in {run.folder}. Repeat the run with "
-            f"--frames={codes} (the setting stage.frames) to repair the result."
-        )
-    return OutputExists(
-        f"{output} already holds this result. Change its mode with 'usdsmoke assemble', redo "
-        f"frames with stage.frames (--frames), {advice}"
-    )
-
-
-def _other_result(output: Path, changes: Changes) -> OutputExists:
-    longer = "select the result's frames and more to make it longer, " if changes.frames else ""
-    if changes.only_files:
-        longer = (
-            "select all of the result's frames to do those windows again that they reach (none "
-            "would stay where extinction is measured on one of them), "
-        )
-    return OutputExists(
-        f"{output} already holds a result with different settings or inputs: {changes}. "
-        f"Restore them, {longer}choose another output folder or look, or replace the result with "
-        f"{_FORCE}.",
-        changes.details,
-    )

@@ -1,13 +1,14 @@
 """A result that goes on: it gets more frames, or some source files have been written again.
 
 The scenes, and with them the extinction, are those of the earlier run. Windows whose frames, source
-files and starts are the same are taken over; the others are done. The result has the bits of a run
-of all frames whose ``optics.frames`` are the earlier run's; where a frame that these name has been
-written again, of a run with the earlier scenes, which the job and the record then name.
+files and starts are the same are taken over; the others are done, all of them if need be. The
+result has the bits of a run of all frames whose ``optics.frames`` are the earlier run's; where a
+frame that these name has been written again, of a run with the earlier scenes, which the job and
+the record then name.
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,10 +16,10 @@ from pathlib import Path
 from usdsmoke.base.errors import UsdSmokeError, count_text
 from usdsmoke.base.publish import share_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_codes, name_time_codes
-from usdsmoke.core.sequence.controls import FRAMES_AHEAD
+from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.core.sequence.controls import frames_ahead
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.runs.coarse import measured_frames
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, part_file_name
@@ -38,26 +39,27 @@ class Growth:
 
     @property
     def notes(self) -> Iterator[str]:
-        """For the plan."""
+        """For the plan: what differs from the result."""
         then, now = (_frames_text(plan.tasks) for plan in (self.before, self.job.plan))
-        codes = self.job.config.optics.frames
         if then != now:
-            yield (
-                f"the look grows from the frames {then} to {now}; extinction and picture size stay "
-                f"those of {codes}. Windows with the same frames and starts stay, the others are "
-                "done."
-            )
+            yield f"the look grows from the frames {then} to {now}"
         if self.rewritten:
             names = sorted(os.path.basename(path) for path in self.rewritten)
             more = f" and {count_text(len(names) - 1, 'more file')}" if names[1:] else ""
             has = "have" if names[1:] else "has"
-            stay = [task for task, _ in self.windows]
-            done = [task for task in self.job.plan.tasks if task not in stay]
-            yield (
-                f"{names[0]}{more} {has} other content than when the look was made. Done again: "
-                f"{_named(done)}, whose windows read it or start from frames that do. Kept: "
-                f"{_named(stay)}, extinction and picture size"
-            )
+            yield f"{names[0]}{more} {has} other content than when the look was made"
+
+    @property
+    def to_do(self) -> list[WindowTask]:
+        """The windows that do not stay."""
+        stay = {task.number for task, _ in self.windows}
+        return [task for task in self.job.plan.tasks if task.number not in stay]
+
+    @property
+    def is_all_new(self) -> bool:
+        """Whether every frame is read from a file with other content."""
+        volumes = self.job.plan.volumes
+        return all(self._is_rewritten(frame) for volume in volumes for frame in volume.frames)
 
     @cached_property
     def starts(self) -> set[str]:
@@ -70,23 +72,24 @@ class Growth:
             for chain in volume.coarse_runs:
                 for codes in () if old is None else old.coarse_runs:
                     if codes == chain[: len(codes)]:
-                        same = self._same_starts(codes, chain, frames)
+                        same = self._same_starts(codes, chain, volume)
                         names |= {coarse_file_name(frames[code].file_name) for code in same}
         return {name for name in names if (self.earlier.folder / name).is_file()}
 
     def _same_starts(
-        self,
-        codes: Sequence[float],
-        chain: Sequence[float],
-        frames: Mapping[float, FramePlan],
+        self, codes: Sequence[float], chain: Sequence[float], volume: VolumePlan
     ) -> Sequence[float]:
         """The timeCodes before all that is new in a sequence, as far as starts look ahead."""
+        frames = {frame.source.time_code: frame for frame in volume.frames}
         others = (n for n, code in enumerate(codes) if self._is_rewritten(frames[code]))
         end = next(others, len(codes) if len(codes) < len(chain) else None)
-        return codes if end is None else codes[: max(end - FRAMES_AHEAD, 0)]
+        if end is None:
+            return codes
+        ahead = frames_ahead(volume.config, (frames[code].source.controls for code in chain))
+        return codes[: max(end - ahead, 0)]
 
     def _is_rewritten(self, frame: FramePlan) -> bool:
-        return any(field.file_path in self.rewritten for field in frame.source.fields.values())
+        return bool(frame.files & self.rewritten)
 
     @cached_property
     def windows(self) -> list[tuple[WindowTask, WindowTask]]:
@@ -148,8 +151,8 @@ def find_growth(job: Job) -> Growth | None:
     """The growth that a job asks for.
 
     None where its output folder holds no result of fewer of its frames, or of all of them with
-    other content in some source files, that is otherwise the same; and where no window of it would
-    stay.
+    other content in some source files, that is otherwise the same; and where every frame is read
+    from a file with other content.
     """
     if job.request.force:
         return None
@@ -180,7 +183,7 @@ def find_growth(job: Job) -> Growth | None:
         files = job.plan.source.grid_files
         rewritten = frozenset(f for f in files if os.path.relpath(f, folder) in changes.files)
         growth = Growth(_measured_on(job, measured), run, before.plan, rewritten)
-        if rewritten and not growth.windows:
+        if rewritten and growth.is_all_new:
             return None
         if run.description.get("scenes") or not growth.is_measured:
             growth = replace(growth, job=replace(growth.job, scenes=tuple(run.scenes)))
@@ -247,25 +250,5 @@ def _measured_on(job: Job, codes: str) -> Job:
     return replace(job, plan=plan)
 
 
-def repetition_note(whole: Plan, numbers: frozenset[int]) -> str:
-    """For the plan, where windows of a result are done again.
-
-    Args:
-        whole: the plan of the result.
-        numbers: of the windows.
-    """
-    done = [task for task in whole.tasks if task.number in numbers]
-    stay = [task for task in whole.tasks if task.number not in numbers]
-    others = f"Frames {_frames_text(stay)}, extinction" if stay else "Extinction"
-    return (
-        f"the output folder holds this result: its windows with frames {_frames_text(done)} are "
-        f"done again. {others} and picture size stay"
-    )
-
-
 def _frames_text(tasks: Sequence[WindowTask]) -> str:
     return format_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))
-
-
-def _named(tasks: Sequence[WindowTask]) -> str:
-    return name_time_codes(sorted({code for task in tasks for code in task.window.time_codes}))

@@ -64,7 +64,7 @@ def rewritten_sources(
         except FileUnreadable:
             continue
         hashed = [source for source in used[path] if source.hash]
-        is_same = bool(hashed) and all(_grid_hash(path, item) == item.hash for item in hashed)
+        is_same = bool(hashed) and all(item.hash in _grid_hashes(path, item) for item in hashed)
         what = "was written again with the same grids," if is_same else "has other content, written"
         others = ", ".join(sorted({item.grid for item in used[path]} - {s.grid for s in hashed}))
         unknown = f"; no hash is recorded of {others}" if others and is_same else ""
@@ -131,27 +131,28 @@ def _seconds(text: str) -> float:
     return moment.replace(tzinfo=timezone.utc).timestamp() + 1  # it has no fraction
 
 
-def _grid_hash(path: str, source: SourceGrid) -> str | None:
-    """The content hash of a recorded grid as the file holds it now; None if it cannot be had.
+def _grid_hashes(path: str, source: SourceGrid) -> set[str]:
+    """The content hashes that a recorded grid would have as the file holds it now.
 
-    A velocity in timeCodes, or one that layer offsets slow down, was hashed in other units and so
-    counts as another one.
+    Of a velocity both as it is read and as it is copied. One in timeCodes, or one that layer
+    offsets slow down, was hashed in other units and so counts as another one.
     """
     try:
         labels = source.grid.split(", ")
         grids = [grid for grid in read_header(path).grids if grid.label in labels]
         if len(grids) != len(labels):
-            return None
-        if source.field != "velocity":
-            requests = [GridRequest(grid.name, grid.index) for grid in grids]
-            return hash_fields(read_grids(path, requests, GridsConfig()))
-        base = grids[0].name
-        if len(labels) > 1:  # one request for three components
-            base = labels[0].removesuffix("x").rstrip("".join(GRID_SEPARATORS))
-        velocity = read_velocity(path, GridRequest(base), GridsConfig())
-        return None if velocity is None else hash_fields([velocity])
+            return set()
+        requests = [GridRequest(grid.name, grid.index) for grid in grids]
+        found = {hash_fields(read_grids(path, requests, GridsConfig()))}
+        if source.field == "velocity":
+            base = grids[0].name
+            if len(labels) > 1:  # one request for three components
+                base = labels[0].removesuffix("x").rstrip("".join(GRID_SEPARATORS))
+            velocity = read_velocity(path, GridRequest(base), GridsConfig())
+            found |= set() if velocity is None else {hash_fields([velocity])}
+        return found
     except (GridError, StageError, ArithmeticError):
-        return None
+        return set()
 
 
 @lru_cache(maxsize=4096)
