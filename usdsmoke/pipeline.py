@@ -60,7 +60,7 @@ def plan(
     """What ``stylize`` with the same arguments would do. No voxel is read, no file is written.
 
     Where the output folder holds a run, source files that are larger, smaller or newer than it
-    found them are read for their hash.
+    found them are read for their hash, and for their grids if their bytes differ.
 
     Args:
         stage, style, output, settings: as in ``stylize``.
