@@ -27,8 +27,8 @@ class StageConfig(Section):
     frames: str = setting(
         "", "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (every second one); empty: all")
     allow_missing: bool = setting(
-        False, "leave out requested timeCodes at which no density is authored, and all timeCodes "
-        "whose file is missing")
+        False, "skip requested timeCodes without an authored density, and all timeCodes whose file "
+        "is missing")
     density: str = setting("density", "relationship name of the density field")
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")
@@ -70,10 +70,10 @@ class WindowsConfig(Section):
         4, "frames that neighbouring windows share, at most size; their two results are blended",
         ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
-        0.8, "share of the iterations that is run for a frame that starts from its neighbour's "
-        "result", gt=0, le=1)
+        0.8, "share of the iterations for a frame that starts from its neighbour's result",
+        gt=0, le=1)
     steadiness: float = setting(
-        1.0, "weight of the change of a frame's displacement against its neighbour's, carried "
+        1.0, "weight of the difference between a frame's displacement and its neighbour's, carried "
         "along; higher is steadier, and farther from the style", ge=0)
     shared_octaves: int = setting(
         2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
@@ -120,7 +120,7 @@ class ViewsConfig(Section):
 
 
 class OpticsConfig(Section):
-    """How opaque the smoke is."""
+    """How opaque the smoke is, and the light that it scatters."""
 
     gamma: float | None = setting(
         None, "extinction of the colour step; higher is more opaque; unset: chosen from "
@@ -135,32 +135,32 @@ class OpticsConfig(Section):
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0, le=1e6)
     frames: str = setting(
         "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
-        "of those that are stylized, and for a look that grows its own")
+        "of the stylized ones; a look that is made longer keeps its own")
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
-        None, "fraction of the extinguished light that smoke scatters, and the look's material "
-        "with it; unset: 0.5 where distant lights or domes light the smoke, 1 with "
-        "colour.target=albedo; 0: no light is read",
+        None, "share of the extinguished light that smoke and the look's material scatter; "
+        "0: lights are ignored; unset: 0.5 if distant lights or domes light the smoke, 1 with "
+        "colour.target=albedo",
         ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",
         ge=-0.99, le=0.99)
     bounces: bool = setting(
-        False, "paint for light that is scattered more than once, for renderers that draw it")
+        False, "paint for renderers that scatter light more than once")
     exposure: float | None = setting(
         None, "exposure at which the lit smoke shows the style; the emission is divided by it; "
         "unset: 0, or, with colour.target=albedo, chosen so that white smoke in the light is white",
         ge=-MOST_STOPS, le=MOST_STOPS, unit="stops")
     sun: list[float] = setting(
-        [], "direction from the smoke to a distant light, x y z of the stage, which takes the "
-        "place of the stage's lights; empty: the stage's lights")
+        [], "direction from the smoke to a distant light, as x y z of the stage; replaces the "
+        "stage's lights; empty: the stage's lights")
     sun_colour: Weights = setting(
-        [3.14159, 3.14159, 3.14159], "light of optics.sun on a surface that faces it, red green "
-        "blue; 3.14159 lights a white matte surface as bright as white")
+        [3.14159, 3.14159, 3.14159], "irradiance of optics.sun, as red green blue; under 3.14159 a "
+        "white matte surface that faces the sun is white")
     sky: Weights = setting(
-        [], "light from all around, red green blue, which takes the place of the stage's lights; "
-        "empty: the stage's lights")
+        [], "light from all sides, as red green blue; replaces the stage's lights; empty: the "
+        "stage's lights")
 
     @property
     def names_lights(self) -> bool:
@@ -213,9 +213,9 @@ class LossesConfig(Section):
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
     nearest: float = setting(
-        1.0, "weight of the way from the features of the two deepest learned style layers to the "
-        "nearest ones of the style, in the colour step, relative to the style's weight; higher "
-        "repeats whole pieces of the style", ge=0)
+        1.0, "weight of the distance from the features of the two deepest learned style layers to "
+        "the nearest ones of the style, in the colour step, relative to the style's weight; above "
+        "1, pieces of the style repeat", ge=0)
     content: float = setting(
         0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(
@@ -232,8 +232,8 @@ class ShapeConfig(Section):
     """The shape step, which moves density."""
 
     displacement: Literal["stream", "potential", "mixed"] = setting(
-        "stream", "how density moves: turning, nearly without compression (stream), irrotational "
-        "(potential), or both",
+        "stream", "how density moves: rotational, nearly without compression (stream), "
+        "irrotational (potential), or both (mixed)",
         request="displacement")
     reach: float = setting(
         0.04, "largest displacement",
@@ -256,9 +256,9 @@ class ColourConfig(Section):
     """The colour step, which finds RGB on fixed density."""
 
     target: Literal["emission", "albedo", "both"] = setting(
-        "emission", "what the colours are: light that the smoke emits (emission), the share of the "
-        "lights' light that it scatters (albedo), or that share and an emission for what it cannot "
-        "give (both)")
+        "emission", "what is painted: light that the smoke emits (emission), the share of light "
+        "that it scatters (albedo), or that share plus an emission where scattering is not enough "
+        "(both)")
     init: Literal["noise", "density"] = setting(
         "noise", "first colours: density times white noise, or plain density", request="colourInit")
     learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)
@@ -329,11 +329,11 @@ class LayerConfig(Section):
     compact_velocity: bool = setting(
         False, "write the copied velocity only where the result has smoke, and in 16-bit floats")
     copy_fields: list[str] = setting(
-        [], "other fields of the Volume, and grids beside its density, that are written into the "
+        [], "other fields of the Volume, and grids in its density's file, to write into the "
         "result's files: their names, or all; empty: none", distinct=True)
     move_fields: bool = setting(
-        True, "copied fields move with the density; false: they stay where they are. The velocity "
-        "of layer.copy_velocity stays")
+        True, "copied fields move with the density; false: they stay where they are. The copied "
+        "velocity always stays")
     emission_mode: Literal["absolute", "perDensity"] = setting(
         "absolute", "meaning of the emission field: radiance per stage unit (absolute), or the "
         "same divided by density (perDensity), for renderers that multiply emission by density")

@@ -61,7 +61,7 @@ def _add_inspect(commands: Any) -> None:
 
 
 def _add_stage(commands: Any) -> None:
-    parser = add_command(commands, "stage", "make a stage that shows bare VDB files")
+    parser = add_command(commands, "stage", "make a stage from VDB files")
     parser.add_argument(
         "pattern",
         metavar="FILES",
@@ -77,7 +77,7 @@ def _add_stage(commands: Any) -> None:
         metavar="M",
         help="metres in one unit of the VDB files, such as 1 or 0.01",
     )
-    parser.add_argument("--up-axis", choices=("Y", "Z"), default="Y", help="(default: Y)")
+    parser.add_argument("--up-axis", choices=("Y", "Z"), default="Y", help="up axis (default: Y)")
     parser.add_argument(
         "--fps", type=float, default=24.0, metavar="N", help="frames per second (default: 24)"
     )
@@ -94,7 +94,7 @@ def _add_stylize(commands: Any) -> None:
         "--window",
         type=int,
         metavar="K",
-        help="run only window K (the first is 0; --dry-run lists all). After the last window, run "
+        help="run only window K (the first is 0; --dry-run lists all); when all are done, run "
         "'usdsmoke assemble'",
     )
     part.add_argument(
@@ -107,7 +107,7 @@ def _add_stylize(commands: Any) -> None:
         type=count_value,
         metavar="N",
         help="compute N windows at once, in processes of this machine; the result is the same "
-        "(default: as many as processors and memory allow)",
+        "(default: as many as cores and memory allow)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="print the plan and its cost; write nothing"
@@ -121,7 +121,7 @@ def _add_stylize(commands: Any) -> None:
 
 def _add_train(commands: Any) -> None:
     parser = add_command(
-        commands, "train", "train a network on the smoke of a stage, which frames then start from"
+        commands, "train", "train a network on the smoke of a stage, for stylize --start"
     )
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     add_style(parser)
@@ -134,12 +134,12 @@ def _add_train(commands: Any) -> None:
         "--iterations",
         type=count_value,
         metavar="N",
-        help="iterations of the training, at most (default: 1200)",
+        help="largest number of training iterations (default: 1200)",
     )
 
 
 def _add_submit(commands: Any) -> None:
-    parser = add_command(commands, "submit", "write a job for a render queue; nothing is submitted")
+    parser = add_command(commands, "submit", "write a job for a render queue, without sending it")
     _add_run(parser)
     parser.add_argument(
         "--template",
@@ -151,7 +151,7 @@ def _add_submit(commands: Any) -> None:
         dest="program",
         default="usdsmoke",
         metavar="PROGRAM",
-        help="the program that the queue starts, a name or path without arguments "
+        help="the program that the queue starts: a name or path without arguments "
         "(default: usdsmoke)",
     )
 
@@ -172,21 +172,21 @@ def _add_validate(commands: Any) -> None:
     parser.add_argument(
         "--look-only",
         action="store_true",
-        help="count only findings that the look causes; list those of its source apart",
+        help="count only findings that the look causes; list those of its source separately",
     )
     parser.add_argument(
         "--ignore",
         action="append",
         default=[],
         metavar="RULE",
-        help="leave out the findings of this rule, named as it is printed; may be repeated",
+        help="leave out findings of this rule, by its printed name; may be repeated",
     )
     parser.add_argument("--junit", metavar="FILE.xml", help="also write the findings as JUnit XML")
     parser.add_argument(
         "--mend",
         metavar="NEW.usda",
-        help="write a new layer above the stage that fixes missing extents, wrong types of fields "
-        "and absolute paths, and that is then validated",
+        help="write a layer over the stage that fixes missing extents, wrong field types and "
+        "absolute paths, and validate this layer",
     )
 
 
@@ -232,7 +232,7 @@ def _add_preview(commands: Any) -> None:
         "--turn",
         type=count_value,
         metavar="N",
-        help="draw one frame N times, around the up axis (default: from the front)",
+        help="draw one frame N times, evenly around the up axis",
     )
     parser.add_argument(
         "--threads", type=count_value, default=1, metavar="N", help="CPU threads (default: 1)"
@@ -241,13 +241,15 @@ def _add_preview(commands: Any) -> None:
 
 def _add_report(commands: Any) -> None:
     parser = add_command(
-        commands, "report", "measure the benefit and cost of the settings on a scene", plans=True
+        commands, "report", "measure how settings change error and time in a scene", plans=True
     )
-    parser.add_argument("stage", metavar="STAGE", help="a USD file; with --final a result's")
+    parser.add_argument(
+        "stage", metavar="STAGE", help="a USD file; with --final, the root layer of a result"
+    )
     parser.add_argument(
         "--final",
         action="store_true",
-        help="draw a result under its lights with many bounces, and score it; needs Mitsuba 3",
+        help="instead, draw a result with all bounces of light, and score it; needs Mitsuba 3",
     )
     parser.add_argument(
         "-o", "--output", required=True, metavar="OUT", help="the folder of the report"
@@ -260,7 +262,7 @@ def _add_report(commands: Any) -> None:
         default="5min",
         type=duration_value,
         metavar="TIME",
-        help="time for measurements, such as 300s, 5min or 1h (default: 5min)",
+        help="time for the measurements, such as 300s, 5min or 1h (default: 5min)",
     )
 
 
@@ -280,5 +282,5 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--start", metavar="FILE")
     add_flag(parser, "--half")
     add_client_options(parser)
-    text = "replace NaN and infinity by this number; default: they are an error"
+    text = "replace NaN and infinity by this number (default: they are an error)"
     add_option(parser, "--repair", type=repair_value, metavar="nan=0", help=text)

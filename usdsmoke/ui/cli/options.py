@@ -27,7 +27,8 @@ OPTIONS = {  # that stand for a setting
     "--split-rgb": "layer.split_rgb",
 }
 EXIT_CODES = (
-    "exit codes: 0 ok, 1 an error, or a problem was found, 2 wrong usage, 130 stopped by Ctrl-C"
+    "exit codes: 0 success; 1 an error, or a problem was found; 2 wrong usage; stopped by: "
+    "130 Ctrl-C, 143 SIGTERM, 141 a closed pipe"
 )
 
 
@@ -99,7 +100,8 @@ def add_selection(parser: argparse.ArgumentParser, frames_help: str = "") -> Non
         "--prim",
         action="append",
         metavar="PATH",
-        help="a Volume prim; may be repeated (default: all that are visible and not guides)",
+        help="a Volume, or a prim above Volumes; may be repeated (default: all visible Volumes "
+        "except guides and proxies)",
     )
     if frames_help:
         parser.add_argument("--frames", metavar="1-24", help=frames_help)
@@ -121,7 +123,7 @@ def add_style(parser: argparse.ArgumentParser) -> None:
         "--style",
         action="append",
         metavar="IMAGE",
-        help="the style image; may be repeated (default: the images that the Volumes request)",
+        help="a style image; may be repeated (default: the images that the Volumes request)",
     )
 
 
@@ -132,16 +134,16 @@ def add_preset(parser: argparse.ArgumentParser, summary: str) -> None:
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """Files and values of settings."""
-    add_preset(parser, "settings for a purpose; all other settings override it")
+    add_preset(parser, "settings for a purpose; all other options override them")
     parser.add_argument(
         "--config",
         metavar="FILE.yaml",
-        help="settings file; requests on Volumes override it (see 'usdsmoke settings')",
+        help="a settings file; requests on Volumes override it (see 'usdsmoke settings')",
     )
     parser.add_argument(
         "--overrides",
         metavar="FILE.yaml",
-        help="settings file that overrides requests on Volumes, as command-line options do",
+        help="a settings file that overrides requests on Volumes, as command-line options do",
     )
     add_set(
         parser,

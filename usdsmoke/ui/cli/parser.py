@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 
 class SuggestingParser(argparse.ArgumentParser):
-    """A parser that names the nearest command or option where one is not known."""
+    """A parser whose errors take one line, and name the nearest command or option."""
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As of ``argparse``; the command's own parser reports options that it does not have."""
@@ -23,14 +23,24 @@ class SuggestingParser(argparse.ArgumentParser):
         return arguments
 
     def error(self, message: str) -> NoReturn:
-        """As of ``argparse``; of a word that is no choice, the nearest choice or all of them."""
-        pattern = r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)"
-        if found := re.fullmatch(pattern, message):
+        """One line that names the argument and what to write; the usage if arguments are missing.
+
+        For a word that is not a choice, the line names the nearest choice, or all of them.
+        """
+        if message.startswith("the following arguments are required"):
+            super().error(message)
+        choice = r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)"
+        if found := re.fullmatch(choice, message):
             known = re.findall(r"[\w-]+", found[3])
             what = f"{found[1]} cannot be" if found[1] != "COMMAND" else "there is no command"
             hint = _closest(found[2], known) or f" Choose from {', '.join(known)}."
             message = f"{what} {found[2]!r}.{hint}"
-        super().error(message)
+        elif found := re.fullmatch(r"argument (.*?): invalid (int|float) value: ('.*')", message):
+            kind = "a whole number" if found[2] == "int" else "a number"
+            message = f"{found[1]}: {found[3]} is not {kind}."
+        elif found := re.fullmatch(r"argument (.*?): not allowed with argument (.*)", message):
+            message = f"{found[1]} and {found[2]} exclude each other. Give one of them."
+        self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}\n")
 
 
 def _joined(words: Sequence[str]) -> list[str]:
