@@ -92,7 +92,7 @@ def hold_file(lock_path: Path) -> Iterator[None]:
     except OSError as error:
         raise WriteFailed(
             f"cannot make the lock file {lock_path}: {error.strerror or error}. "
-            "Choose an output folder that may be written to."
+            "Choose a writable output folder."
         ) from None
     try:
         _take(handle, alone=True, waits=True)

@@ -155,7 +155,7 @@ def make_folders(folder: Path) -> list[Path]:
         remove_empty(missing)
         raise WriteFailed(
             f"cannot make the folder {folder}: {error.strerror or error}. "
-            "Choose an output folder that may be written to."
+            "Choose a writable output folder."
         ) from None
     return missing
 

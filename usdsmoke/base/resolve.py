@@ -210,7 +210,7 @@ def _parts_of(settings: Any) -> Iterator[Any]:
     if isinstance(settings, (Config, Mapping, str, PathLike)):
         yield settings
     elif not isinstance(settings, Iterable | None):
-        raise ConfigError(f"{settings!r} is no settings. {_FORMS}")
+        raise ConfigError(f"{settings!r} does not hold settings. {_FORMS}")
     else:
         for part in settings or ():
             yield from _parts_of(part)

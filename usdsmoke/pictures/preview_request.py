@@ -114,7 +114,7 @@ class PreviewRequest:
         config = resolve_settings(self.settings)
         if others := sorted(n for n in config.explicit if not n.startswith("stage.")):
             raise ConfigError(
-                f"a preview has no use for {', '.join(others)}. Give settings of stage alone."
+                f"a preview does not use {', '.join(others)}. Give only settings of stage."
             )
         found = config.stage.replace(frames=self.frames or config.stage.frames)
         return found.replace(

@@ -235,7 +235,7 @@ def _check_start(config: Config, fits: bool) -> None:
         read_weights(Path(start))
     if iterations == 0 and not start:
         raise ConfigError(
-            "optimize.iterations is 0, but optimize.start names no network that would paint the "
+            "optimize.iterations is 0, but optimize.start names no network to paint the "
             "smoke alone. Train one with 'usdsmoke train', or give at least 1 iteration."
         )
 

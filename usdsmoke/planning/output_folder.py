@@ -37,7 +37,7 @@ def resolve_output(output: str | os.PathLike[str]) -> Path:
         is_open = False
     if not is_open:
         raise LayerError(
-            f"the folder {output} may not be read. Change its permissions (read, write and "
+            f"the folder {output} cannot be read. Change its permissions (read, write and "
             "search), or choose another output folder."
         )
     return folder
@@ -53,7 +53,7 @@ def check_writable(output: Path) -> None:
     if not os.access(place, os.W_OK | os.X_OK):
         what = f"write to the folder {output}" if place == output else f"make the folder {output}"
         raise WriteFailed(
-            f"cannot {what}: {place} may not be written to. Change its permissions, or choose "
+            f"cannot {what}: {place} is not writable. Change its permissions, or choose "
             "another output folder."
         )
 
@@ -107,6 +107,6 @@ def _check_look_name(output: Path, look: str) -> None:
         other = file_path.stem.removeprefix("look").removeprefix("_")
         if other != look and other.casefold() == look.casefold():
             raise LayerError(
-                f"{output} has a look {other!r}, which differs from {look!r} in upper and lower "
-                "case only. Choose another name with layer.look (--look)."
+                f"{output} has a look {other!r}, which differs from {look!r} only in upper and "
+                "lower case. Choose another name with layer.look (--look)."
             )

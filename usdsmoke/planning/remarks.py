@@ -63,7 +63,7 @@ def _overlap(volume: VolumePlan) -> list[str]:
     if not is_cut or windows.overlap == WindowsConfig().overlap:
         return []
     return [
-        f"windows.overlap={windows.overlap} has the effect of windows.overlap={windows.size}: a "
+        f"windows.overlap={windows.overlap} acts like windows.overlap={windows.size}, because a "
         f"window has {windows.size} frames. Set a larger windows.size for a longer overlap"
     ]
 
@@ -95,7 +95,7 @@ def _holes(volume: VolumePlan) -> list[str]:
         return []
     return [
         f"<{volume.source.prim_path}> has no density between timeCodes {places}, which is longer "
-        "than its other steps: the frame before is held there. Add the files if they are missing"
+        "than its other steps: the frame before is shown there. Add the files if they are missing"
     ]
 
 
@@ -133,8 +133,8 @@ def _rate(volume: VolumePlan) -> list[str]:
     if "colour" not in config.optimize.steps or rate <= EXTREME_RATE * usual:
         return []
     return [
-        f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: a step goes from "
-        f"one end of the range to the other. Set {usual:g}, or look closely at the result"
+        f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: one step crosses "
+        f"the whole range of colours. Set {usual:g}, or look closely at the result"
     ]
 
 

@@ -37,8 +37,8 @@ def check_delivery(plan: Plan, output: Path) -> None:
         look = looks.get(_run_of(output / place)) or looks.get(place)
         if look is None:
             raise LayerError(
-                f"{output / place} is not of a result in {output}, and would be overwritten. Move "
-                "it away, or change layer.files."
+                f"{output / place} does not belong to a result in {output}, and would be "
+                "overwritten. Move it away, or change layer.files."
             )
         if look != ours:
             raise LayerError(

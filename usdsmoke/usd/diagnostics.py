@@ -45,8 +45,8 @@ def readable_values() -> Iterator[None]:
     except UnicodeDecodeError as error:
         text = error.object.decode("utf-8", "replace")[:_LONGEST_REASON]
         raise StageError(
-            f"the stage has a value that cannot be read: the text {text!r} is no UTF-8. Repair the "
-            "value, or export the layer again."
+            f"the stage has a value that cannot be read: the text {text!r} is not UTF-8. Repair "
+            "the value, or export the layer again."
         ) from None
     except Tf.ErrorException as error:
         raise StageError(
@@ -63,7 +63,7 @@ def check_is_stage(stage: object) -> None:
     """
     if not isinstance(stage, (str, os.PathLike, Usd.Stage)):
         raise StageError(
-            f"{stage!r} is no stage. Give a file or a Usd.Stage; a result with layer.mode=layer "
+            f"{stage!r} is not a stage. Give a file or a Usd.Stage; a result with layer.mode=layer "
             "has a look layer alone, to be added to a stage's subLayers."
         )
 

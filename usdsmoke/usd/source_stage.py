@@ -106,7 +106,7 @@ def find_sequence(pattern: str) -> dict[int | None, Path]:
             )
         return {None: place}
     if len(marks) > 1:
-        raise ConfigError(f"{place.name} has {len(marks)} frame numbers. Write one, such as ####.")
+        raise ConfigError(f"{place.name} has {len(marks)} frame numbers. Keep one, such as ####.")
     before, after = FRAME_PATTERN.split(place.name)
     name = re.compile(rf"{re.escape(before)}(-?\d+){re.escape(after)}")
     found: dict[int, Path] = {}

@@ -149,7 +149,7 @@ def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
         count = int((~np.isfinite(values)).sum())
         raise NonFiniteError(
             f'cannot write grid "{field.name}" of {target.name}: {count} of its numbers are NaN or '
-            "infinite. This is a bug of usdsmoke. Report it to its authors."
+            "infinite. This is a bug in usdsmoke. Please report it."
         )
     if half:
         largest = max(np.abs(values).max(initial=0.0), np.abs(background).max())

@@ -90,7 +90,10 @@ def check_final(
     volume = _first_look(smoke.shown(code), code)
     density, emission, colour = smoke.fields(volume)
     if volume.extinction is None:
-        raise StageError(f"<{volume.prim_path}> has no usdSmoke:extinctionPerDensity.")
+        raise StageError(
+            f"<{volume.prim_path}> has no usdSmoke:extinctionPerDensity. Pass the root layer of a "
+            "result."
+        )
     images = [read_style_image(image).pixels for image in style_paths(style)]
     drawn = list(
         _draw(

@@ -65,7 +65,7 @@ def test_an_exposure_stands_for_brighter_lights_and_dims_what_is_written() -> No
     assert dim.report.light.advised == bright.report.light.advised + 2
 
 
-@pytest.mark.parametrize(("brightness", "told"), [(0.01, "lamps"), (5.0, ""), (1e5, "white")])
+@pytest.mark.parametrize(("brightness", "told"), [(0.01, "visible"), (5.0, ""), (1e5, "white")])
 def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
     brightness: float, told: str
 ) -> None:
@@ -129,7 +129,7 @@ def test_smoke_that_no_light_reaches_is_told() -> None:
     frame = replace(frame, lights=(sun,), mask=mask, mask_to_stage=frame.density_to_stage)
     (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
     (finding,) = (f for f in find_frame("a.vdb", result.report) if f.setting == "optics.exposure")
-    assert "no light" in finding.cause and "optics.exposure=" not in finding.remedy
+    assert "none" in finding.cause and "optics.exposure=" not in finding.remedy
 
 
 def test_a_chosen_exposure_is_within_the_limits_of_the_setting() -> None:

@@ -37,7 +37,7 @@ def look(tmp_path: Path) -> Path:
         ({"size": (40_000, 40_000)}, "40000 x 40000.*16 million"),
         ({"size": (3900, 3900), "compare": True}, "6 pictures of 3900 x 3900"),
         ({"background": "none"}, "3 pictures.*transparent"),
-        ({"settings": "windows.size=3"}, "windows.size.*stage alone"),
+        ({"settings": "windows.size=3"}, "windows.size.*stage"),
         ({"frames": "1-"}, "cannot read the frames '1-'"),
     ],
 )

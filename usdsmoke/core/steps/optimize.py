@@ -280,8 +280,8 @@ class _State:
             raise NonFiniteError(
                 f"the optimisation diverged at iteration {iteration} (loss {value:.3g}, best "
                 f"{self._best:.3g}), although the learning rate was halved {MOST_ROLLBACKS} times. "
-                f"Lower it from {self._first_rate:g}, or check the smoke for extreme values, and "
-                "what is set of losses and optics."
+                f"Lower it from {self._first_rate:g}, or check for extreme values in the smoke "
+                "and in the settings of losses and optics."
             )
         self._put(self._good[0])
         self.adam.restore(self._good[1])
@@ -306,7 +306,7 @@ class _State:
         if latest is None:
             raise NonFiniteError(
                 f"the loss or its gradient was NaN or infinite in all {self.rollbacks} iterations. "
-                "Check the smoke for extreme values, and what is set of losses, optics and "
+                "Check for extreme values in the smoke and in the settings of losses, optics and "
                 "learning rates."
             )
         worse = self.rollbacks > 0 and not self._is_sound(last_loss())

@@ -147,18 +147,18 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     if light.advised is not None:
         advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
     if light.reach == 0:
-        cause = "no light of lamps reaches the smoke that is painted"
+        cause = "none of the lights reaches the stylized smoke"
         advice = "Move the lights, or leave them out (colour.target=emission, optics.albedo=0)"
     elif light.share < DIM:
         share = f"{100 * light.share:.2g}%"
-        cause = f"only {share} of the smoke's light comes from lamps, which is not seen"
+        cause = f"the lights give only {share} of the smoke's brightness, which is not visible"
         advice += ", or leave them out (optics.albedo=0)"
     elif light.share > 1 - DIM and light.reach < DARK:
-        cause = f"even white smoke in the light is only {light.reach:.0%} as bright as the style"
+        cause = f"white smoke under the lights is only {light.reach:.0%} as bright as the style"
     elif light.outshone > OUTSHONE:
         cause = (
-            f"the light of lamps alone is brighter than the style's white on {light.outshone:.0%} "
-            "of the smoke, and nothing takes it away"
+            f"the lights alone make {light.outshone:.0%} of the smoke brighter than the style's "
+            "white, and emission cannot darken it"
         )
         advice += ", or lower optics.albedo"
     else:
@@ -168,7 +168,7 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
 
 def _no_iterations(name: str, report: FrameReport) -> Iterator[Finding]:
     """Steps that end where they start."""
-    ends = {"shape": "nothing is moved", "colour": "the colours are the noise that it starts from"}
+    ends = {"shape": "nothing is moved", "colour": "the colours are the noise that it started from"}
     for step, found in report.steps.items():
         if not found.loss:
             yield Finding(
@@ -190,7 +190,7 @@ def _unmoved(name: str, motionless: float) -> Finding:
             "other settings outweigh the style"
         )
         remedy, setting = (
-            "Unset what is set of optics.gamma_shape, shape.learning_rate, losses.keep, "
+            "Use the defaults of optics.gamma_shape, shape.learning_rate, losses.keep, "
             "losses.style and optimize.strength, or leave the step out with "
             "optimize.steps=[colour]",
             "optics.gamma_shape",
@@ -208,7 +208,7 @@ def _hardly_fallen(name: str, step: str, found: StepReport) -> Iterator[Finding]
             _OPTIMISERS[step],
             f"the {step} step ends at {end / first:.0%} of its first loss",
             f"Compare the result with the style; raise {step}.iterations, or optimize.iterations "
-            "where it is set",
+            "if it is set",
             f"{step}.iterations",
         )
 
@@ -227,7 +227,7 @@ def _find_pair(
                     _OPTIMISERS[step],
                     f"the {step} step ends at {ends[mine] / ends[theirs]:.1f} times the loss of "
                     f"{sides[theirs][0]}",
-                    "Look at both frames: cut the shot between them if they are unlike, or set "
+                    "Look at both frames. If they are unlike, cut the shot between them; else set "
                     f"more {step}.iterations",
                     f"{step}.iterations",
                 )

@@ -129,7 +129,7 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
         traceback.print_exception(error)
     kind, message = type(error).__name__, str(error)
     if isinstance(error, KeyboardInterrupt):
-        kind, message = Interrupted.__name__, "stopped; nothing is left behind"
+        kind, message = Interrupted.__name__, "stopped. No incomplete files are left"
     elif isinstance(error, MemoryError):
         message = "out of memory. Lower views.pool, views.image_size or grids.refine."
     elif not isinstance(error, UsdSmokeError):
