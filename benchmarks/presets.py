@@ -28,7 +28,6 @@ from usdsmoke.pictures import read_style_image
 __all__ = ["main", "unseen_loss"]
 
 _COMPARED = ("draft", "daily", "final")  # the paper's needs VGG-19
-_N_VIEWS = 6
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -55,7 +54,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def unseen_loss(
-    result: Result, style: np.ndarray, ranges: tuple[float, float] | None = None
+    result: Result,
+    style: np.ndarray,
+    ranges: tuple[float, float] | None = None,
+    n_views: int = 6,
 ) -> float:
     """The mean style loss of a result's colour pictures from held-out views.
 
@@ -63,13 +65,14 @@ def unseen_loss(
         result: as read from its file.
         style: [H W 3], display-encoded.
         ranges: of azimuth and elevation, degrees to either side; None takes the default settings'.
+        n_views: how many.
     """
     config = Config()
     frame = VolumeFrame(0.0, result.density, result.to_stage)
     scene = measure_scene([frame], config.views, config.optics, result.up_axis, 1)
     loss = make_targets([style], scene, config, torch.device("cpu")).at(1)
     found = []
-    for angles in held_out_angles(_N_VIEWS, *(ranges or view_ranges(config.views))):
+    for angles in held_out_angles(n_views, *(ranges or view_ranges(config.views))):
         view = fit_view(result, *map(float, angles), config.views.image_size)
         premultiplied, alpha = draw_march(result, view)
         picture = composite(premultiplied, alpha, mean_colour(style))

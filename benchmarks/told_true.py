@@ -19,17 +19,24 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy import ndimage
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.optimiser_error import measure_step
-from benchmarks.raymarch import march_rays
 from benchmarks.told_true_scenes import Scene, make_scenes
+from benchmarks.true_errors import (
+    difference,
+    enlarged,
+    filter_errors,
+    marched,
+    transport_error,
+    unevenness,
+)
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
+from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.sequence.error_estimates import painted_frame
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
@@ -46,8 +53,6 @@ __all__ = ["Row", "main", "measure_scene_rows"]
 STYLE = "strokes"
 SECONDS = "CPU seconds"
 FRESH = 48  # views
-STEPS = 6.0  # segments a voxel, of the ray marcher
-FINE = 4  # samples across a pixel
 
 
 @dataclass(frozen=True)
@@ -116,14 +121,11 @@ def _pictures(
     turned = fit_blocks(fit_view(orbit_view(45, 10, "Y", np.zeros(3), 1, 1, size), frame.smoke))
     for where, seen in (("", view), (", at 45 degrees", turned)):
         found = painted.picture(seen, gamma_w).numpy()
-        exact = _marched(density, emission, gamma_w, seen)
+        exact = marched(density, emission, gamma_w, seen)
         error = quadrature_error(painted, seen, gamma_w)
-        yield Row(name, f"quadrature{where}", error, _difference(found, exact))
-    centre = _marched(density, emission, gamma_w, view)
-    offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
-    moved = [_moved(view, x, y) for x in offsets for y in offsets]
-    mean = np.mean([_marched(density, emission, gamma_w, other) for other in moved], axis=0)
-    yield Row(name, "pixel filter", told["pixel filter"], _difference(centre, mean))
+        yield Row(name, f"quadrature{where}", error, difference(found, exact))
+    error = filter_errors(lambda seen: marched(density, emission, gamma_w, seen), view)
+    yield Row(name, "pixel filter", told["pixel filter"], error)
     half = painted.halved()
     coarse = fit_blocks(
         replace(view, pixel_size=2 * size, height=view.height // 2, width=view.width // 2)
@@ -131,105 +133,37 @@ def _pictures(
     finer = replace(coarse, pixel_size=size, height=2 * coarse.height, width=2 * coarse.width)
     rough = half.picture(coarse, gamma_w).numpy()
     exact = painted.picture(finer, gamma_w).numpy()
-    smooth = np.stack(
-        [ndimage.zoom(rough[..., c], 2, order=3, grid_mode=True, mode="nearest") for c in range(4)],
-        -1,
-    )
     yield Row(
         name,
         "resolution",
         resolution_error(half, coarse, gamma_w).value,
-        _difference(smooth, exact),
+        difference(enlarged(rough), exact),
         "at half the resolution; true: against the frame, told: against any finer one",
     )
-
-
-def _moved(view: View, x: float, y: float) -> View:
-    """The view whose pixels' centres lie x, y pixels from its own."""
-    offset = view.pixel_size * (x * view.right + y * view.up)
-    return replace(view, centre=view.centre + offset)
-
-
-def _marched(density: DenseField, emission: DenseField, gamma_w: float, view: View) -> np.ndarray:
-    """Premultiplied colour and alpha, [H W 4]; a voxel of nothing around the box."""
-    to_stage = density.index_to_world.copy()
-    first = np.array([*(np.asarray(density.ijk_min) - 1.0), 1.0])
-    to_stage[3] = first @ density.index_to_world
-    values = np.pad(np.maximum(density.values, 0), 1)
-    light = np.pad(emission.values, [(1, 1)] * 3 + [(0, 0)])
-    picture, alpha = march_rays(values, light, to_stage, gamma_w, view, STEPS)
-    return np.concatenate([picture, alpha[..., None]], axis=-1)
-
-
-def _difference(found: np.ndarray, exact: np.ndarray) -> float:
-    return float(np.abs(found - exact).sum() / np.abs(exact).sum())
 
 
 def _transport(
     name: str, scene: Scene, frame: PaintedFrame, density: DenseField, told: float
 ) -> Row:
     """One cubic warp against the smoke itself at the places that it comes from."""
-    assert frame.displacement is not None
-    lattice = frame.displacement.lattice
-    u = lattice.from_stage(frame.displacement.values).numpy() / np.asarray(lattice.spacing)
-    low = np.asarray(lattice.low)
-    places = np.stack(np.meshgrid(*map(np.arange, u.shape[:3]), indexing="ij"), -1) + low
-    if scene.truth is not None:
-        exact, remark = scene.truth(places - u), "analytic"
-    elif scene.fine is not None:
-        exact, remark = _fine_values(scene, u, low), "finer voxels"
-    else:
-        return Row(name, "transport", told, np.nan, "no finer smoke is known")
-    exact = exact * (np.abs(exact) > 0)
-    found = np.zeros(u.shape[:3])
-    offset = low - np.asarray(density.ijk_min)
-    begin, end = np.maximum(offset, 0), np.minimum(offset + found.shape, density.values.shape)
-    inner = tuple(slice(a - o, b - o) for a, b, o in zip(begin, end, offset, strict=True))
-    found[inner] = density.values[tuple(map(slice, begin, end))]
-    exact = exact * (found.sum() / exact.sum())  # the mass is corrected in the result
-    return Row(name, "transport", told, _difference(found, exact), remark)
-
-
-def _fine_values(scene: Scene, u: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Block means of the finer smoke at the departure points of the finer voxels."""
-    assert scene.fine is not None
-    n = scene.factor
-    within = (np.arange(n) + 0.5) / n - 0.5
-    shape, summed = u.shape[:3], np.zeros(u.shape[:3])
-    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 0).astype(float)
-    for offset in np.ndindex(n, n, n):
-        shift = within[list(offset)][:, None, None, None]
-        moved = [
-            ndimage.map_coordinates(u[..., axis], grid + shift, order=1, mode="nearest")
-            for axis in range(3)
-        ]
-        place = grid + shift - np.stack(moved) + low[:, None, None, None]
-        fine = (place + 0.5) * n - 0.5
-        summed += ndimage.map_coordinates(scene.fine, fine, order=1, mode="constant")
-    return summed / n**3
+    u, lattice = _displacement(frame)
+    true = transport_error(scene, u, lattice.low, density)
+    return Row(name, "transport", told, true, scene.known_by)
 
 
 def _unevenness(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[Row]:
     """Where space folds, and what is read how often, by NumPy."""
+    u, lattice = _displacement(frame)
+    for row, true in unevenness(u, lattice.fill(frame.source).numpy().astype(float)).items():
+        yield Row(name, row, told[row], true)
+
+
+def _displacement(frame: PaintedFrame) -> tuple[np.ndarray, Lattice]:
+    """In voxels [I J K 3], and where it is."""
     assert frame.displacement is not None
     lattice = frame.displacement.lattice
-    u = lattice.from_stage(frame.displacement.values).numpy() / np.asarray(lattice.spacing)
-    box = lattice.fill(frame.source).numpy().astype(float)
-    slopes = np.stack([np.stack(np.gradient(u[..., a]), -1) for a in range(3)], -2)
-    folded = (np.linalg.det(np.eye(3) - slopes) <= 0) & (box > 0)
-    yield Row(name, "folded smoke", told["folded smoke"], folded.sum() / (box > 0).sum())
-    weight = np.zeros(np.array(box.shape) + 2)
-    place = np.stack(np.meshgrid(*map(np.arange, box.shape), indexing="ij"), -1) - u + 1
-    place = place.reshape(-1, 3)
-    base = np.floor(place).astype(int)
-    part = place - base
-    for corner in np.ndindex(2, 2, 2):
-        index = np.clip(base + corner, 0, np.array(weight.shape) - 1)
-        share = np.prod(np.where(np.array(corner) > 0, part, 1 - part), axis=1)
-        np.add.at(weight, tuple(index.T), share)
-    read = weight[1:-1, 1:-1, 1:-1]
-    yield Row(name, "mass, unread", told["mass, unread"], box[read < 0.05].sum() / box.sum())
-    yield Row(name, "mass, read twice", told["mass, read twice"], box[read > 2].sum() / box.sum())
+    u = lattice.from_stage(frame.displacement.values).numpy()
+    return u / np.asarray(lattice.spacing), lattice
 
 
 def _views(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[Row]:

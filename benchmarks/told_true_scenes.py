@@ -37,6 +37,13 @@ class Scene:
     factor: int = 1
     optimiser: bool = True
 
+    @property
+    def known_by(self) -> str:
+        """Where the moved smoke is known from."""
+        if self.truth is not None:
+            return "analytic"
+        return "no finer smoke is known" if self.fine is None else "finer voxels"
+
 
 def make_scenes(data: Path) -> dict[str, Scene]:
     """The scenes by name; those of the real plume only if its file is in ``data``."""
