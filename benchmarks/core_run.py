@@ -111,6 +111,7 @@ def _found(
     return {
         "density": (result.density.values, tuple(map(int, result.density.ijk_min))),
         "emission": (result.emission.values, tuple(map(int, result.emission.ijk_min))),
+        "index_to_world": np.asarray(result.density.index_to_world),
         "gamma_w": scene.gamma_w,
         "u": u,
         "low": tuple(map(int, lattice.low)),
