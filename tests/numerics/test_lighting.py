@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.lights import field_of, lumpy_ball, our_picture, refined
 from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.base.volume import LightSource, Scattering
 from usdsmoke.core.smoke.active import ActiveSmoke
@@ -182,3 +183,16 @@ def test_the_gradient_of_a_lit_picture_is_that_of_its_differences(depth, painted
 
     colours = torch.rand(len(smoke.ijk), 3, dtype=torch.float64, generator=torch.manual_seed(0))
     assert torch.autograd.gradcheck(loss, colours.requires_grad_(True), eps=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(("depth", "most"), [(1.0, 0.004), (30.0, 0.035), (50.0, 0.056)])
+@pytest.mark.parametrize("towards", [(0.8, 0.36, 0.48), None], ids=["sun", "dome"])
+def test_light_on_the_smoke_s_own_voxels_is_little_darker_than_on_finer_ones(depth, most, towards):
+    """A column of 32 voxels; the bound for thick smoke is what the documents say."""
+    n, density = 32, lumpy_ball(32)
+    scattering = Scattering((LightSource("/light", (1.0, 1.0, 1.0), towards),), 0.9)
+    gamma_w, means = depth / float((density.sum(2) / n).max()), []
+    for factor in (1, 2):
+        field, side = field_of(refined(density, factor)), factor * n
+        means.append(float(our_picture(field, gamma_w, scattering, front_view(side)).mean()))
+    assert abs(means[0] / means[1] - 1) < most

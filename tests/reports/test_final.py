@@ -12,7 +12,7 @@ import pytest
 
 from tests.fixtures.pipeline_fixtures import make_style
 from tests.fixtures.preview_fixtures import look_of_four_frames
-from tests.fixtures.usd_fixtures import write_text
+from tests.fixtures.usd_fixtures import make_look, plume_stage, write_text
 from usdsmoke.base.errors import MissingPackage, StageError
 from usdsmoke.ui.cli.main import main
 from usdsmoke.work_precision import check_final, final
@@ -117,6 +117,17 @@ def test_a_stage_without_a_look_is_refused(dark, tmp_path):
     with pytest.raises(StageError, match="look"):
         check_final(tmp_path / "shot.usda", make_style(tmp_path / "a.png"), tmp_path / "report")
     assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_the_frame_nearest_to_the_middle_that_has_a_look_is_drawn(empty, dark, tmp_path):
+    stage = plume_stage(tmp_path / "in", (1, 2, 3, 4, 5))
+    (tmp_path / "out").mkdir()
+    look = make_look(stage, tmp_path / "out", frames="1-2", empty=empty)
+    found, _ = check_final(look.root_stage, make_style(tmp_path / "a.png"), tmp_path / "report")
+    assert found.time_code == 2
+    with pytest.raises(StageError, match="timeCode 5"):
+        check_final(look.root_stage, tmp_path / "a.png", tmp_path / "r", {"stage.frames": "5"})
 
 
 @pytest.mark.skipif(HAS_MITSUBA, reason="Mitsuba 3 is installed")

@@ -23,7 +23,7 @@ from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles, resolve_config, style_paths
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.pictures import compose_sheet, read_style_image, write_png
 from usdsmoke.usd.stage import ComposedVolume, StageOrFile, open_stage
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from usdsmoke.core.steps.pictures import ColourView
     from usdsmoke.core.steps.targets import StyleTargets
+    from usdsmoke.pictures.preview_smoke import Smoke
 
 SIZE = 96  # pixels of the longer side: the path tracer draws about 50 000 rays a second
 VIEWS = (0.0, 120.0, 240.0)  # degrees around the up axis, from the front
@@ -61,14 +62,14 @@ def check_final(
     settings: Settings = None,
     samples: int = 64,
 ) -> tuple[FinalCheck, tuple[Path, ...]]:
-    """Draw and score a look's middle frame; write the files final.png and final.json.
+    """Draw and score the middle frame of a look; write the files final.png and final.json.
 
     Args:
         stage: a look's root layer.
         style: the style images that it was made from.
         output: the folder; made if missing. Old files are replaced.
         settings: those of the look that matter to a picture's loss; of the frames that
-            ``stage.frames`` selects the middle one is drawn, of the Volumes the first with a look.
+            ``stage.frames`` selects the middle one with a look is drawn, of the Volumes the first.
         samples: a pixel.
 
     Raises:
@@ -85,27 +86,18 @@ def check_final(
     ours = config.stage
     selected = StageConfig(prims=ours.prims, frames=ours.frames, density=ours.density)
     smoke = find_smoke(open_stage(stage), selected)
-    codes = smoke.time_codes
-    code = codes[len(codes) // 2]
-    volume = _first_look(smoke.shown(code), code)
-    density, emission, colour = smoke.fields(volume)
-    if volume.extinction is None:
-        raise StageError(
-            f"<{volume.prim_path}> has no usdSmoke:extinctionPerDensity. Pass the root layer of a "
-            "result."
-        )
+    code, look = _middle_look(smoke)
     images = [read_style_image(image).pixels for image in style_paths(style)]
     drawn = list(
         _draw(
-            _Look(volume, density, emission, colour, volume.extinction),
-            images, config, smoke.whole.up_axis, samples,
+            look, images, config, smoke.whole.up_axis, samples,
         )
     )  # fmt: skip
     loss = {name: float(np.mean([one.loss[name] for one in drawn])) for name in drawn[0].loss}
     light = {name: float(np.mean([one.light[name] for one in drawn])) for name in drawn[0].light}
     found = FinalCheck(
-        volume.prim_path, code, loss, light, light[FINAL] / max(light[ONCE], 1e-30) - 1, samples,
-        time.perf_counter() - started,
+        look.volume.prim_path, code, loss, light, light[FINAL] / max(light[ONCE], 1e-30) - 1,
+        samples, time.perf_counter() - started,
     )  # fmt: skip
     return found, _write(found, drawn, images, Path(output).absolute())
 
@@ -140,14 +132,29 @@ class _Drawn:
     light: dict[str, float]  # mean of the picture
 
 
-def _first_look(shown: Sequence[ComposedVolume], code: float) -> ComposedVolume:
-    looks = [volume for volume in shown if volume.emission is not None or volume.colour is not None]
-    if not looks:
-        raise StageError(
-            f"no Volume has a look at timeCode {format_time_code(code)}. Pass the root layer of a "
-            "result, such as shot_look.usda, and --frames that were stylized."
-        )
-    return looks[0]
+def _middle_look(smoke: "Smoke") -> tuple[float, "_Look"]:
+    """The frame with a look that is nearest to the middle one, and its first Volume with a look.
+
+    Frames that were not stylized show an empty emission.
+    """
+    codes = smoke.time_codes
+    middle = len(codes) // 2
+    for number in sorted(range(len(codes)), key=lambda number: abs(number - middle)):
+        for volume in smoke.shown(codes[number]):
+            density, emission, colour = smoke.fields(volume)
+            painted = (emission, colour)
+            if not any(field is not None and field.values.any() for field in painted):
+                continue
+            if volume.extinction is None:
+                raise StageError(
+                    f"<{volume.prim_path}> has no usdSmoke:extinctionPerDensity. Pass the root "
+                    "layer of a result."
+                )
+            return codes[number], _Look(volume, density, emission, colour, volume.extinction)
+    raise StageError(
+        f"no Volume has a look at {name_time_codes(codes)}. Pass the root layer of a result, such "
+        "as shot_look.usda, and --frames that were stylized."
+    )
 
 
 def _draw(

@@ -242,7 +242,12 @@ def colour_map(
     mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
     pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
     del foot, depth, mass  # each as large as the weights
-    depths = slab_depths(slab, pixel, weight, n_pixels)
+    n_cells = (int(slab.max()) + 2) * n_pixels
+    near, behind = weight.new_zeros(n_cells), weight.new_zeros(n_cells)
+    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
+        add_depths(near, behind, slab[part], pixel[part], weight[part], n_pixels)
+    depths = near.add_(behind).view(-1, n_pixels)
+    del behind
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     light_up(depths)
     per_depth = depths.view(-1)
@@ -270,18 +275,16 @@ def slab_cells(
     return cell, (slab - near).to(dtype)[:, None]
 
 
-def slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
-    """The optical depth of voxels with the shares [N 4] in slabs and pixels, [S P].
+def add_depths(
+    near: Tensor, behind: Tensor, slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int
+) -> None:
+    """Add optical depths [N 4] of voxels to the two slabs around each, [S P] flattened, apart.
 
     On a GPU the order of the sums, and with it the last bits, is not fixed.
     """
-    n_cells = (int(slab.max()) + 2) * n_pixels
-    near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = slab_cells(slab[part], pixel[part], n_pixels, share.dtype)
-        near.index_add_(0, cell.view(-1), (share[part] * (1 - far)).view(-1))
-        behind.index_add_(0, (cell + n_pixels).view(-1), (share[part] * far).view(-1))
-    return near.add_(behind).view(-1, n_pixels)
+    cell, far = slab_cells(slab, pixel, n_pixels, share.dtype)
+    near.index_add_(0, cell.view(-1), (share * (1 - far)).view(-1))
+    behind.index_add_(0, (cell + n_pixels).view(-1), (share * far).view(-1))
 
 
 def light_up(depths: Tensor) -> None:

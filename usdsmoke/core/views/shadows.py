@@ -15,10 +15,10 @@ from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import (
     MOST_CELLS,
     THICKEST,
+    add_depths,
     light_up,
     project_voxels,
     slab_cells,
-    slab_depths,
     split_points,
 )
 from usdsmoke.core.views.scene import fit_view
@@ -40,14 +40,14 @@ class ShadowMap:
         Args:
             positions: [P 3] float64, stage space, among the smoke.
         """
-        foot = project_voxels(positions, self.view)
-        slab = ((foot.depth - self.nearest) / self.step + 1).clamp(0, self.last)
         n_pixels, dtype = self.arriving.shape[1], self.arriving.dtype
-        arriving, found = self.arriving.view(-1), self.arriving.new_empty(len(slab))
-        for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-            cell, far = slab_cells(slab[part], foot.pixel[part], n_pixels, dtype)
+        arriving, found = self.arriving.view(-1), self.arriving.new_empty(len(positions))
+        for part in chunks(len(positions), CHUNK_ROWS, positions.device):
+            foot = project_voxels(positions[part], self.view)
+            slab = ((foot.depth - self.nearest) / self.step + 1).clamp(0, self.last)
+            cell, far = slab_cells(slab, foot.pixel, n_pixels, dtype)
             here = arriving[cell] * (1 - far) + arriving[cell + n_pixels] * far
-            found[part] = (foot.weight[part].to(dtype) * here).sum(1)
+            found[part] = (foot.weight.to(dtype) * here).sum(1)
         return found
 
 
@@ -57,8 +57,8 @@ def trace_shadows(
     """The shadow map of a distant light.
 
     In slab s with optical depth t_s it is exp(-sum_{r<s} t_r) (1 - exp(-t_s)) / t_s, the mean over
-    the slab. It is bounded for every optical depth, and of second order in the
-    voxel's size where a voxel is optically thin.
+    the slab. It is bounded for every optical depth, and of second order in the voxel's size where a
+    voxel is optically thin.
 
     Args:
         smoke: what casts shadows, one voxel or more.
@@ -70,23 +70,30 @@ def trace_shadows(
     """
     view = fit_view(light_view(towards, smoke.voxel_size), smoke)
     points, n_points = split_points(smoke.positions, smoke.edges, view)
-    n_pixels, foot = view.height * view.width, project_voxels(points, view)
-    nearest, farthest = float(foot.depth.min()), float(foot.depth.max())
-    step = max(smoke.voxel_size, (farthest - nearest) * n_pixels / MOST_CELLS)
-    slab = (foot.depth - nearest) / step + 1  # behind an empty slab
+    n_pixels, axis = view.height * view.width, points.new_tensor(view.forward)
+    depth = (points - points.new_tensor(view.centre)) @ axis
+    nearest, length = float(depth.min()), float(depth.max() - depth.min())
+    step = max(smoke.voxel_size, length * n_pixels / MOST_CELLS)
+    last = length / step + 1  # behind an empty slab
     density = smoke.density
     if n_points > 1:
         density = density.repeat_interleave(n_points)
     volume = smoke.voxel_volume / n_points
-    mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
-    mass = (foot.weight * mass[:, None]).to(density.dtype)
-    arriving = slab_depths(slab, foot.pixel, mass, n_pixels)
+    n_cells = (int(last) + 2) * n_pixels
+    near, far = density.new_zeros(n_cells), density.new_zeros(n_cells)
+    for part in chunks(len(points), CHUNK_ROWS, points.device):
+        foot = project_voxels(points[part], view)
+        mass = (density[part] * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
+        mass = (foot.weight * mass[:, None]).to(density.dtype)
+        slab = ((foot.depth - nearest) / step + 1).clamp(0, last)
+        add_depths(near, far, slab, foot.pixel, mass, n_pixels)
+    arriving = near.add_(far).view(-1, n_pixels)
     behind = arriving.flip(0) if both else None
     light_up(arriving)
     if behind is not None:
         light_up(behind)
         arriving = (arriving + behind.flip(0)) / 2
-    return ShadowMap(view, arriving, nearest, step, float(slab.max()))
+    return ShadowMap(view, arriving, nearest, step, last)
 
 
 def light_view(towards: np.ndarray, pixel_size: float) -> View:
