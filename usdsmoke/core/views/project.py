@@ -242,12 +242,7 @@ def colour_map(
     mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
     pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
     del foot, depth, mass  # each as large as the weights
-    n_cells = (int(slab.max()) + 2) * n_pixels
-    near, behind = weight.new_zeros(n_cells), weight.new_zeros(n_cells)
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        add_depths(near, behind, slab[part], pixel[part], weight[part], n_pixels)
-    depths = near.add_(behind).view(-1, n_pixels)
-    del behind
+    depths = _slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     light_up(depths)
     per_depth = depths.view(-1)
@@ -275,10 +270,19 @@ def slab_cells(
     return cell, (slab - near).to(dtype)[:, None]
 
 
+def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
+    """The optical depth of voxels with the shares [N 4] in slabs and pixels, [S P]."""
+    n_cells = (int(slab.max()) + 2) * n_pixels
+    near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
+    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
+        add_depths(near, behind, slab[part], pixel[part], share[part], n_pixels)
+    return near.add_(behind).view(-1, n_pixels)
+
+
 def add_depths(
     near: Tensor, behind: Tensor, slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int
 ) -> None:
-    """Add optical depths [N 4] of voxels to the two slabs around each, [S P] flattened, apart.
+    """Add optical depths [N 4] of voxels to the two slabs around each, [S P] flattened.
 
     On a GPU the order of the sums, and with it the last bits, is not fixed.
     """
