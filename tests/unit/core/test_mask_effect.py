@@ -134,7 +134,7 @@ def test_a_mask_that_leaves_no_smoke_leaves_the_frame_out_with_its_reason(place,
     assert result.density is frame.density and result.emission is not None
     assert result.emission.values.shape == (*DENSITY.shape, 3)
     assert not result.emission.values.any()
-    assert result.report.left_out == "the mask is 0 wherever there is smoke"
+    assert "mask" in result.report.left_out
 
 
 def test_values_beyond_the_range_are_clamped_with_a_warning(plain):
@@ -200,7 +200,7 @@ def test_a_frame_that_its_mask_leaves_out_in_the_middle_does_not_break_the_windo
         for k, frame in enumerate(moving)
     ]
     first, middle, last = run_core(frames, config)
-    assert middle.report.left_out == "the mask is 0 wherever there is smoke"
+    assert "mask" in middle.report.left_out
     assert not middle.emission.values.any() and middle.density is frames[1].density
     assert last.emission.values == pytest.approx(first.emission.values, abs=1e-4)
     assert by_voxel(first.emission)

@@ -128,7 +128,7 @@ def test_a_camera_and_a_mask_multiply():
     assert all(found[voxel] == source[voxel] and voxel not in emission for voxel in still)
     elsewhere = masked(np.broadcast_to(np.arange(N) < 8, (N, N, N)).swapaxes(0, 2), FRAME)
     away = run_core([seen_by(half_camera(), elsewhere)])[0]
-    assert away.report.left_out == "the mask is 0 wherever the camera sees smoke"
+    assert {"mask", "camera"} <= set(away.report.left_out.split())
 
 
 @pytest.mark.parametrize("edge", [-6.0, -4.0, -2.0, 0.0, 3.0, 8.0])

@@ -58,13 +58,13 @@ def test_the_reason_is_the_setting_that_is_to_blame(
 
 def test_one_frame_has_no_frame_before_it(tmp_path: Path) -> None:
     found = budget_of(tmp_path, [ALONE], n_frames=1).left_out
-    assert found["temporal, displacement"] == "there is one frame only"
+    assert "one frame" in found["temporal, displacement"]
 
 
 def test_frames_that_were_left_out_are_the_reason_for_everything(tmp_path: Path) -> None:
     found = budget_of(tmp_path, [EMPTY] * 4).left_out
     for name in ("quadrature", "transport", "optimiser, colour", "temporal, colour"):
-        assert found[name] == "no frame is stylized (empty frame)"
+        assert "empty frame" in found[name]
 
 
 def test_the_border_between_windows_is_named_as_not_measured(tmp_path: Path) -> None:

@@ -68,9 +68,9 @@ def test_a_selection_without_volumes_is_answered_with_those_that_there_are(
 
 def test_a_stage_without_volumes_or_no_stage_becomes_a_message(tmp_path: Path) -> None:
     api, _ = open_in_usdview(write_text(tmp_path / "bare.usda", HEADER))
-    assert "no Volume on this stage" in refusal("inspect", api)
+    assert "no Volume" in refusal("inspect", api)
     api.stage = None
-    assert "no stage is open" in refusal("validate", api)
+    assert "no stage" in refusal("validate", api)
 
 
 def test_volumes_behind_payloads_that_are_not_loaded_are_hinted_at(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_volumes_behind_payloads_that_are_not_loaded_are_hinted_at(tmp_path: Pat
     text = HEADER + '\ndef "World" (payload = @shot.usda@</World>) {\n}\n'
     stage = Usd.Stage.Open(str(write_text(tmp_path / "top.usda", text)), Usd.Stage.LoadNone)
     api = FakeApi(stage, [stage.GetPseudoRoot()], Usd.TimeCode(1))
-    assert "1 payloads are not loaded" in refusal("inspect", api)
+    assert "1 payload" in refusal("inspect", api)
 
 
 # Inspect and validate
@@ -125,7 +125,7 @@ def test_what_nobody_foresaw_becomes_a_message(
     api, _ = open_in_usdview(two_plumes)
     assert "unexpected KeyError: 'surprise'" in refusal("provenance", api)
     monkeypatch.setitem(sys.modules, "usdsmoke.usd.rules", None)
-    assert "usdsmoke needs OpenUSD 24.05" in refusal("validate", api)
+    assert "OpenUSD 24.05" in refusal("validate", api)
 
 
 # Provenance

@@ -105,7 +105,7 @@ def test_the_look_of_another_volume_stays(tmp_path: Path) -> None:
     api.selectedPrims = [api.stage.DefinePrim("/Other", "Volume")]
     window = FakeWindow()
     run_action("toggle", "Toggle", api, window)
-    assert "there is no look of usdsmoke on </Other>" in window.warnings[0][1]
+    assert "</Other>" in window.warnings[0][1]
     assert shown(api) == "vdb" and api.stage.GetMutedLayers() == []
 
 
@@ -127,7 +127,7 @@ def test_a_look_that_is_the_root_itself_cannot_be_muted(tmp_path: Path) -> None:
     api, _ = open_in_usdview(files.look_layer)
     window = FakeWindow()
     run_action("toggle", "Toggle", api, window)
-    assert "cannot be muted" in window.warnings[0][1]
+    assert "muted" in window.warnings[0][1]
 
 
 def variant_stage(folder: Path, names: tuple[str, ...] = ("fire", "original", "stylized")) -> Path:
@@ -164,7 +164,7 @@ def test_somebody_elses_variant_set_is_left_alone(tmp_path: Path) -> None:
     api, _ = open_in_usdview(variant_stage(tmp_path, ("fire", "stylized")))
     window = FakeWindow()
     run_action("toggle", "Toggle", api, window)
-    assert "there is no look of usdsmoke" in window.warnings[0][1]
+    assert "no look" in window.warnings[0][1]
 
 
 def test_without_a_session_layer_a_variant_cannot_be_chosen(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_without_a_session_layer_a_variant_cannot_be_chosen(tmp_path: Path) -> N
     stage = Usd.Stage.Open(root, sessionLayer=None)
     window = FakeWindow()
     run_action("toggle", "Toggle", FakeApi(stage, [], Usd.TimeCode(1)), window)
-    assert "no session layer" in window.warnings[0][1]
+    assert "session layer" in window.warnings[0][1]
 
 
 def test_an_asset_of_several_root_prims_is_switched_as_a_whole(tmp_path: Path) -> None:
