@@ -61,11 +61,10 @@ def lights_needed(config: Config, frames: Sequence[FramePlan]) -> list[str]:
     names = _light_names(frames)
     if not names:
         return []
-    why = ", because light reaches it" if config.optics.albedo is None else ""
     often = ", more than once (optics.bounces)" if config.optics.bounces else ""
     return [
-        f"the light of {names}, of which the smoke scatters {config.albedo:.0%}{often} "
-        f"(optics.albedo{why}; 0 leaves it out)"
+        f"the light of {names}; the smoke scatters {config.albedo:.0%} of it{often} "
+        "(optics.albedo; 0 leaves it out)"
     ]
 
 
@@ -91,8 +90,8 @@ def lights_remark(config: Config, volume: VolumePlan) -> list[str]:
     if config.optics.names_lights:
         to_add = " and ".join(_stage_light(light) for light in volume.frames[0].source.lights)
         found.append(
-            f"{' and '.join(lights)} light no other renderer. Add {to_add} to the stage, and no "
-            "other lights, or the look is darker there than it was painted"
+            f"other renderers do not have {' and '.join(lights)}, and draw the look darker. For "
+            f"them add {to_add} to the stage, and no other lights"
         )
     return found
 
