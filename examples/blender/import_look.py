@@ -5,9 +5,9 @@
 
 Blender's own importer brings the Volumes without a material. This script builds one for each Volume
 that has a look: extinction gamma_w * density, of which the albedo scatters, and emission. Cycles
-counts lengths in the Volume's own space, so both are multiplied by ``usdSmoke:stageUnitsPerUnit``.
-Suns become as bright as on the stage, and domes of one colour the world: Blender 5.0.1's importer
-makes suns four times as bright, and leaves such domes out.
+measures lengths in the Volume's own space, so both are multiplied by
+``usdSmoke:stageUnitsPerUnit``. Suns become as bright as on the stage, and a dome of one colour
+becomes the world: Blender 5.0.1's importer makes suns four times as bright, and leaves domes out.
 With ``--render`` one frame is drawn over black, square, through the stage's camera. Made for
 Blender 5.0, whose Python has pxr.
 """

@@ -2,8 +2,8 @@
 
 A step is: sources, forces (buoyancy, vorticity confinement), projection, advection. Sources:
 J. Stam, "Stable Fluids", 1999; R. Fedkiw, J. Stam, H. W. Jensen, "Visual Simulation of Smoke",
-2001;
-for the clamped advection A. Selle et al., "An Unconditionally Stable MacCormack Method", 2008.
+2001.
+Clamped advection: A. Selle et al., "An Unconditionally Stable MacCormack Method", 2008.
 The projection is exact: with slip walls each velocity component is a sine series along its own
 axis and a cosine series along the others, so that removing the divergence is a product in
 frequency space.

@@ -1,6 +1,8 @@
 """Inspect a stage, stylize it and check the result, all from Python.
 
-python examples/python_api/stylize_and_check.py
+    python examples/python_api/stylize_and_check.py
+
+The result goes to out/python_api.
 """
 
 import argparse
