@@ -101,13 +101,15 @@ def test_one_bad_volume_among_good_ones_is_left_out_by_naming_the_others(
         ),
     }[fault]
     shot = shot_of(tmp_path, smoke("good") + bad)
-    with pytest.raises((StageError, GridError), match=r"World/bad.*--prim"):
-        make_plan(shot.stage, shot.style, shot.output)
+    for prims in ([], ["/World"]):  # a group too
+        with pytest.raises((StageError, GridError), match=r"World/bad.*--prim /World/good\."):
+            make_plan(shot.stage, shot.style, shot.output, {"stage.prims": prims})
     found = make_plan(shot.stage, shot.style, shot.output, {"stage.prims": ["/World/good"]})
     assert found.n_frames == 2
     seen = inspect(shot.stage)
     assert "/World/good" in [volume["prim_path"] for volume in seen["volumes"]]
-    assert any("/World/bad" in problem for problem in seen["problems"])
+    told = [item for item in seen["problems"] if "/World/bad" in item]
+    assert told and all(item.endswith(".") for item in told) and seen["omitted"] == []
 
 
 @pytest.mark.usefixtures("core")

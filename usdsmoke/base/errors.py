@@ -28,6 +28,8 @@
 A message has two parts: what is wrong (what was found), and what to do.
 """
 
+from collections.abc import Sequence
+
 
 class UsdSmokeError(Exception):
     """Base of every named error; the command line prints its text and exits with 1.
@@ -141,3 +143,15 @@ def count_text(count: int, noun: str) -> str:
     ('1 style image', '2 style images')
     """
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def others_advice(paths: Sequence[str]) -> str:
+    """How to go on without a Volume that cannot be used, as a sentence with a space before it.
+
+    >>> others_advice(["/World/smoke", "/World/fire"])
+    ' Or use the others: --prim /World/smoke --prim /World/fire.'
+    >>> others_advice([])
+    ''
+    """
+    options = " ".join(f"--prim {path}" for path in paths)
+    return f" Or use the others: {options}." if options else ""

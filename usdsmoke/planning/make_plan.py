@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from usdsmoke.base.errors import ConfigError, GridError, PlanError
+from usdsmoke.base.errors import ConfigError, GridError, PlanError, others_advice
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, frame_places, volume_stems
 from usdsmoke.base.settings import Config
@@ -60,15 +60,18 @@ def make_plan(
         settings = [VolumeSettings(config, (0,))] * len(stems)
     headers: dict[str, FileHeader] = {}
     volumes: list[VolumePlan] = []
+    errors: list[GridError] = []
     for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
         first_index = sum(len(earlier.windows) for earlier in volumes)
         try:
-            planned = _plan_volume(volume, stem, own, headers, first_index, source.frame_length)
+            volumes.append(
+                _plan_volume(volume, stem, own, headers, first_index, source.frame_length)
+            )
         except GridError as error:
-            if len(source.volumes) == 1:
-                raise
-            raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
-        volumes.append(planned)
+            errors.append(error)
+    if errors:
+        others = others_advice([planned.source.prim_path for planned in volumes])
+        raise type(errors[0])(f"{errors[0]}{others}")
     volumes = _with_places(volumes, volume_stems(paths), config)
     costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
     return Plan(

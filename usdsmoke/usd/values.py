@@ -90,8 +90,8 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
         return f"that is {packed_problem(package)}"
     if not file_path and FRAME_PATTERN.search(authored_path):
         return (
-            "OpenUSD expands no frame patterns. Author a time sample for each file, as "
-            "'usdsmoke stage' does."
+            "OpenUSD expands no frame patterns. Author a time sample for each file or value clips, "
+            f"or make a stage of the files: usdsmoke stage '{authored_path}' -o NEW.usda."
         )
     if not file_path:
         return "there is no such file. Check the path, and whether the files were copied too."

@@ -154,9 +154,10 @@ def inspection_text(found: Mapping[str, Any]) -> str:
             lines += ["  stylized with", *(f"    {line}" for line in columns(asked))]
     for omission in found["omitted"]:
         lines += ["", f"left out: {omission['what']}: {omission['reason']}"]
-    lines += ["", *(f"note: {note}" for note in found["notes"])]
-    lines += ["", *(f"problem: {problem}" for problem in found["problems"])]
-    return "\n".join(lines).rstrip()
+    for word in ("note", "problem"):
+        if texts := found[f"{word}s"]:
+            lines += ["", *(f"{word}: {text}" for text in texts)]
+    return "\n".join(lines)
 
 
 def source_stage_text(made: "SourceStage") -> str:

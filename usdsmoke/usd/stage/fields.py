@@ -169,7 +169,7 @@ def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
 def _density_advice(names: dict[str, list[Sdf.Path]]) -> str:
     """What to do about a Volume without a field of the density's name."""
     if not names:
-        return "Give it a field, or leave it out by naming the other Volumes with --prim."
+        return "Give it a field of density."
     others = [name for name in names if name not in (*COLOUR_VECTORS, *COLOUR_CHANNELS)]
     name = others[0] if len(others) == 1 else "NAME"
     return f"Say which one is the density: --set stage.density={name}."

@@ -1,8 +1,7 @@
 """Which Volumes of a stage, at which timeCodes, and what their fields show then."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -14,6 +13,7 @@ from usdsmoke.base.errors import (
     ConfigError,
     FieldNotFound,
     StageError,
+    others_advice,
 )
 from usdsmoke.base.naming import VARIANT_SET
 from usdsmoke.base.sections import StageConfig
@@ -50,6 +50,7 @@ from usdsmoke.usd.stage.unopened import unopened_layers
 from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
+_OF_ONE_VOLUME = (FieldNotFound, AssetNotResolved, StageError)
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
 
 
@@ -62,6 +63,11 @@ class _Outline:
     time_codes: tuple[float, ...]  # gaps included
     existing: tuple[float, ...]  # gaps left out
     animated: bool
+
+    @property
+    def path(self) -> str:
+        """The prim's."""
+        return str(self.prim.GetPath())
 
 
 @readable_values()
@@ -98,31 +104,40 @@ def find_volumes(
     ranges = parse_frames(config.frames)
     prims, omitted = choose_volumes(stage, config.prims)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
-    outlines = _outline_volumes(list(zip(prims, own, strict=True)), problems, copied)
+    outlines, errors = _outline_volumes(list(zip(prims, own, strict=True)), copied)
+    if not outlines:
+        raise errors[0] if problems is None else StageError("; ".join(map(str, errors)))
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
+        absent = list[str]()
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
-            (missing if config.allow_missing or problems is None else problems).extend(absent)
-            if absent and not selected:
-                omitted[str(outline.prim.GetPath())] = absent[0]
-                continue
         if selected:
-            with _left_out(problems, is_alone=len(prims) == 1):
-                volumes.append(
-                    _read_volume(outline, selected, with_requests, with_styles, problems)
+            if problems is None or config.allow_missing:
+                missing += absent
+            else:
+                problems += [f"{sentence}." for sentence in absent]
+            try:
+                found = _read_volume(outline, selected, with_requests, with_styles, problems)
+                volumes.append(found)
+            except _OF_ONE_VOLUME as error:
+                errors.append(error)
+        elif absent and problems is not None:
+            problems += [f"{sentence}." for sentence in absent]
+        elif absent:
+            omitted[outline.path] = absent[0]
+        else:
+            codes = format_time_codes(outline.existing)
+            if outline.path in config.prims:
+                raise StageError(
+                    f"Volume <{outline.path}> (--prim) has timeCodes {codes}, none of them in "
+                    f"{config.frames!r}. Choose other frames, or drop it from --prim."
                 )
-            continue
-        codes, path = format_time_codes(outline.existing), str(outline.prim.GetPath())
-        if path in config.prims:
-            raise StageError(
-                f"Volume <{path}> (--prim) has timeCodes {codes}, none of them in "
-                f"{config.frames!r}. Choose other frames, or drop it from --prim."
-            )
-        omitted[path] = f"none of its timeCodes {codes} is in {config.frames!r}"
+            omitted[outline.path] = f"none of its timeCodes {codes} is in {config.frames!r}"
+    _tell(errors, problems, (volume.prim_path for volume in volumes))
     if not volumes:
-        raise _nothing_left(missing, problems)
+        raise _nothing_left([*missing, *omitted.values()], problems)
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
 
 
@@ -149,31 +164,28 @@ def _check_units(stage: Usd.Stage) -> None:
 
 
 def _outline_volumes(
-    pairs: Sequence[tuple[Usd.Prim, StageConfig]],
-    problems: list[str] | None,
-    copied: Sequence[str],
-) -> list[_Outline]:
-    outlines = []
+    pairs: Sequence[tuple[Usd.Prim, StageConfig]], copied: Sequence[str]
+) -> tuple[list[_Outline], list[StageError]]:
+    """The Volumes that have a density, and the errors of the others."""
+    outlines, errors = list[_Outline](), list[StageError]()
     for prim, config in pairs:
-        with _left_out(problems, is_alone=len(pairs) == 1):
+        try:
             outlines.append(_outline_volume(prim, config, copied))
-    if not outlines:
-        raise StageError("; ".join(problems or ()))
-    return outlines
+        except _OF_ONE_VOLUME as error:
+            errors.append(error)
+    return outlines, errors
 
 
-@contextmanager
-def _left_out(problems: list[str] | None, is_alone: bool) -> Iterator[None]:
-    """Note the error of one Volume; or raise it, with the way to leave that Volume out."""
-    try:
-        yield
-    except (FieldNotFound, AssetNotResolved, StageError) as error:
-        if problems is not None:
-            problems.append(str(error))
-        elif is_alone:
-            raise
-        else:
-            raise type(error)(f"{error} Or name the other Volumes with --prim.") from None
+def _tell(errors: Sequence[StageError], problems: list[str] | None, good: Iterable[str]) -> None:
+    """Note the errors of some Volumes; or raise the first, with the way to leave these out.
+
+    Args:
+        good: paths of the Volumes that can be used.
+    """
+    if problems is not None:
+        problems += map(str, errors)
+    elif errors:
+        raise type(errors[0])(f"{errors[0]}{others_advice(list(good))}")
 
 
 def _describe_stage(
