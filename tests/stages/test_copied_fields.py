@@ -226,3 +226,19 @@ def test_a_compact_velocity_is_where_the_smoke_is_and_half_as_large(tmp_path: Pa
     np.testing.assert_allclose(vel.values, 0.3, rtol=1e-3)
     (smoke,) = read_grids(compact.frames[0], [GridRequest("density")], GridsConfig())
     assert not smoke.half
+
+
+@pytest.mark.parametrize(
+    "fields", [("[vel,heat]",), ("[vel]", "layer.copy_velocity=true"), ("[all]",)]
+)
+def test_a_velocity_that_is_named_among_other_fields_is_a_velocity(
+    fire: Shot, fields: tuple[str, ...]
+) -> None:
+    """It has no relationship, so that only its grid's name can be given."""
+    named, *more = fields
+    settings = (f"layer.copy_fields={named}", *more, "layer.compact_velocity=true")
+    result = run(fire, *settings, "stage.frames=1", "layer.contact_sheet=0")
+    (vel,) = read_grids(result.frames[0], [GridRequest("vel")], GridsConfig())
+    assert vel.half
+    assert not any("copy of vel" in item.what for item in result.plan.omitted)
+    assert ("heat" in grids_in(result.frames[0])) == (named != "[vel]")

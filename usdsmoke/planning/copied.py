@@ -84,7 +84,7 @@ def find_copies(
     kept = [tuple(grid for grid in g.values() if grid.name not in reasons) for g in found]
     for name in wanted:
         velocity = velocities[0]
-        is_velocity = velocity is not None and name in (velocity.name, *volume.velocity)
+        is_velocity = velocity is not None and name in {*velocity.names, *volume.velocity}
         if name == EVERYTHING or is_velocity or any(grid.name == name for grid in kept[0]):
             continue
         reason = reasons.get(name, "there is no such relationship or grid that can be read")

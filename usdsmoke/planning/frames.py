@@ -23,6 +23,11 @@ class VelocitySource:
     name: str  # the name for ``read_velocity``
     grids: tuple[GridHeader, ...]
 
+    @property
+    def names(self) -> set[str]:
+        """The names that settings may call it by."""
+        return {*filter(None, [self.name]), *(grid.name for grid in self.grids)}
+
 
 @dataclass(frozen=True)
 class MaskSource:
@@ -133,7 +138,7 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
     """
     if velocity is None or config.layer.copy_velocity is not None:
         return velocity is not None and bool(config.layer.copy_velocity)
-    if {"all", velocity.name, velocity.field.relationship} & set(config.layer.copy_fields):
+    if {"all", velocity.field.relationship, *velocity.names} & set(config.layer.copy_fields):
         return same_place(velocity, density)
     return velocity.field.relationship != density.relationship and same_place(velocity, density)
 
