@@ -71,6 +71,22 @@ def test_looks_and_volumes_have_folders_of_their_own_and_the_rest_shows_the_sour
     assert broken(shot.output / "shot_look_ember.usda") == []
 
 
+@pytest.mark.parametrize("template", [(), (TEMPLATE,)])
+def test_no_file_without_a_voxel_passes_for_a_frame_of_the_source(
+    shot: Shot, template: tuple[str, ...]
+) -> None:
+    """But for the first timeCode, which Blender counts from."""
+    result = run(shot, *template, "stage.frames=1-2", "layer.contact_sheet=0")
+    (folder,) = {path.parent for path in result.frames}
+    names = ["smoke.0001.vdb", "smoke.0002.vdb", "smoke.empty.vdb"]
+    assert sorted(path.name for path in folder.glob("*.vdb")) == names
+    assert shown_files(result.root_stage, "emission")[3.0] == str(folder / names[2])
+    assert broken(result.root_stage) == [] and verify(result.look_layer) == []
+    grown = run(shot, *template, "layer.contact_sheet=0")  # all of them: none is needed
+    (folder,) = {path.parent for path in grown.frames}
+    assert [path.name for path in folder.glob("*empty*")] == []
+
+
 def test_a_record_is_found_verified_and_run_again_from_such_a_file(shot: Shot) -> None:
     result = run(shot, TEMPLATE)
     (found,) = find_records(result.frames[0])

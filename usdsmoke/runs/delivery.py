@@ -5,7 +5,7 @@ they are looked for when frames are done again. A path that stays the same from 
 next is replaced when the later result is assembled.
 """
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
 from usdsmoke.base.publish import share_file
@@ -20,6 +20,25 @@ def result_file(run: Run, volume: VolumePlan, frame: FramePlan) -> Path:
     return (run.output if volume.places else run.folder) / volume.file_of(frame)
 
 
+def empty_names(volume: VolumePlan) -> tuple[str, str]:
+    """The file without a voxel that colours show where the source is shown: its name in the run's
+    folder, and its path in the output folder ("": it stays in the run's).
+
+    Where the first timeCode is not stylized, it has that one's number: Blender counts files from
+    the first one. Elsewhere a number would pass for a frame. Both are empty where all is stylized.
+    """
+    stylized = {frame.source.time_code for frame in volume.frames}
+    codes = volume.source.time_codes
+    if all(code in stylized for code in codes):
+        return "", ""
+    if codes[0] not in stylized:
+        names = result_file_names(volume.source, volume.stem)
+        return names[codes[0]], volume.places.get(codes[0], "")
+    name = f"{volume.stem}.empty.vdb"
+    place = volume.places.get(codes[0], "")
+    return name, str(PurePosixPath(place).with_name(name)) if place else ""
+
+
 def check_delivery(plan: Plan, output: Path) -> None:
     """Refuse paths that hold files of other looks, or no files of usdsmoke.
 
@@ -31,7 +50,9 @@ def check_delivery(plan: Plan, output: Path) -> None:
         for run in find_runs(output):
             looks |= dict.fromkeys((run.run_id, *run.grown_from, *run.files), run.look)
     ours = plan.config.layer.look
-    for place in (place for volume in plan.volumes for place in volume.places.values()):
+    places = [place for volume in plan.volumes for place in volume.places.values()]
+    places += [empty_names(volume)[1] for volume in plan.volumes]
+    for place in filter(None, places):
         if not (output / place).exists():
             continue
         look = looks.get(_run_of(output / place)) or looks.get(place)
@@ -57,11 +78,10 @@ def deliver_frames(run: Run, plan: Plan) -> list[Path]:
     check_delivery(plan, run.output)
     delivered = []
     for volume in plan.volumes:
-        names = result_file_names(volume.source, volume.stem)
-        for time_code, place in volume.places.items():
-            made = run.folder / names[time_code]
-            if made.is_file():  # one that was stylized, or the one without a voxel
-                share_file(made, run.output / place)
+        placed = [(frame.file_name, volume.file_of(frame)) for frame in volume.frames]
+        for name, place in (*placed, empty_names(volume)) if volume.places else ():
+            if (run.folder / name).is_file() and place:
+                share_file(run.folder / name, run.output / place)
                 delivered.append(run.output / place)
     return delivered
 

@@ -20,9 +20,8 @@ from usdsmoke.base.storage import (
 )
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.pictures import StyleImage
-from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
-from usdsmoke.runs.delivery import result_file
+from usdsmoke.runs.delivery import empty_names, result_file
 from usdsmoke.runs.manifests import part_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.provenance_record import frame_metadata
@@ -222,20 +221,16 @@ def _copied_velocity(volume: VolumePlan) -> dict[str, str]:
 
 
 def _write_empty(run: Run, volume: VolumePlan, config: Config) -> tuple[str, str]:
-    """A file without a voxel, named like the first timeCode not stylized, and its content hash; two
-    empty texts when all are stylized."""
-    stylized = {frame.source.time_code for frame in volume.frames}
-    rest = [code for code in volume.source.time_codes if code not in stylized]
-    if not rest:
+    """A file without a voxel, and its content hash; two empty texts when all is stylized."""
+    name, place = empty_names(volume)
+    if not name:
         return "", ""
-    name = result_file_names(volume.source, volume.stem)[rest[0]]
     matrix = volume.frames[0].grid.index_to_world
     colours = empty_colour_grids(np.eye(4) if matrix is None else matrix, config)
     metadata = {"creator": f"usdsmoke {__version__}", "usdsmoke:run": run.run_id}
     half = config.grids.half
     content_hash = write_frame(run.folder / name, colours, metadata, half, config.grids)
-    target = run.output / volume.places[rest[0]] if volume.places else run.folder / name
-    return str(target), content_hash
+    return str(run.output / place if place else run.folder / name), content_hash
 
 
 def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | None:

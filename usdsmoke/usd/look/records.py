@@ -17,9 +17,9 @@ class StylizedVolume:
 
     Where the source is shown there is no colour of ours. A blocked ``filePath`` says so in USD's
     own words, but Hydra Storm raises an error for every field without a file. With an
-    ``empty_file`` the colours show that one instead, and Storm draws in silence; a number in its
-    name that fits the others' (``NAME.0001.vdb`` for timeCode 1) keeps Blender's count of the
-    sequence right.
+    ``empty_file`` the colours show that one instead, and Storm draws in silence. Where it stands at
+    the first timeCode, a number in its name that fits the others' (``NAME.0001.vdb`` for timeCode
+    1) keeps Blender's count of the sequence right.
     """
 
     source: VolumeSource
