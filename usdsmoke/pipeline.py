@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from usdsmoke.base.errors import REFUSED
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Job, Request, prepare_job
@@ -83,9 +84,8 @@ def plan_request(request: Request, fits: bool = True, whole: bool = True) -> Pla
     course = Course(prepare_job(request, fits))
     found = course.plan(whole)
     if whole and fits and (refusal := course.refusal):
-        found = replace(
-            found, notes=(*found.notes, f"the run would be refused: {refusal.removesuffix('.')}")
-        )
+        why = f"{REFUSED}: {refusal.removesuffix('.')}"
+        found = replace(found, notes=(why, *found.notes))
     return found
 
 

@@ -165,12 +165,12 @@ def test_a_word_that_is_no_choice_is_told_with_the_choices(
 def test_the_plan_lists_its_windows_by_number_where_there_are_several(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(shot.arguments("--dry-run", "--set", "windows.size=2")) == 0
+    assert main(shot.arguments("--dry-run", "--set", "windows.size=2", "--verbose")) == 0
     assert (
         "windows\n  window 0: </World/smoke> timeCodes 1,2, and 3 shared with window 1\n"
         "  window 1: </World/smoke> timeCode 3\n"
     ) in capsys.readouterr().out
-    assert main(shot.arguments("--dry-run")) == 0
+    assert main(shot.arguments("--dry-run", "--verbose")) == 0
     assert "windows\n" not in capsys.readouterr().out
 
 

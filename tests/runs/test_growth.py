@@ -159,7 +159,7 @@ def test_a_look_with_default_windows_grows_and_the_plan_names_what_stays(
     settings = ("stage.frames=1-20", "layer.contact_sheet=0")
     found = make_plan(shot.stage, shot.style, shot.output, settings)
     assert "kept: timeCodes 1-8, extinction and picture size" in found.notes
-    assert "done: timeCodes 9-20" in found.notes
+    assert "to do: timeCodes 9-20" in found.notes
     assert not any("measured" in note for note in found.notes)
     fresh = make_plan(shot.stage, shot.style, tmp_path / "fresh", settings)
     assert found.estimate.seconds < 0.8 * fresh.estimate.seconds
@@ -177,7 +177,7 @@ def test_the_plan_of_a_look_that_grows_inside_its_only_window_says_that_none_sta
     run(long_shot, "stage.frames=1-2")
     found = make_plan(long_shot.stage, long_shot.style, long_shot.output, "stage.frames=1-4")
     notes = " ".join(found.notes)
-    assert "from the frames 1,2 to 1-4" in notes and "done: timeCodes 1-4, as each" in notes
+    assert "from the frames 1,2 to 1-4" in notes and "to do: timeCodes 1-4, as each" in notes
     assert "kept: extinction and picture size" in notes and "measured" not in notes
 
 

@@ -8,22 +8,81 @@ import pytest
 from pxr import Sdf
 
 from tests.fixtures.pipeline_fixtures import Shot, make_shot, run
+from tests.fixtures.usd_fixtures import density_prim, sequence, volume_prim, world
 from usdsmoke.pictures import compose_sheet
 from usdsmoke.pipeline import plan
+from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget import Finding
 from usdsmoke.ui.cli.budget_text import budget_text
-from usdsmoke.ui.cli.text import plan_text
+from usdsmoke.ui.cli.plan_text import plan_text
+
+LIGHTS = """
+def DistantLight "sun"
+{
+    float inputs:intensity = 3
+}
+def DomeLight "sky"
+{
+    float inputs:intensity = 1
+}
+"""
 
 
-def test_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(
-    shot: Shot,
-) -> None:
-    found = plan(shot.stage, shot.style, shot.output, {"windows.size": 2, "stage.frames": "1-3"})
-    few, all_of_it = plan_text(found).splitlines(), plan_text(found, True).splitlines()
+def many_volumes(folder: Path, n_volumes: int, more: str = "") -> Shot:
+    """Volumes with fields and a mesh of remarks each, on one sequence."""
+    shot = make_shot(folder, n_frames=3, names=("density", "heat", "vel"))
+    prims = density_prim(sequence((1, 2, 3)))
+    body = "".join(volume_prim(prims, f"smoke_{n}") for n in range(n_volumes))
+    shot.stage.write_text(world(body + more))
+    return shot
+
+
+def check_few(found: Plan) -> list[str]:
+    """Ten lines, none of which wraps; the first names the stage's file, wherever it is."""
+    few, whole = plan_text(found).splitlines(), plan_text(found, True)
     assert len(few) <= 10
+    assert max(map(len, few[1:])) <= 100
+    assert all(note in whole for note in found.notes)
+    assert all(f"{item.what}: {item.reason}" in whole for item in found.omitted)
+    return few
+
+
+def test_the_plan_of_a_shot_is_ten_lines_and_the_rest_stands_behind_verbose(shot: Shot) -> None:
+    found = plan(shot.stage, shot.style, shot.output, {"windows.size": 2, "stage.frames": "1-3"})
+    few, all_of_it = check_few(found), plan_text(found, True).splitlines()
     assert not any("total variation" in line for line in few)
     assert any("total variation" in line for line in all_of_it)
-    assert any("velocity grids" in line for line in few)  # what matters
+    assert any("velocity grids" in line and "stage.motion" in line for line in few)
+
+
+@pytest.mark.parametrize(
+    ("n_volumes", "more", "settings"),
+    [
+        (2, LIGHTS, ["windows.size=1", "optics.bounces=true"]),
+        (6, LIGHTS, ["stage.frames=1-2", "windows.size=1", "layer.contact_sheet=0"]),
+        (1, "", ["stage.frames=1-2", "layer.copy_fields=[heat]", "optics.frames=3"]),
+    ],
+    ids=["two Volumes", "six Volumes", "one Volume"],
+)
+def test_the_plan_of_any_shot_is_ten_short_lines(
+    tmp_path: Path, n_volumes: int, more: str, settings: list[str]
+) -> None:
+    shot = many_volumes(tmp_path, n_volumes, more)
+    few = check_few(plan(shot.stage, shot.style, shot.output, settings))
+    assert few[1].startswith("  </World/smoke_0>: ")
+    if n_volumes == 6:
+        assert few[3] == "  and 4 more Volumes: 8 frames in 8 windows"
+        assert "more remarks" in few[-1]
+
+
+@pytest.mark.usefixtures("core")
+def test_the_plan_of_a_look_that_grows_is_ten_lines_and_begins_with_that(tmp_path: Path) -> None:
+    shot = many_volumes(tmp_path, 2, LIGHTS)
+    settings = ("windows.size=1", "layer.contact_sheet=0")
+    run(shot, *settings, "stage.frames=1-2")
+    few = check_few(plan(shot.stage, shot.style, shot.output, settings))
+    assert "grows from the frames 1,2 to 1-3" in few[3]
+    assert "kept: timeCodes 1,2, extinction" in few[4] and "to do: timeCode 3" in few[5]
 
 
 @pytest.mark.usefixtures("core")

@@ -30,6 +30,8 @@ A message has two parts: what is wrong (what was found), and what to do.
 
 from collections.abc import Sequence
 
+REFUSED = "the run would be refused"  # the beginning of a note in a plan
+
 
 class UsdSmokeError(Exception):
     """Base of every named error; the command line prints its text and exits with 1.

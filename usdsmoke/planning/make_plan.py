@@ -60,7 +60,7 @@ def make_plan(
         settings = [VolumeSettings(config, (0,))] * len(stems)
     headers: dict[str, FileHeader] = {}
     volumes: list[VolumePlan] = []
-    errors: list[GridError] = []
+    errors: list[tuple[type[GridError], str]] = []
     for volume, stem, own in zip(source.volumes, stems, settings, strict=True):
         first_index = sum(len(earlier.windows) for earlier in volumes)
         try:
@@ -68,10 +68,11 @@ def make_plan(
                 _plan_volume(volume, stem, own, headers, first_index, source.frame_length)
             )
         except GridError as error:
-            errors.append(error)
+            errors.append((type(error), str(error)))
     if errors:
         others = others_advice([planned.source.prim_path for planned in volumes])
-        raise type(errors[0])(f"{errors[0]}{others}")
+        kind, text = errors[0]
+        raise kind(f"{text}{others}")
     volumes = _with_places(volumes, volume_stems(paths), config)
     costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
     return Plan(
@@ -263,8 +264,8 @@ def _unnamed_velocities(
         return {}
     velocities = [frame.velocity for frame in frames if frame.copied is None]
     return {
-        velocity.grids[0].name: "the Volume has no relationship to it; for motion blur set "
-        "layer.copy_velocity=true"
+        velocity.grids[0].name: "for motion blur set layer.copy_velocity=true; the Volume has no "
+        "relationship to it"
         for velocity in velocities
         if velocity is not None and velocity.field.relationship == volume.density
     }

@@ -30,13 +30,12 @@ def hidden_look(volume: VolumePlan) -> list[Omission]:
     if not hiding:
         return []
     path, material = volume.source.prim_path, hiding[0]
+    advice = "set layer.material=replace"
     if not material.can_replace:
-        advice = "its binding is stronger than any on the Volume, so bind another material there"
-    else:
-        advice = "layer.material=replace binds one that does"
+        advice = "bind another material, because the binding is stronger than any on the Volume"
     what, renderers = hiding_words(material, colours)
-    reason = f"its material <{material.prim_path}> {what}; {advice}"
-    return [Omission(f"the look of <{path}> in {renderers}", reason)]
+    where = "" if renderers == "renderers" else f" in {renderers}"
+    return [Omission(f"the look of <{path}>{where}", f"<{material.prim_path}> {what}; {advice}")]
 
 
 def hidden_look_warnings(volumes: Iterable[VolumePlan]) -> list[str]:

@@ -346,8 +346,8 @@ def _why_no_velocity(volumes: Volumes, config: Config) -> str:
     if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
         return "no two frames share a window"
     return (
-        "no Volume or file has a velocity under the usual names (stage.velocity), so the pattern "
-        "stays in place and does not follow the smoke; stage.motion=estimate estimates the motion"
+        "none found, so the pattern stays in place unless stage.motion=estimate. The smoke moves "
+        "without it; grids of unusual names are named with stage.velocity"
     )
 
 

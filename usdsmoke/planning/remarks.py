@@ -104,10 +104,10 @@ def _part(volume: VolumePlan) -> list[str]:
         return []
     n_all = count_text(len(volume.source.time_codes), "timeCode")
     return [
-        f"extinction and exposure of <{volume.source.prim_path}> are measured on the "
-        f"{len(volume.frames)} selected of {n_all}: another selection looks slightly different. "
-        "To keep one look, make this result longer with the same command and more --frames, or "
-        "set optics.gamma and optics.gamma_shape"
+        f"extinction and exposure of <{volume.source.prim_path}> are measured on "
+        f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
+        "look, make this result longer with the same command and more --frames, or set "
+        "optics.gamma and optics.gamma_shape"
     ]
 
 
@@ -149,7 +149,7 @@ def _coarse(volume: VolumePlan) -> list[str]:
         return []
     parts = min(math.ceil(pixels / longest), _MOST_REFINED)
     return [
-        f"the voxels of <{volume.source.prim_path}> are coarse: {longest} along the longest side, "
-        f"in pictures of {pixels} pixels. For sharper strokes set grids.refine={parts}, which "
-        f"divides each voxel into {parts**3}"
+        f"<{volume.source.prim_path}> has {longest} voxels along its longest side: for sharper "
+        f"strokes set grids.refine={parts}. It divides each voxel into {parts**3}; pictures have "
+        f"{pixels} pixels"
     ]

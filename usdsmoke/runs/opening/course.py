@@ -75,15 +75,15 @@ class Course:
 def _repeated(whole: Plan, numbers: Collection[int], part: Plan) -> Plan:
     done = [task for task in whole.tasks if task.number in numbers]
     stay = [task for task in whole.tasks if task.number not in numbers]
-    notes = [*_lasting_notes(whole), "the output folder holds this result"]
-    notes += _kept_and_done(stay, done)
+    notes = ["the output folder holds this result", *_kept_and_left(stay, done)]
+    notes += _lasting_notes(whole)
     frames = {frame.file_name for volume in whole.volumes for frame in volume.frames}
     return replace(part, notes=tuple(notes), estimate=estimate_part(whole, done, frames))
 
 
 def _grown(growth: Growth) -> Plan:
     plan, stay = growth.job.plan, [task for task, _ in growth.windows]
-    notes = [*_lasting_notes(plan), *growth.notes, *_kept_and_done(stay, growth.to_do)]
+    notes = [*growth.notes, *_kept_and_left(stay, growth.to_do), *_lasting_notes(plan)]
     started = {name for name in _frames(plan) if coarse_file_name(name) in growth.starts}
     estimate = estimate_part(plan, growth.to_do, started)
     return replace(plan, notes=tuple(notes), estimate=estimate)
@@ -96,7 +96,7 @@ def _resumed(run: Run, plan: Plan) -> Plan:
     note = f"a run that was stopped goes on; done: {_named(done) if done else 'no window yet'}"
     started = {n for n in _frames(plan) if (run.folder / coarse_file_name(n)).is_file()}
     estimate = estimate_part(plan, left, started)
-    return replace(plan, notes=(*plan.notes, note), estimate=estimate)
+    return replace(plan, notes=(note, *plan.notes), estimate=estimate)
 
 
 def _frames(plan: Plan) -> Iterator[str]:
@@ -109,10 +109,10 @@ def _lasting_notes(plan: Plan) -> list[str]:
     return [note for note in plan.notes if note not in measured]
 
 
-def _kept_and_done(stay: Sequence[WindowTask], done: Sequence[WindowTask]) -> tuple[str, str]:
+def _kept_and_left(stay: Sequence[WindowTask], left: Sequence[WindowTask]) -> tuple[str, str]:
     why = "" if stay else ", as each window has other frames, files or starts"
     kept = f"{_named(stay)}, " if stay else ""
-    return f"kept: {kept}extinction and picture size", f"done: {_named(done)}{why}"
+    return f"kept: {kept}extinction and picture size", f"to do: {_named(left)}{why}"
 
 
 def _named(tasks: Sequence[WindowTask]) -> str:

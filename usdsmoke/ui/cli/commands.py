@@ -15,10 +15,10 @@ from usdsmoke.base.resolve import Settings, resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.ui.cli.options import given_settings
+from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
 from usdsmoke.ui.cli.text import (
     inspection_text,
-    plan_text,
     print_json,
     result_text,
     show,

@@ -1,4 +1,4 @@
-"""What the commands print: plans, results, error budgets, inspections, findings."""
+"""What the commands print: results, error budgets, inspections, findings."""
 
 import argparse
 import json
@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.base.time_codes import find_holes, format_time_codes, name_time_codes
+from usdsmoke.base.time_codes import find_holes, name_time_codes
 from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
-    from usdsmoke.planning.plan import Plan, VolumePlan
     from usdsmoke.runs.train import TrainResult
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
@@ -36,36 +35,6 @@ def show(arguments: argparse.Namespace, value: Callable[[], Any], text: Callable
         print_json(value())
     else:
         print(text())
-
-
-def plan_text(plan: "Plan", everything: bool = False) -> str:
-    """A plan: the Volumes, what is unusual, what it costs.
-
-    Args:
-        everything: also list all that is needed, and what every run of this kind leaves out.
-    """
-    estimate = plan.estimate
-    omitted = [item for item in plan.omitted if everything or not item.expected]
-    lines = [
-        f"plan for {plan.source.file_path}",
-        *(f"  {_volume_line(volume)}" for volume in plan.volumes),
-        *_window_lines(plan),
-        *(f"  {volume.request_text}" for volume in plan.volumes if volume.request_text),
-    ]
-    if everything:
-        lines += ["needed", *(f"  {sentence}" for sentence in plan.needed)]
-    if omitted:
-        lines += ["left out", *(f"  {item.what}: {item.reason}" for item in omitted)]
-    lines += ["notes", *(f"  {note}" for note in plan.notes)] if plan.notes else []
-    lines += [
-        "estimate",
-        f"  {estimate.memory_gib:.1f} GiB of memory, {format_seconds(estimate.seconds)}, "
-        f"{_size(estimate.bytes_written)} on disk, up to {_size(estimate.bytes_temporary)} of "
-        "temporary files",
-    ]
-    if not everything:
-        lines.append("--verbose lists what is needed and all that is left out")
-    return "\n".join(lines)
 
 
 def result_text(result: "StylizeResult") -> str:
@@ -214,30 +183,6 @@ def _measured(title: str, values: Mapping[str, float] | None) -> list[tuple[str,
     return [(title, shares)] if shares else []
 
 
-def _volume_line(volume: "VolumePlan") -> str:
-    largest = max(volume.frames, key=lambda frame: frame.size.active_voxels)
-    return (
-        f"<{volume.source.prim_path}>: {count_text(len(volume.frames), 'frame')} in "
-        f"{count_text(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} "
-        f"voxels in {_box(largest.size.box)}, written to {volume.file_of(volume.frames[0])}"
-        f"{' ...' if len(volume.frames) > 1 else ''}"
-    )
-
-
-def _window_lines(plan: "Plan") -> list[str]:
-    """The windows by number, where there are several."""
-    lines = []
-    for volume in plan.volumes:
-        for window in volume.windows:
-            line = f"  window {window.index}: <{volume.source.prim_path}> "
-            line += name_time_codes(window.time_codes)
-            if window.overlap:
-                shared = format_time_codes(window.overlap)
-                line += f", and {shared} shared with window {window.index + 1}"
-            lines.append(line)
-    return ["windows", *lines] if len(lines) > 1 else []
-
-
 def _inspected_volume(volume: Mapping[str, Any]) -> str:
     codes = volume["time_codes"]
     others = (
@@ -265,17 +210,14 @@ def _inspected_field(
         kind,
         str(grid.get("class", "?")),
         "?" if voxels is None else f"{voxels:,}",
-        _box(grid["box"]) if grid.get("box") else ("empty" if voxels == 0 else "?"),
+        box_text(grid["box"]) if grid.get("box") else ("empty" if voxels == 0 else "?"),
         Path(field["file"]).name,
     )
 
 
-def _box(shape: Iterable[int]) -> str:
+def box_text(shape: Iterable[int]) -> str:
+    """Voxels along the axes."""
     return " x ".join(str(n) for n in shape)
-
-
-def _size(n_bytes: int) -> str:
-    return f"{n_bytes / 1e6:,.0f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.0f} kB"
 
 
 _WORDS = {"config": "configuration", "option": "option", "default": "default"}

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.options import given_settings
+from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.ui.cli.text import (
     job_text,
-    plan_text,
     result_text,
     show,
     task_text,

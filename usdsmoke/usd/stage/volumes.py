@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import TypeAlias
 
 from pxr import Usd, UsdGeom
 
@@ -51,6 +52,8 @@ from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _OF_ONE_VOLUME = (FieldNotFound, AssetNotResolved, StageError)
+# An error without its traceback, which would keep the stage's layers in memory for long.
+_Refusal: TypeAlias = tuple[type[StageError], str]
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
 
 
@@ -106,7 +109,9 @@ def find_volumes(
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
     outlines, errors = _outline_volumes(list(zip(prims, own, strict=True)), copied)
     if not outlines:
-        raise errors[0] if problems is None else StageError("; ".join(map(str, errors)))
+        if problems is None:
+            _tell(errors, None, ())
+        raise StageError("; ".join(text for _, text in errors))
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
@@ -122,7 +127,7 @@ def find_volumes(
                 found = _read_volume(outline, selected, with_requests, with_styles, problems)
                 volumes.append(found)
             except _OF_ONE_VOLUME as error:
-                errors.append(error)
+                errors.append((type(error), str(error)))
         elif absent and problems is not None:
             problems += [f"{sentence}." for sentence in absent]
         elif absent:
@@ -165,27 +170,28 @@ def _check_units(stage: Usd.Stage) -> None:
 
 def _outline_volumes(
     pairs: Sequence[tuple[Usd.Prim, StageConfig]], copied: Sequence[str]
-) -> tuple[list[_Outline], list[StageError]]:
+) -> tuple[list[_Outline], list[_Refusal]]:
     """The Volumes that have a density, and the errors of the others."""
-    outlines, errors = list[_Outline](), list[StageError]()
+    outlines, errors = list[_Outline](), list[_Refusal]()
     for prim, config in pairs:
         try:
             outlines.append(_outline_volume(prim, config, copied))
         except _OF_ONE_VOLUME as error:
-            errors.append(error)
+            errors.append((type(error), str(error)))
     return outlines, errors
 
 
-def _tell(errors: Sequence[StageError], problems: list[str] | None, good: Iterable[str]) -> None:
+def _tell(errors: Sequence[_Refusal], problems: list[str] | None, good: Iterable[str]) -> None:
     """Note the errors of some Volumes; or raise the first, with the way to leave these out.
 
     Args:
         good: paths of the Volumes that can be used.
     """
     if problems is not None:
-        problems += map(str, errors)
+        problems += [text for _, text in errors]
     elif errors:
-        raise type(errors[0])(f"{errors[0]}{others_advice(list(good))}")
+        kind, text = errors[0]
+        raise kind(f"{text}{others_advice(list(good))}")
 
 
 def _describe_stage(
