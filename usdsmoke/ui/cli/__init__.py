@@ -6,6 +6,6 @@
 - ``parser``, ``values``: hints for misspelt words; numbers and sizes from text
 - ``work_commands`` (stylize, submit, assemble), ``commands`` (all others): one call of the package
   each
-- ``text``, ``budget_text``, ``record_text``: what they print
+- ``plan_text``, ``text``, ``budget_text``, ``record_text``: what they print
 - ``progress_bar``: how far a run is
 """
