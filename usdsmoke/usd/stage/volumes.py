@@ -109,41 +109,41 @@ def find_volumes(
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
     outlines, errors = _outline_volumes(list(zip(prims, own, strict=True)), copied)
     if not outlines:
-        if problems is None:
-            _tell(errors, None, ())
-        raise StageError("; ".join(text for _, text in errors))
+        _tell(errors, problems, ())
+        raise StageError("; ".join(problems or ()))
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         absent = list[str]()
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
+        if problems is not None and not (config.allow_missing and selected):
+            problems += [f"{sentence}." for sentence in absent]
+        elif selected:
+            missing += absent
         if selected:
-            if problems is None or config.allow_missing:
-                missing += absent
-            else:
-                problems += [f"{sentence}." for sentence in absent]
             try:
                 found = _read_volume(outline, selected, with_requests, with_styles, problems)
                 volumes.append(found)
             except _OF_ONE_VOLUME as error:
                 errors.append((type(error), str(error)))
-        elif absent and problems is not None:
-            problems += [f"{sentence}." for sentence in absent]
-        elif absent:
-            omitted[outline.path] = absent[0]
-        else:
-            codes = format_time_codes(outline.existing)
-            if outline.path in config.prims:
-                raise StageError(
-                    f"Volume <{outline.path}> (--prim) has timeCodes {codes}, none of them in "
-                    f"{config.frames!r}. Choose other frames, or drop it from --prim."
-                )
-            omitted[outline.path] = f"none of its timeCodes {codes} is in {config.frames!r}"
+        elif problems is None or not absent:
+            omitted[outline.path] = absent[0] if absent else _why_not_selected(outline, config)
     _tell(errors, problems, (volume.prim_path for volume in volumes))
     if not volumes:
         raise _nothing_left([*missing, *omitted.values()], problems)
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
+
+
+def _why_not_selected(outline: _Outline, config: StageConfig) -> str:
+    """Why none of a Volume's timeCodes is taken; raises where the Volume was named."""
+    codes = format_time_codes(outline.existing)
+    if outline.path in config.prims:
+        raise StageError(
+            f"Volume <{outline.path}> (--prim) has timeCodes {codes}, none of them in "
+            f"{config.frames!r}. Choose other frames, or drop it from --prim."
+        )
+    return f"none of its timeCodes {codes} is in {config.frames!r}"
 
 
 def _nothing_left(missing: Sequence[str], problems: Sequence[str] | None) -> StageError:
