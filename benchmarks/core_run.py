@@ -43,7 +43,7 @@ def _run_new(job: dict[str, Any]) -> dict[str, Any]:
     frame = VolumeFrame(1.0, DenseField("density", *job["density"]), np.eye(4))
     config = resolve_config(*job["settings"], "optimize.threads=1")
     begun = time.process_time()
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
     context = make_context([job["style"]], scene, config, None, 24.0, None, 1)
     (done,) = run_frames([frame], context)
     result = stylized_frame(done, context)
