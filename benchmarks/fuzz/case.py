@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -131,9 +132,9 @@ def faults(outcome: Outcome) -> list[str]:
         found.append(f"no end after {CPU_S} CPU seconds")
     elif outcome.exit_code not in (0, 1, 2):
         found.append(f"exit code {outcome.exit_code}")
-    for word in ("unexpected ", "Traceback (most", "report it"):
-        if word in outcome.output:
-            found.append(f"the output says {word.strip()!r}")
+    for word in (r"unexpected [A-Z]\w+:", r"Traceback \(most", "report it"):
+        if said := re.search(word, outcome.output):
+            found.append(f"the output says {said[0]!r}")
     if outcome.exit_code == 1 and "{" not in outcome.output:
         found.append("no JSON value on stdout")
     if outcome.memory_mib > MEMORY_MIB:

@@ -46,6 +46,11 @@ def test_a_faulty_answer_is_called_so(outcome: Outcome, word: str) -> None:
     assert word in " ".join(faults(outcome))
 
 
+def test_a_parser_s_own_words_are_no_fault() -> None:
+    said = "(line 14: found unexpected end of stream). {}"
+    assert not faults(replace(SOUND, exit_code=1, output=said))
+
+
 @pytest.mark.parametrize("damage", [damage_bytes, damage_text, damage_json])
 def test_damage_is_real_and_repeatable(damage) -> None:
     data = b'{"name": [1, 2.5, "smoke"], "file": "./cache/smoke.0001.vdb"}'
