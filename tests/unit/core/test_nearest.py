@@ -7,7 +7,7 @@ from usdsmoke.base.sections import FeaturesConfig, LossesConfig
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.layers import nearest_layers
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.nearest import MOST_STYLE, ROWS, nearest_distance, thin_out
+from usdsmoke.core.style.nearest import MOST_LOOKED_UP, MOST_STYLE, nearest_distance, thin_out
 
 
 def test_it_is_the_mean_square_way_to_the_nearest_feature():
@@ -20,12 +20,14 @@ def test_it_is_the_mean_square_way_to_the_nearest_feature():
     assert nearest_distance(values, torch.zeros(3), style).item() == 0
 
 
-def test_many_features_are_looked_up_in_parts():
+def test_draws_that_follow_each_other_look_up_all_of_many_features():
     generator = torch.Generator().manual_seed(0)
-    values = torch.rand(3, ROWS + 7, generator=generator)
+    values = torch.rand(3, 3 * MOST_LOOKED_UP, generator=generator)
     style = torch.rand(3, 50, generator=generator)
     squares = (values[:, :, None] - style[:, None, :]).square().mean(0).amin(1)
-    assert nearest_distance(values, None, style).item() == pytest.approx(squares.mean().item())
+    found = [nearest_distance(values, None, style, draw).item() for draw in range(4)]
+    assert sum(found[:3]) / 3 == pytest.approx(squares.mean().item())
+    assert found[3] == found[0] != found[1]
 
 
 def test_the_gradient_leads_to_the_nearest_feature():

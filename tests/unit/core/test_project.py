@@ -213,11 +213,11 @@ def test_two_voxels_a_million_apart_take_no_memory_for_the_emptiness_between(mon
     view = orbit_view(0.0, 0.0, "Y", np.array([5e5, 0.0, 5e5]), 4, 64, 2e4)
     cells = []
 
-    def counted(depths, light_up=project._light_up):
+    def counted(depths, light_up=project.light_up):
         cells.append(depths.numel())
         light_up(depths)
 
-    monkeypatch.setattr(project, "_light_up", counted)
+    monkeypatch.setattr(project, "light_up", counted)
     monkeypatch.setattr("usdsmoke.core.views.project.MOST_CELLS", MOST_CELLS // 1000)
     image, alpha = colour_map(positions, torch.full((2,), 1e10), np.eye(3), 1.0, view, 1.0)
     assert 64 * 4 < max(cells) <= MOST_CELLS // 1000 + 2 * 4 * 64

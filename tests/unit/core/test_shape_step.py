@@ -3,6 +3,7 @@
 import gc
 import weakref
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -71,6 +72,7 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: 
         losses={"keep": 0.0},
     )
     scene, mask, pictures = scene_of([frame], config), EffectMask(frame), Pictures()
+    scene = replace(scene, pixel_size=0.6 * scene.pixel_size)  # or blocks of voxels would move
     problem = StepProblem(smoke, cast(StyleTargets, pictures), scene, config, mask)
     found, ends = run_shape_step(problem, config.shape.iterations, start)
     assert ends[-1].restored

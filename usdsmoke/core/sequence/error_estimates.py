@@ -8,6 +8,7 @@ the reports of the steps.
 import math
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -23,6 +24,7 @@ from usdsmoke.core.sequence.picture_errors import (
     resolution_error,
 )
 from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
@@ -131,18 +133,24 @@ def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:
     """The style loss of each view of the finished frame, in colour where there is any."""
     smoke, scene, share = frame.smoke, frame.scene, _share(frame)
     if frame.paint is None:
-        loss, found = frame.targets.at(1, grey=True), []
-        for view in views:
+        loss = frame.targets.at(1, grey=True)
+
+        def grey_loss(view: View) -> float:
             image = column_map(smoke.positions, smoke.edges, view)
             look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
-            found.append(float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide)))
-        return found
+            return float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide))
+
+        return run_tasks([partial(grey_loss, view) for view in views])
     loss, linear = frame.targets.at(1), decode_srgb(frame.paint[1])
     behind, lighting = frame.targets.background, frame.lighting()
-    return [
-        float(loss(view.unpremultiplied(linear, behind), view.guide))
-        for view in prepare_views(smoke, views, scene.gamma_w, scene.exposure, share, lighting)
-    ]
+
+    looks = prepare_views(smoke, views, scene.gamma_w, scene.exposure, share, lighting)
+
+    def colour_loss(number: int) -> float:
+        look = looks[number]
+        return float(loss(look.unpremultiplied(linear, behind), look.guide))
+
+    return run_tasks([partial(colour_loss, number) for number in range(len(views))])
 
 
 def _timed(estimate: Callable[[], StepError | float]) -> Estimate:

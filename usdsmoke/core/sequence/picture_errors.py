@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.fields.richardson import StepError, step_error
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.march import march
 from usdsmoke.core.views.media import Medium, make_media
@@ -134,7 +136,8 @@ def pixel_filter_error(painted: Painted, view: View, gamma_w: float) -> float:
     sampled = painted.picture(view, gamma_w)
     offsets = [(x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
     moved = [replace(view, shift=(view.shift[0] + x, view.shift[1] + y)) for x, y in offsets]
-    averaged = torch.stack([painted.picture(other, gamma_w) for other in moved]).mean(0)
+    pictures = run_tasks([partial(painted.picture, other, gamma_w) for other in moved])
+    averaged = torch.stack(pictures).mean(0)
     size = float(averaged.abs().sum())
     return float((sampled - averaged).abs().sum()) / size if size > 0 else 0.0
 

@@ -10,6 +10,7 @@ the smoke around them: what no view sees would keep the noise that it starts wit
 frame, to which its neighbour brings such colours: mixed anew in each frame, they would blur.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -125,8 +126,10 @@ def optimize_colours(
     Returns:
         Colours [N 3] and how the optimisation ended.
     """
-    pool.prepare(descent.n_iterations)
-    unknown = colours.detach().clone(memory_format=torch.contiguous_format).requires_grad_(True)
+    pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
+    unknown = colours.detach()[shown].requires_grad_(True)
+    # epsilon is in units of the mean over all voxels
+    epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
 
     def objective(iteration: int) -> Tensor:
         return pictures_loss(pool, unknown, loss, background, iteration)
@@ -134,11 +137,30 @@ def optimize_colours(
     def clip() -> None:
         unknown.clamp_(0, 1)
 
-    state = None
-    for state in minimize(objective, [unknown], replace(descent, passage=pool.passage), clip):
+    state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
+    for state in minimize(objective, [unknown], descent, clip):
         if watch is not None:
             watch(state)
-    return unknown.detach(), state
+    found = colours.detach().clone(memory_format=torch.contiguous_format)
+    found[shown] = unknown.detach()
+    return found, state
+
+
+def _in_sight(
+    pool: ViewPool[ColourView], n_iterations: int, n_voxels: int
+) -> tuple[ViewPool[ColourView], Tensor]:
+    """The pool for the voxels that so many iterations show, made for these; and which, [N] bool.
+
+    Opaque smoke hides most of itself: what is left out has no slope and would not be moved.
+    """
+    n_evaluated = n_iterations + 1  # the last state's loss may be asked for
+    pool.prepare(n_evaluated)
+    drawn = pool.drawn(n_evaluated)
+    shown = torch.zeros(n_voxels, dtype=torch.bool, device=drawn[0].alpha.device)
+    for view in drawn:
+        shown[view.image.rows] = True
+    views = LazyList(len(pool.views), lambda number: pool.views[number].among(shown))
+    return replace(pool, views=views), shown
 
 
 def pictures_loss(
@@ -234,7 +256,7 @@ def _seen(
 
 def _reaching(view: ColourView) -> Tensor:
     """How much of each voxel's colour reaches a picture, [N]; in the dark an albedo hardly does."""
-    weight = view.image.weight.sum(dim=1)
+    weight = view.image.total_weights()
     return weight if view.light is None else weight * view.light.mean(dim=1).clamp(max=1)
 
 

@@ -5,7 +5,7 @@ picture is a fixed sparse linear map of the voxel colours, computed once per vie
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Generic, TypeVar
 
@@ -129,6 +129,15 @@ class ColourView:
     def guide(self) -> Tensor:
         """T of the guidance mask, [H W] in [0, 1): the share of smoke in the picture."""
         return self.alpha / (self.alpha + self.thin)
+
+    def among(self, chosen: Tensor) -> "ColourView":
+        """The same picture, of the colours of some voxels; [N] bool, with all that it shows."""
+        if self.image.rows is None:
+            return self
+        place = torch.cumsum(chosen, 0) - 1
+        rows, light = place[self.image.rows], self.light
+        image = replace(self.image, rows=rows, n_voxels=int(chosen.sum()))
+        return replace(self, image=image, light=None if light is None else light[chosen])
 
     def unpremultiplied(self, colours: Tensor, background: Tensor) -> Tensor:
         """Display-encoded picture [H W 3] of linear colours [N 3], divided by their opacity.

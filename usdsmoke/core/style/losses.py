@@ -173,7 +173,8 @@ class StyleTarget:
             if losses.histogram:
                 distance = distance + losses.histogram * layer.histogram_distance(maps[name], guide)
             if name in self._nearest_layers:
-                distance = distance + losses.nearest * layer.nearest_distance(maps[name], guide)
+                way = layer.nearest_distance(maps[name], guide, draw)
+                distance = distance + losses.nearest * way
             total = total + weight * distance
         return total
 
@@ -231,11 +232,11 @@ class _LayerTarget:
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
-    def nearest_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
-        """Root mean square way from each of the picture's features to the nearest of the style."""
+    def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
+        """Root mean square way from a draw of the picture's features to the style's nearest."""
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
-        return torch.sqrt(nearest_distance(scaled, weights, self._thinned) + 1e-8)
+        return torch.sqrt(nearest_distance(scaled, weights, self._thinned, draw) + 1e-8)
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
         """The same along a draw of random directions."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 MOST_STYLE = 1500  # features of the style that are looked through, evenly spaced
-ROWS = 4096  # features of a picture that are looked up at once
+MOST_LOOKED_UP = 1500  # features of a picture in one draw; the others in the next ones
 LEAST_WEIGHT = 0.05  # below this, a feature is left out
 
 
@@ -18,28 +18,40 @@ def thin_out(style: Tensor) -> Tensor:
     return style[:, :: -(-style.shape[1] // MOST_STYLE)].contiguous()
 
 
-def nearest_distance(values: Tensor, weights: Tensor | None, style: Tensor) -> Tensor:
+def nearest_distance(
+    values: Tensor, weights: Tensor | None, style: Tensor, draw: int = 0
+) -> Tensor:
     """Weighted mean of |F - F_s|² / C over features F [C P], F_s the nearest of the style's [C S].
+
+    Of many features every n-th is looked up, others in each of n draws that follow each other:
+    neighbours see much the same of a picture.
 
     Args:
         values: of a picture.
         weights: [P], >= 0; None means 1 everywhere.
         style: see ``thin_out``.
+        draw: which of the features, e.g. the iteration.
 
     Returns:
         A scalar; 0 if no weight is above ``LEAST_WEIGHT``.
 
     Gradients: through ``values``, with the choice of the nearest held.
     """
-    if weights is not None:
-        inside = weights > LEAST_WEIGHT
-        values, weights = values[:, inside], weights[inside]
+    if weights is None:
+        chosen = torch.arange(values.shape[1], device=values.device)
+    else:
+        chosen = (weights > LEAST_WEIGHT).nonzero().squeeze(1)
+    n_draws = max(-(-len(chosen) // MOST_LOOKED_UP), 1)
+    if n_draws > 1 or weights is not None:
+        chosen = chosen[draw % n_draws :: n_draws]
+        values = values.index_select(1, chosen)
     if values.shape[1] == 0:
         return values.sum()
     with torch.no_grad():
         half_squares = 0.5 * style.square().sum(0)
-        parts = values.T.split(ROWS)
-        nearest = torch.cat([(part @ style - half_squares).argmax(1) for part in parts])
-        wanted = style[:, nearest]
+        wanted = style[:, (values.T @ style - half_squares).argmax(1)]
     square = (values - wanted).square().mean(0)
-    return square.mean() if weights is None else (square * weights).sum() / weights.sum()
+    if weights is None:
+        return square.mean()
+    weights = weights[chosen]
+    return (square * weights).sum() / weights.sum()

@@ -12,8 +12,9 @@ linear maps come out of it:
 The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
@@ -39,10 +40,12 @@ class _Apply(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
         ctx.image = image
+        if image.rows is not None:
+            values = values.index_select(0, image.rows)
         if values.device.type == "cpu":
             return _scattered(values, image)
-        voxel, by_pixel, start = image.runs
-        return weighted_rows(values.detach(), voxel, start, by_pixel)
+        entry, by_pixel, start = image.runs
+        return weighted_rows(values.detach(), entry, start, by_pixel)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
@@ -70,18 +73,38 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
 class SparseImage:
     """A linear map from N voxels to H x W pixels with K pixels a voxel: four for each point in it.
 
-    ``pixel`` and ``weight`` are [N K]. Weights of pixels outside the image are 0, but a value there
-    that is not finite still reaches the picture.
+    Weights of pixels outside the image are 0, but a value there that is not finite still reaches
+    the picture.
     """
 
     height: int
     width: int
-    pixel: Tensor
-    weight: Tensor
+    pixel: Tensor  # [M K]
+    weight: Tensor  # [M K]
+    rows: Tensor | None = None  # [M], the voxels that can be seen, ascending; None: all, M = N
+    n_voxels: int = 0  # N, where there are rows
+
+    def without_hidden(self) -> "SparseImage":
+        """The same map, without the voxels that have no weight."""
+        seen = (self.weight != 0).any(dim=1)
+        return replace(
+            self,
+            pixel=self.pixel[seen],
+            weight=self.weight[seen],
+            rows=seen.nonzero().squeeze(1),
+            n_voxels=len(seen),
+        )
+
+    def total_weights(self) -> Tensor:
+        """Of each voxel, over all pixels, [N]."""
+        total = self.weight.sum(dim=1)
+        if self.rows is None:
+            return total
+        return total.new_zeros(self.n_voxels).index_copy_(0, self.rows, total)
 
     @cached_property
     def runs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """The entries with a weight, sorted by pixel: voxel, weight, first entry of each pixel.
+        """The entries with a weight, sorted by pixel: row, weight, first entry of each pixel.
 
         For devices on which scattered sums come in any order.
         """
@@ -93,8 +116,8 @@ class SparseImage:
         n_pixels = self.height * self.width
         start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
         start[1:] = torch.cumsum(torch.bincount(ordered, minlength=n_pixels), 0)[:-1]
-        voxel = torch.div(order, self.pixel.shape[1], rounding_mode="floor").to(torch.int32)
-        return voxel, weight[order], start
+        row = torch.div(order, self.pixel.shape[1], rounding_mode="floor").to(torch.int32)
+        return row, weight[order], start
 
     def apply(self, values: Tensor) -> Tensor:
         """Picture [H W C] of voxel values [N C]. Gradients: through ``values``, exact adjoint."""
@@ -106,64 +129,77 @@ class SparseImage:
         flat = picture.reshape(self.height * self.width, -1)
         n_entries, step = self.pixel.numel(), self.pixel.shape[1]
         start = torch.arange(0, n_entries, step, dtype=torch.int32, device=flat.device)
-        return weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1))
+        found = weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1))
+        if self.rows is None:
+            return found
+        return found.new_zeros(self.n_voxels, found.shape[1]).index_copy_(0, self.rows, found)
 
 
 @dataclass(frozen=True)
 class _Footprint:
-    """The pixels that voxels cover in a view; float64."""
+    """The pixels that points cover in a view."""
 
     pixel: Tensor  # [N 4] int32
     weight: Tensor  # [N 4], bilinear
-    depth: Tensor  # [N], along the view's axis, stage units
-    per_area: Tensor  # [N], 1 / area that a pixel covers at the voxel, perpendicular to the ray
+    depth: Tensor  # [N] float64, along the view's axis, stage units
+    per_area: Tensor  # [N] float64, 1 / area that a pixel covers there, perpendicular to the ray
 
 
-def project_voxels(positions: Tensor, view: View) -> _Footprint:
+def project_voxels(positions: Tensor, view: View, dtype: torch.dtype = torch.float64) -> _Footprint:
     """Bilinear footprints of points in a view.
 
     Args:
         positions: [N 3], stage space, float64: smoke may be far from the origin.
         view: orthographic or perspective; points behind a perspective eye get weight 0.
+        dtype: of the weights.
     """
-    axes = torch.as_tensor(np.stack([view.right, view.up, view.forward]), device=positions.device)
-    centre = torch.as_tensor(view.centre, dtype=positions.dtype, device=positions.device)
-    right, up, depth = ((positions - centre) @ axes.T.to(positions.dtype)).unbind(-1)
-    if view.focal is None:
-        scale = torch.full_like(depth, 1.0 / view.pixel_size)
-        per_area = scale**2
-        visible = torch.ones_like(depth)
-    else:
-        seen = depth > (1e-6 * depth.abs().amax() if len(depth) else 0.0)
-        visible = seen.to(depth.dtype)
-        # points behind the eye get the depth of the nearest in front, so that none is stretched
-        depth = torch.where(seen, depth, depth[seen].amin() if bool(seen.any()) else 1.0)
-        scale = view.focal / depth
-        # the area seen at a slant is smaller by its cosine
-        per_area = scale**2 * torch.sqrt(1 + (right**2 + up**2) / depth**2)
-    x = (view.width - 1) / 2 + view.shift[0] + right * scale
-    y = (view.height - 1) / 2 + view.shift[1] - up * scale
-    pixel = torch.empty(len(x), 4, dtype=torch.int32, device=x.device)
-    weight = x.new_empty(len(x), 4)
-    for part in chunks(len(x), CHUNK_ROWS, x.device):
-        _spread(x[part], y[part], visible[part], view, pixel[part], weight[part])
-    return _Footprint(pixel, weight, depth, per_area)
+    n, device = len(positions), positions.device
+    axes = torch.as_tensor(np.stack([view.right, view.up, view.forward]), device=device)
+    axes, centre = axes.to(positions.dtype), torch.as_tensor(view.centre).to(positions)
+    found = _Footprint(
+        torch.empty(n, 4, dtype=torch.int32, device=device),
+        torch.empty(n, 4, dtype=dtype, device=device),
+        positions.new_empty(n),
+        positions.new_empty(n),
+    )
+    nearest, farthest = 1.0, 0.0
+    if view.focal is not None and n:
+        depth = (positions - centre) @ axes[2]
+        farthest = float(depth.abs().amax())
+        seen = depth > 1e-6 * farthest
+        nearest = float(depth[seen].amin()) if bool(seen.any()) else 1.0
+    for part in chunks(n, CHUNK_ROWS, device):
+        right, up, depth = ((positions[part] - centre) @ axes.T).unbind(-1)
+        scale, visible = torch.ones_like(depth), None
+        if view.focal is None:
+            scale /= view.pixel_size
+            found.per_area[part] = scale**2
+        else:
+            visible = depth > 1e-6 * farthest
+            # points behind the eye get the depth of the nearest in front, so that none is stretched
+            depth = torch.where(visible, depth, nearest)
+            scale = view.focal / depth
+            # the area seen at a slant is smaller by its cosine
+            slant = torch.sqrt(1 + (right**2 + up**2) / depth**2)
+            found.per_area[part] = scale**2 * slant
+        x = _hats((view.width - 1) / 2 + view.shift[0] + right * scale, view.width)
+        y = _hats((view.height - 1) / 2 + view.shift[1] - up * scale, view.height)
+        found.depth[part] = depth
+        for corner, ((row, down), (column, across)) in enumerate(product(y, x)):
+            both = across * down
+            found.weight[part, corner] = both if visible is None else both * visible
+            found.pixel[part, corner] = row * view.width + column
+    return found
 
 
-def _spread(
-    x: Tensor, y: Tensor, visible: Tensor, view: View, pixel: Tensor, weight: Tensor
-) -> None:
-    """Fill in the four pixels around each place [N] and their weights, [N 4] each."""
-    x0, y0 = torch.floor(x), torch.floor(y)
-    fx, fy = x - x0, y - y0
-    for dy in (0, 1):
-        for dx in (0, 1):
-            px, py = x0 + dx, y0 + dy
-            inside = (px >= 0) & (px < view.width) & (py >= 0) & (py < view.height)
-            w = (fx if dx else 1 - fx) * (fy if dy else 1 - fy) * visible
-            weight[:, 2 * dy + dx] = torch.where(inside, w, torch.zeros_like(w))
-            index = py.clamp(0, view.height - 1) * view.width + px.clamp(0, view.width - 1)
-            pixel[:, 2 * dy + dx] = index.to(torch.int32)
+def _hats(place: Tensor, length: int) -> list[tuple[Tensor, Tensor]]:
+    """The two pixels around each place [N] along a side, and their weights; 0 outside."""
+    first = torch.floor(place)
+    after, found = place - first, []
+    for number, weight in ((first, 1 - after), (first + 1, after)):
+        inside = (number >= 0) & (number < length)
+        found.append((number.clamp(0, length - 1).to(torch.int32), weight * inside))
+    return found
 
 
 def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
@@ -194,11 +230,12 @@ def column_map(
         view: of any direction; voxels may be larger than its pixels.
     """
     points, n_points = split_points(positions, edges, view)
-    foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
-    weight = foot.weight.mul_((volume * foot.per_area)[:, None])
+    foot, volume = project_voxels(points, view, dtype), abs(float(np.linalg.det(edges))) / n_points
+    for part in chunks(len(points), CHUNK_ROWS, points.device):
+        foot.weight[part] *= (volume * foot.per_area[part])[:, None]
     width = 4 * n_points
     return SparseImage(
-        view.height, view.width, foot.pixel.view(-1, width), weight.to(dtype).view(-1, width)
+        view.height, view.width, foot.pixel.view(-1, width), foot.weight.view(-1, width)
     )
 
 
@@ -230,34 +267,34 @@ def colour_map(
     Gradients: none through density; it is fixed in the colour step.
     """
     points, n_points = split_points(positions, edges, view)
-    foot, volume = project_voxels(points, view), abs(float(np.linalg.det(edges))) / n_points
+    foot, dtype = project_voxels(points, view, density.dtype), density.dtype
     if len(positions) == 0:
-        empty = SparseImage(view.height, view.width, foot.pixel, foot.weight.to(density.dtype))
+        empty = SparseImage(view.height, view.width, foot.pixel, foot.weight)
         return empty, density.new_zeros(view.height, view.width)
-    n_pixels = view.height * view.width
-    depth = foot.depth - foot.depth.min()
-    slab = depth / max(step, float(depth.max()) * n_pixels / MOST_CELLS)
+    volume, n_pixels = abs(float(np.linalg.det(edges))) / n_points, view.height * view.width
+    slab, pixel, weight = foot.depth - foot.depth.min(), foot.pixel, foot.weight
+    slab /= max(step, float(slab.max()) * n_pixels / MOST_CELLS)
     if n_points > 1:
         density = density.repeat_interleave(n_points)
-    mass = (density * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
-    pixel, weight = foot.pixel, foot.weight.mul_(mass[:, None]).to(density.dtype)
-    del foot, depth, mass  # each as large as the weights
+    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
+        mass = density[part] * (gamma_w * volume) * foot.per_area[part]
+        weight[part] *= mass.clamp_max(THICKEST)[:, None]
     depths = _slab_depths(slab, pixel, weight, n_pixels)
     alpha = opacity(depths.sum(0)).view(view.height, view.width)
     light_up(depths)
-    per_depth = depths.view(-1)
+    per_depth, least = depths.view(-1), NEGLIGIBLE * float(alpha.max())
     for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = slab_cells(slab[part], pixel[part], n_pixels, density.dtype)
-        weight[part] *= per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
+        cell, far = slab_cells(slab[part], pixel[part], n_pixels, dtype)
+        light = per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
+        light *= weight[part]
+        weight[part] = light.masked_fill_(~(light > least), 0)
     del depths, per_depth
-    least = NEGLIGIBLE * float(alpha.max())
-    weight.masked_fill_(~(weight > least), 0)
     pixel, weight = pixel.view(-1, 4 * n_points), weight.view(-1, 4 * n_points)
     if share is None:
-        return SparseImage(view.height, view.width, pixel, weight), alpha
+        return SparseImage(view.height, view.width, pixel, weight).without_hidden(), alpha
     some = share > 0
     weight = weight[some] * share[some, None].to(weight)
-    image = SparseImage(view.height, view.width, pixel[some], weight)
+    image = SparseImage(view.height, view.width, pixel[some], weight).without_hidden()
     return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
 
 

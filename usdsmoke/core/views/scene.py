@@ -87,6 +87,22 @@ def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> V
     return replace(view, centre=(low + high) / 2 @ axes, height=height, width=width)
 
 
+def _trimmed(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
+    """The same pixels without those around the smoke, which a turned box leaves in its corners."""
+    axes = np.stack([view.right, -view.up])
+    half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
+    places = smoke.positions.cpu().numpy() @ axes.T - view.centre @ axes.T
+    size = np.array([view.width, view.height])
+    low, high = (
+        np.rint((places.min(0) - half) / view.pixel_size + size / 2) - margin,
+        np.rint((places.max(0) + half) / view.pixel_size + size / 2) + margin,
+    )
+    low, high = np.maximum(low, 0), np.minimum(high, size)
+    moved = ((low + high - size) / 2 * view.pixel_size) @ axes
+    width, height = (int(n) for n in high - low)
+    return replace(view, centre=view.centre + moved, height=height, width=width)
+
+
 def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
     """The view perpendicular to a slab one voxel thick: pixels are aligned with its axes."""
     axis = smoke.thin_axis
@@ -130,12 +146,11 @@ def frame_views(
             crop_view(camera_orbit(scene.camera, float(a), float(e), target, pixel_size), smoke)
             for a, e in angles
         ]
-    return [
-        fit_view(
-            orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size), smoke
-        )
+    around = (
+        orbit_view(float(a), float(e), scene.up_axis, np.zeros(3), 1, 1, pixel_size)
         for a, e in angles
-    ]
+    )
+    return [_trimmed(fit_view(view, smoke), smoke) for view in around]
 
 
 def _middle(smoke: ActiveSmoke) -> np.ndarray:
