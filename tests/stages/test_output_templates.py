@@ -173,7 +173,7 @@ def test_files_of_other_looks_programs_and_of_the_source_are_not_overwritten(sho
     foreign = shot.output / "smoke/ember/smoke.0002.vdb"
     foreign.parent.mkdir(parents=True)
     foreign.write_text("mine")
-    with pytest.raises(LayerError, match=rf"{re.escape(str(foreign))} is not of a result"):
+    with pytest.raises(LayerError, match=re.escape(str(foreign))):
         run(shot, TEMPLATE, *EMBER, force=True)
     assert foreign.read_text() == "mine"
     with pytest.raises(UsdSmokeError, match="an input"):
