@@ -47,7 +47,7 @@ STAGES = {
     # MoonRay: no MaterialBindingAPI, a material of one renderer
     "moonray": Foreign(
         {"bunny.vdb": ("density",)}, {"/Bunny": (1,)}, finds=("LookHidden",),
-        says=("its material </Cloud> reads no emission",),
+        says=("</Cloud> reads no emission",),
     ),
     # a digital twin: uniform attributes, paths without ./
     "airflow": Foreign(
