@@ -30,7 +30,7 @@ STEPS = ("shape", "colour")
 SHARES = (0.01, 0.03, 0.1, 0.3, 1.0)
 FIXED = 20000  # voxels with smoke, in boxes of all sizes
 NETWORK_MARK = 0.6
-EXPONENT_MARKS = {"active": (0.85, 1.15), "box": (-0.1, 0.1)}
+MOST_EXPONENTS = {"active": 1.15, "box": 0.1}  # linear in the voxels; no growth with the box
 
 Costs = dict[str, list[tuple[Case, Cost]]]
 
@@ -100,6 +100,9 @@ def render_report(costs: Costs, made: Mapping[str, Made]) -> str:
         "included. GiB: the process's peak above what is resident after a tiny run; it holds the",
         "dense arrays that smoke is read into, and all views' maps.",
         "",
+        "Where a pixel holds several voxels, blocks of voxels are optimised (decision 034), so the",
+        "cost of an iteration stops growing with the voxels.",
+        "",
     ]
     titles = {
         "active": "## More smoke in one box",
@@ -162,19 +165,19 @@ def _verdicts(series: str, found: Sequence[tuple[Case, Cost]]) -> list[str]:
         volume = [cost.volume_s for _, cost in of_step]
         if series in ("active", "volume"):
             sizes: list[float] = [cost.voxels for _, cost in of_step]
-            low, high = EXPONENT_MARKS["active"]
+            most = MOST_EXPONENTS["active"]
             found_slope = fit_exponent(sizes[-3:], volume[-3:])
-            met = "met" if low <= found_slope <= high else "missed"
+            met = "met" if found_slope <= most else "missed"
             lines.append(
                 f"- {step}: volume part ~ voxels^{fit_exponent(sizes, volume):.2f}; over the last "
-                f"three sizes ^{found_slope:.2f} (mark {low} to {high}: {met})."
+                f"three sizes ^{found_slope:.2f} (mark at most {most}: {met})."
             )
             continue
         sizes = [case.side**3 for case, _ in of_step]
         slope = fit_exponent(sizes, volume)
-        low, high = EXPONENT_MARKS["box"]
-        met = "met" if low <= slope <= high else "missed"
-        lines.append(f"- {step}: volume part ~ box^{slope:.2f} (mark {low} to {high}: {met}).")
+        most = MOST_EXPONENTS["box"]
+        met = "met" if slope <= most else "missed"
+        lines.append(f"- {step}: volume part ~ box^{slope:.2f} (mark at most {most}: {met}).")
     return [*lines, ""]
 
 
@@ -222,9 +225,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     words = ["python -m benchmarks.scaling", *(sys.argv[1:] if arguments is None else arguments)]
     costs, made = _read(options.report.with_suffix(".json")) if options.series else ({}, {})
+    peaks: dict[str, float] = {}
     for series in options.series or list_cases():
-        costs[series], peak = _measure_series(series, options.quick)
-        made[series] = Made(circumstances(words), peak)
+        costs[series], peaks[series] = _measure_series(series, options.quick)
+        now = circumstances(words)
+        made |= {name: Made(now, peak) for name, peak in peaks.items()}
         _write(options.report, costs, made)  # after every series, for they take minutes
     print(options.report.read_text(encoding="utf-8"))
     return 0
