@@ -135,6 +135,20 @@ def test_a_cache_published_again_with_the_same_grids_is_the_same_to_every_comman
     )
 
 
+@pytest.mark.parametrize("rate", [24, 25])
+def test_a_look_at_other_times_of_another_shot_is_not_stale(tmp_path: Path, rate: int) -> None:
+    result = run(make_shot(tmp_path, n_frames=3))
+    text = "#usda 1.0\n(\nsubLayers = [@out/shot_look.usda@ (offset = 100)]\n"
+    shot = write_text(tmp_path / "shot.usda", f"{text}timeCodesPerSecond = {rate}\n)\n")
+    own, _ = validate_look(shot)
+    assert "LookStale" not in {finding.rule for finding in own}
+    source = tmp_path / "in/shot.usda"
+    source.write_text(source.read_text().replace("smoke.0002.vdb", "smoke.0003.vdb"))
+    own, _ = validate_look(shot)
+    assert any("smoke.0003.vdb" in item.message for item in own if item.rule == "LookStale")
+    assert result.root_stage is not None
+
+
 def test_a_look_in_another_place_of_another_shot_is_compared_with_its_own_prims(
     tmp_path: Path,
 ) -> None:

@@ -3,6 +3,7 @@
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from pxr import Ar, Sdf, Usd, UsdUtils
@@ -45,7 +46,7 @@ def validate_look(
         names_own = any(file in finding.message for file in own_files)
         is_known = _what(finding) in known and (finding.prim_path or not names_own)
         (of_source if is_known else own).append(finding)
-    return [*_switched(source), *own], of_source
+    return [*_switched(source, composed), *own], of_source
 
 
 @readable_values()
@@ -99,7 +100,7 @@ def junit_xml(name: str, findings: Sequence[Finding]) -> str:
     return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _switched(source: Usd.Stage) -> list[Finding]:
+def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
     """Volumes of the source that now show other files than their look was made from."""
     found = []
     for name in source.GetMutedLayers():
@@ -111,10 +112,21 @@ def _switched(source: Usd.Stage) -> list[Finding]:
             volumes = find_volumes(source, StageConfig(), with_requests=False, problems=[])
         except UsdSmokeError:
             continue  # other rules report it
-        for path, sentence in switched_files(record, Path(layer.realPath).parent, volumes):
+        at = partial(_time_on, composed, layer)
+        for path, sentence in switched_files(record, Path(layer.realPath).parent, volumes, at):
             text = f"{sentence}. Stylize it again."
             found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
     return found
+
+
+def _time_on(stage: Usd.Stage, layer: Sdf.Layer, path: str, time_code: float) -> float:
+    """The stage's timeCode at which a layer's timeCode is seen on a prim."""
+    prim = stage.GetPrimAtPath(path)
+    if not prim or not hasattr(prim, "GetPrimStackWithLayerOffsets"):
+        return time_code
+    pairs = prim.GetPrimStackWithLayerOffsets()
+    offsets = [offset for spec, offset in pairs if spec.layer == layer]
+    return float(offsets[0] * time_code) if offsets else time_code
 
 
 def _is_packed_look(layer: Sdf.Layer) -> bool:

@@ -1,7 +1,7 @@
 """Whether the source has moved on since a look was made from it, as sentences."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
@@ -76,23 +76,27 @@ def rewritten_sources(
 
 
 def switched_files(
-    record: RunRecord, folder: Path, source: StageSource
+    record: RunRecord,
+    folder: Path,
+    source: StageSource,
+    at: Callable[[str, float], float] = lambda path, code: code,
 ) -> Iterator[tuple[str, str]]:
     """Volumes whose density now comes from other files, and a sentence for each.
 
     Args:
         folder: of the look layer.
         source: the stage without the look.
+        at: the timeCode on that stage of a recorded one of a Volume.
     """
     for volume in source.volumes:
         then = {
-            frame.time_code: os.path.normpath(folder / grid.file)
+            _rounded(at(frame.prim, frame.time_code)): os.path.normpath(folder / grid.file)
             for frame in record.frames
             if frame.prim == volume.prim_path
             for grid in frame.sources
             if grid.field == "density"
         }
-        now = {f.time_code: f.fields[volume.density].file_path for f in volume.frames}
+        now = {_rounded(f.time_code): f.fields[volume.density].file_path for f in volume.frames}
         others = [
             code
             for code in sorted(then.keys() & now.keys())
@@ -106,11 +110,17 @@ def switched_files(
                 f"look was made from {_beside(then[first], folder)} (so at timeCodes "
                 f"{format_time_codes(others)})",
             )
-        if gone := sorted(then.keys() - set(volume.time_codes) if volume.animated else ()):
+        there = {_rounded(code) for code in volume.time_codes}
+        if gone := sorted(then.keys() - there if volume.animated else ()):
             yield (
                 volume.prim_path,
                 f"the source no longer has the timeCodes {format_time_codes(gone)}",
             )
+
+
+def _rounded(time_code: float) -> float:
+    """Equal for timeCodes that layer offsets have brought to one place in different steps."""
+    return round(time_code, 6)
 
 
 def written_at(path: str | Path) -> str:
