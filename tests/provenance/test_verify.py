@@ -171,6 +171,13 @@ def test_a_result_that_is_gone_is_named(finished: Finished) -> None:
     assert (change.kind, change.file) == ("result-missing", str(finished[1].frames[1]))
 
 
+def test_a_shader_of_the_look_that_is_gone_is_named(finished: Finished) -> None:
+    (shader,) = finished[0].output.glob("*.glslfx")
+    shader.unlink()
+    change = only(finished)
+    assert (change.kind, change.file) == ("result-missing", str(shader))
+
+
 def test_a_result_with_another_frame_in_its_place_is_named(finished: Finished) -> None:
     first, second, _ = finished[1].frames
     shutil.copyfile(first, second)

@@ -23,6 +23,7 @@ from usdsmoke.usd import (
     record_digest,
     record_values,
 )
+from usdsmoke.usd.look import shader_files
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
@@ -52,7 +53,8 @@ def verify(file: str | PathLike[str]) -> list[Change]:
             if any(change.kind == "record-edited" for change in edited):
                 continue  # there is nothing left to compare with
             raise
-        changes += [*_check_results(item), *check_inputs(item), *_check_versions(item)]
+        changes += [*_check_shaders(item), *_check_results(item)]
+        changes += [*check_inputs(item), *_check_versions(item)]
     return list(dict.fromkeys(changes))
 
 
@@ -75,6 +77,14 @@ def _check_layer(item: FoundRecord) -> Iterator[Change]:
     if found != values.get(RECORD_HASH):
         recorded = shown(values.get(RECORD_HASH, ""))
         yield Change("record-edited", file, f"record {recorded}", shown(found))
+
+
+def _check_shaders(item: FoundRecord) -> Iterator[Change]:
+    """Files of shaders that the look's material names; their content is not recorded."""
+    for name in shader_files(item.layer) if item.layer is not None else ():
+        if not item.place(name).is_file():
+            expected = "a shader of the look's material"
+            yield Change("result-missing", str(item.place(name)), expected, "no file")
 
 
 def _check_results(item: FoundRecord) -> list[Change]:

@@ -21,6 +21,7 @@ from usdsmoke.usd.units import stage_units_over_time
 
 _TYPES = Sdf.ValueTypeNames
 _NAME = "look_material"
+_SOURCE_ASSET = ":sourceAsset"  # end of the name of a shader's attribute that names its file
 _FALLBACK_EXTINCTION, _FALLBACK_ALBEDO = 1.0, 0.18  # of Storm's shader without a material
 
 
@@ -43,6 +44,20 @@ def author_material(
     volume_spec.SetInfo("apiSchemas", schemas)
     for name in (BINDING, *(f"{BINDING}:{purpose}" for purpose in purposes_to_bind(prim))):
         _bind(volume_spec, name, [path])
+
+
+def shader_files(layer: Sdf.Layer) -> list[str]:
+    """The files of shaders that materials of a layer name, as they are authored, each once."""
+    found = dict[str, None]()
+
+    def visit(path: Sdf.Path) -> None:
+        if path.IsPropertyPath() and path.name.endswith(_SOURCE_ASSET):
+            value = layer.GetAttributeAtPath(path).default
+            if isinstance(value, Sdf.AssetPath) and value.path:
+                found[value.path] = None
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return list(found)
 
 
 def keep_binding(volume_spec: Sdf.PrimSpec, prim: Usd.Prim) -> None:
@@ -116,7 +131,7 @@ def _author_node(
     else:
         info = {
             "info:implementationSource": (_TYPES.Token, "sourceAsset"),
-            "info:glslfx:sourceAsset": (_TYPES.Asset, Sdf.AssetPath(shader_file)),
+            f"info:glslfx{_SOURCE_ASSET}": (_TYPES.Asset, Sdf.AssetPath(shader_file)),
         }
     for name, (type_name, value) in info.items():
         Sdf.AttributeSpec(spec, name, type_name, Sdf.VariabilityUniform).default = value
