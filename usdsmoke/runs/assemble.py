@@ -298,10 +298,10 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """The extinctions that a run of other frames of the shot would need for the same look."""
     voxel = scene["reference_voxel_size"]
     return (
-        f"<{volume.source.prim_path}>: measured on the selected timeCodes: "
-        f"optics.gamma={scene['gamma_w'] * voxel:.6g}, "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}, per density and voxel of the "
-        "source. Set both for other parts of the shot"
+        f"<{volume.source.prim_path}>: for other parts of the shot in other folders, set "
+        f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g} (per density and voxel of the "
+        "source)"
     )
 
 
