@@ -293,7 +293,10 @@ def test_a_field_of_albedos_is_connected_in_every_renderer(tmp_path, emits):
 
     assert found["glslfx_volume"].GetAttribute("inputs:albedo").Get(2) == 1  # of the field's colour
     assert behind("glslfx_volume", "scatter").GetAttribute("inputs:fieldname").Get() == "Cd"
-    assert found["arnold_volume"].GetAttribute("inputs:scatter_color_channel").Get() == "Cd"
+    arnold = {name: found["arnold_volume"].GetAttribute(f"inputs:{name}").Get() for name in (
+        "scatter_color_channel", "scatter_color", "emission_mode")}  # fmt: skip
+    assert arnold["scatter_color_channel"] == "Cd" and arnold["scatter_color"] == (1, 1, 1)
+    assert arnold["emission_mode"] == ("channel" if emits else "none")
     for context in ("mtlx", "kma"):
         volume = "mtlx_vdf" if context == "mtlx" else "kma_volume"
         rate = behind(volume, "scattering")

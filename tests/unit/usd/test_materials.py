@@ -166,7 +166,7 @@ def test_only_the_targets_that_are_asked_for_are_written(tmp_path):
     arnold = shader(stage, "arnold")
     assert arnold.GetShaderId() == "arnold:standard_volume"
     assert values(arnold) == {
-        "density": 0.5, "density_channel": "density", "scatter": 0.0,
+        "density": 0.5, "density_channel": "density", "scatter": 0.0, "scatter_color": (1, 1, 1),
         "emission_mode": "channel", "emission": 1.0, "emission_channel": "emission",
     }  # fmt: skip
     karma = shader(stage, "kma")

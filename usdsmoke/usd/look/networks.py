@@ -6,7 +6,8 @@ is one: in a look's own frames none, unless it is made for lights. Storm scatter
 that colour: its shaders scatter one number.
 
 Sources: OpenUSD's tests of Storm's volumes; MaterialX 1.39 ``stdlib_defs`` and ``pbrlib_defs``;
-Arnold's reference of ``standard_volume``; SideFX's of ``kma_volume``; Pixar's of ``PxrVolume``,
+Arnold's reference of ``standard_volume`` and a public listing of its parameters; SideFX's of
+``kma_volume``; Pixar's of ``PxrVolume``,
 ``PxrPrimvar``, ``PxrToFloat3`` and ``PxrRemap``, and hdPrman's fallback material. MaterialX and
 ``kma_volume`` count absorption per metre. USD's Material takes the place of MaterialX's
 ``volumematerial``, so the terminal is its ``volume`` node.
@@ -130,20 +131,20 @@ def _karma(smoke: Smoke) -> tuple[Node, ...]:
 
 
 def _arnold(smoke: Smoke) -> tuple[Node, ...]:
+    """Its own defaults scatter half of the light and glow like a black body."""
+    mode = "density" if smoke.is_per_density else "channel"
     inputs = {
         "density": Input(_TYPES.Float, smoke.extinction),
         "density_channel": Input(_TYPES.String, smoke.density),
         "scatter": Input(_TYPES.Float, smoke.albedo),
+        "scatter_color": Input(_TYPES.Color3f, (1.0, 1.0, 1.0)),
+        "emission_mode": Input(_TYPES.String, mode if smoke.emits else "none"),
     } | _uneven(smoke, "scatter_anisotropy")
     if smoke.scatter:
         inputs["scatter_color_channel"] = Input(_TYPES.String, smoke.scatter)
     if smoke.emits:
-        mode = "density" if smoke.is_per_density else "channel"
-        inputs |= {
-            "emission_mode": Input(_TYPES.String, mode),
-            "emission": Input(_TYPES.Float, 1.0),
-            "emission_channel": Input(_TYPES.String, EMISSION),
-        }
+        inputs["emission"] = Input(_TYPES.Float, 1.0)
+        inputs["emission_channel"] = Input(_TYPES.String, EMISSION)
     return (Node("volume", "arnold:standard_volume", inputs, ("out", _TYPES.Token)),)
 
 
