@@ -320,8 +320,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--iterations", type=int, default=180, help="of the colour step")
     parser.add_argument("--report", type=Path)
     parser.add_argument("--picture", type=Path, help="of all styles")
+    parser.add_argument("--cost-alone", action="store_true", help="print the third table")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
+    if given.cost_alone:
+        print("\n".join(cost(given.vdb, given.styles[0], 60, 9)))
+        return
     rows = agreement(given.voxels, given.seeds, given.samples)
     closures = closure(given.vdb, given.styles, given.iterations, 2 * given.samples, given.picture)
     costs = cost(given.vdb, given.styles[0], 60, 3)
