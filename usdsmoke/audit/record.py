@@ -22,9 +22,9 @@ from usdsmoke.base.record_format import (
     StyleRecord,
     short_run_id,
 )
-from usdsmoke.usd import captured_diagnostics, read_record, record_values
-from usdsmoke.usd.diagnostics import layer_problem, open_quietly
+from usdsmoke.usd.diagnostics import captured_diagnostics, layer_problem, open_quietly
 from usdsmoke.usd.field_samples import field_targets
+from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.schema import RUN, SEED, STYLE
 from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header

@@ -38,8 +38,8 @@ from usdsmoke.runs.provenance_record import frame_metadata, keep_record, make_re
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
-from usdsmoke.usd import late_note
 from usdsmoke.usd.look import author_look, published_runs, result_hashes
+from usdsmoke.usd.schema import late_note
 from usdsmoke.vdb.blend import blend_fields, blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame

@@ -1,6 +1,7 @@
 """USD stages in and out.
 
-- `stage`, `look`, `rules`: rooms of their own
+- `stage`: stages as they are opened; `look`: the layers of a result
+- `rules`: what `validate` checks
 - `schema`: the names of usdsmoke's schemas, and their registration
 - `crates`: crate files looked at in a process with limits
 - `diagnostics`: OpenUSD's warnings and errors as messages
@@ -16,30 +17,3 @@
 - `source_stage`: a stage made from bare VDB files
 - `inspect`: everything that a stage holds, as one report
 """
-
-from usdsmoke.usd.diagnostics import captured_diagnostics, short_reason
-from usdsmoke.usd.field_samples import field_targets, held_time_code
-from usdsmoke.usd.layer_record import (
-    LAYER_HASH,
-    RECORD_HASH,
-    layer_digest,
-    read_record,
-    record_digest,
-    record_values,
-)
-from usdsmoke.usd.schema import late_note, register_schema
-
-__all__ = [
-    "LAYER_HASH",
-    "RECORD_HASH",
-    "captured_diagnostics",
-    "field_targets",
-    "held_time_code",
-    "late_note",
-    "layer_digest",
-    "read_record",
-    "record_digest",
-    "record_values",
-    "register_schema",
-    "short_reason",
-]

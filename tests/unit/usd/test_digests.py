@@ -6,7 +6,7 @@ import pytest
 from pxr import Sdf
 
 from tests.fixtures.usd_fixtures import make_look, plume_stage
-from usdsmoke.usd import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
+from usdsmoke.usd.layer_record import LAYER_HASH, RECORD_HASH, layer_digest, record_digest
 
 
 def sealed(layer: Sdf.Layer) -> tuple[bool, bool]:

@@ -134,7 +134,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 import usdsmoke
-from usdsmoke.usd import late_note
+from usdsmoke.usd.schema import late_note
 print(json.dumps(late_note()))
 """
     note = run_python(code, PXR_PLUGINPATH_NAME="")
@@ -149,7 +149,7 @@ import json
 from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
-from usdsmoke.usd import register_schema
+from usdsmoke.usd.schema import register_schema
 print(json.dumps([register_schema(), register_schema()]))
 """
     assert run_python(late, PXR_PLUGINPATH_NAME="") == [False, False]

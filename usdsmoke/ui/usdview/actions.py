@@ -10,7 +10,7 @@ from typing import Protocol
 from pxr import Tf, Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
-from usdsmoke.usd import short_reason
+from usdsmoke.usd.diagnostics import short_reason
 
 
 class UsdviewApi(Protocol):

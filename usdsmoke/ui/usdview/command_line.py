@@ -18,7 +18,8 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VolumeSource
 from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
-from usdsmoke.usd import held_time_code, read_record
+from usdsmoke.usd.field_samples import held_time_code
+from usdsmoke.usd.layer_record import read_record
 from usdsmoke.usd.stage import find_volumes
 
 NO_STYLE = "STYLE.png"  # stands for an image that is not known

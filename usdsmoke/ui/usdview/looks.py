@@ -11,7 +11,9 @@ from usdsmoke.audit import FoundRecord
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.ui.cli.record_text import provenance_text
-from usdsmoke.usd import captured_diagnostics, read_record, record_values, schema
+from usdsmoke.usd import schema
+from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.layer_record import read_record, record_values
 
 # A muted layer belongs to nobody and would be gone, with edits that were not saved. What FindOrOpen
 # gives keeps a layer alive; what stages give does not.

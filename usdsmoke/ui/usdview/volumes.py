@@ -6,7 +6,7 @@ from itertools import chain
 from pxr import Usd, UsdVol
 
 from usdsmoke.base.errors import VolumeNotFound
-from usdsmoke.usd import field_targets
+from usdsmoke.usd.field_samples import field_targets
 
 
 def selects_everything(selected: Sequence[Usd.Prim]) -> bool:
