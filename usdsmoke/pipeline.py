@@ -101,7 +101,7 @@ def stylize(
 ) -> StylizeResult:
     """Stylize the smoke of a stage after one or more images and write the result as a look layer.
 
-    A run that was stopped, however rudely, is continued by the same call: finished windows are
+    A run that was stopped or killed is continued by the same call: finished windows are
     kept. Where the output folder holds a result of equal settings with more frames
     (``stage.frames``), the windows of the selected ones are done again and the others stay. Where
     it holds one with fewer frames, it is made longer. Input files are only read.

@@ -144,8 +144,8 @@ REFUSALS: dict[str, tuple[Spoil, str, str]] = {
     "whole numbers": (retyped(b"Tree_int32_5_4_3"), "UnsupportedGrid", "holds int32 values"),
     "odd tree": (retyped(b"Tree_float_3_4_5"), "UnsupportedGrid", "3_4_5 tree"),
     "missing file": (missing_file, "AssetNotResolved", "smoke.0002.vdb"),
-    "missing grid": (missing_grid, "GridNotFound", 'no grid "density" in smoke.0002.vdb (field '
-        "</World/smoke/density>, timeCode 2) (found: smoke, heat)"),
+    "missing grid": (missing_grid, "GridNotFound", "smoke.0002.vdb (field </World/smoke/density>, "
+        'timeCode 2) has no grid "density"; it has smoke, heat.'),
     "NaN": (not_finite, "NonFiniteError", "timeCode 2) has 2 NaN or infinite voxels"),
     "not a VDB": (not_a_vdb, "DamagedFile", "smoke.0002.vdb"),
     "cut off": (cut_off, "DamagedFile", "smoke.0002.vdb"),

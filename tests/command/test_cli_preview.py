@@ -43,7 +43,7 @@ def test_a_named_error_is_one_sentence_and_exit_code_1(
     words = ["preview", str(shot.stage), "-o", str(target), "--camera", "/none"]
     assert main(words) == 1
     out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and "cameras: none" in err
+    assert out == "" and err.count("\n") == 1 and "</none>" in err and "no camera" in err
     assert not target.exists()
 
 

@@ -64,7 +64,8 @@ class ByteReader:
         left = self._size - self.position
         if count > left:
             raise self.damage(
-                f"{what} should take {count} bytes at byte {self.position}, but {left} are left"
+                f"{what} takes {count} bytes from byte {self.position}, but the file has "
+                f"{left} more"
             )
         self._budget -= count
         if self._budget < 0:

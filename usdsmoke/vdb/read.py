@@ -111,7 +111,7 @@ def find_grid(header: FileHeader, request: GridRequest) -> GridHeader:
         return same_name[index]
     labels = ", ".join(_labels(header)) or "no grids at all"
     raise GridNotFound(
-        f"no {_asked_for(request)} in {_place(header, request)} (found: {labels}). "
+        f"{_place(header, request)} has no {_asked_for(request)}; it has {labels}. "
         "Correct the field's fieldName or fieldIndex, or the file."
     )
 
@@ -273,7 +273,7 @@ def _check_finite(
 
 def _place(header: FileHeader, request: GridRequest) -> str:
     name = Path(header.file_path).name
-    return f"{name} ({request.where})" if request.where else f"{name} ({header.file_path})"
+    return f"{name} ({request.where})" if request.where else header.file_path
 
 
 def _asked_for(request: GridRequest) -> str:

@@ -131,8 +131,8 @@ def _check_measured(
     late = [item for item in omitted if item.reason.startswith(too_long(budget))]
     if late and not results:
         raise ConfigError(
-            f"{budget.seconds:g} s is too short to measure anything: {late[0].what} "
-            f"{late[0].reason}. Give more time (--budget; seconds in Python)."
+            f"{budget.seconds:g} s are too short for any measurement. {late[0].what} "
+            f"{late[0].reason}. Give more time with --budget, in Python in seconds."
         )
 
 

@@ -23,12 +23,10 @@ class SuggestingParser(argparse.ArgumentParser):
         return arguments
 
     def error(self, message: str) -> NoReturn:
-        """One line that names the argument and what to write; the usage if arguments are missing.
+        """One line that names the argument and what to write.
 
         For a word that is not a choice, the line names the nearest choice, or all of them.
         """
-        if message.startswith("the following arguments are required"):
-            super().error(message)
         choice = r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)"
         if found := re.fullmatch(choice, message):
             known = re.findall(r"[\w-]+", found[3])
@@ -38,9 +36,26 @@ class SuggestingParser(argparse.ArgumentParser):
         elif found := re.fullmatch(r"argument (.*?): invalid (int|float) value: ('.*')", message):
             kind = "a whole number" if found[2] == "int" else "a number"
             message = f"{found[1]}: {found[3]} is not {kind}."
+        elif found := re.fullmatch(r"the following arguments are required: (.*)", message):
+            missing = [self._form(name) for name in found[1].split(", ")]
+            verb = "is" if len(missing) == 1 else "are"
+            message = f"{' and '.join(missing)} {verb} missing. See {self.prog} --help."
+        elif found := re.fullmatch(r"argument (.*?): expected .*", message):
+            message = f"{found[1]} has no value. Give {self._form(found[1])}."
         elif found := re.fullmatch(r"argument (.*?): not allowed with argument (.*)", message):
             message = f"{found[1]} and {found[2]} exclude each other. Give one of them."
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}\n")
+
+    def _form(self, name: str) -> str:
+        """An argument as it is written, such as -o OUT."""
+        for action in self._actions:
+            if action.option_strings and name == "/".join(action.option_strings):
+                return " ".join(filter(None, (action.option_strings[0], _value(action))))
+        return name
+
+
+def _value(action: argparse.Action) -> str:
+    return action.metavar if isinstance(action.metavar, str) else action.dest.upper()
 
 
 def _joined(words: Sequence[str]) -> list[str]:

@@ -81,8 +81,8 @@ def check_one_name(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             is_named = (field.prim_path, _plain(name)) in names
             if name and not sample.blocked and not is_named:
                 troubles[sample.time_code] = (
-                    f'the relationship field:{field.relationship} shows the grid "{name}"; several '
-                    "programs expect both to have one name"
+                    f'the relationship field:{field.relationship} shows the grid "{name}". Give '
+                    "both the same name: several programs expect it"
                 )
         problems += grouped(Severity.WARN, field.prim_path, troubles)
     return problems

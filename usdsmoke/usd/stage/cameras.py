@@ -89,8 +89,8 @@ def seen_through(
 
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
-    listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage)) or "none"
-    advice = f"Use one of its cameras: {listed}."
+    listed = ", ".join(f"<{camera}>" for camera in list_cameras(stage))
+    advice = f"Give one of the stage's cameras: {listed}." if listed else "The stage has no camera."
     prim = named_prim(stage, path, "/World/camera", advice, StageError)
     if not prim.IsA(UsdGeom.Camera):
         raise StageError(f"<{path}> {type_words(prim)}, not a Camera. {advice}")
