@@ -11,6 +11,7 @@ wall seconds are worth something on a quiet machine alone.
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -59,11 +60,21 @@ def measure(tree: Path, stage: Path, style: Path, options: list[str]) -> dict[st
         found |= {part: seconds.get(part, 0.0) for part in PARTS}
         (root_stage,) = out.glob("*_look.usda")
         opened = Usd.Stage.Open(str(root_stage))
-        result = read_result(opened, time_code=opened.GetStartTimeCode())
+        result = read_result(opened, time_code=_first_frame(options, opened))
         pixels = read_style_image(style).pixels
         found["unseen loss"] = unseen_loss(result, pixels)
         found["unseen loss, front"] = unseen_loss(result, pixels, RANGES["front"])
         return found
+
+
+def _first_frame(options: list[str], stage: Usd.Stage) -> float:
+    """The first timeCode that a run with these options has stylized."""
+    if "--frames" not in options:
+        return float(stage.GetStartTimeCode())
+    found = re.match(r"-?[\d.]+", options[options.index("--frames") + 1])
+    if found is None:
+        raise ValueError("--frames begins with no number")
+    return float(found[0])
 
 
 def checkout_parser(text: str | None) -> argparse.ArgumentParser:
