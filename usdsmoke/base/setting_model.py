@@ -203,6 +203,8 @@ def _allowed_text(field: FieldInfo) -> str:
     between = ", " if is_list else " " if "gt" in limits else " of "
     if {"ge", "le"} <= limits.keys() and not is_list:
         between = " from "
+    if extra_of(field).get("form"):
+        between = ": "
     return f"{type_text(field)}{' ' if allowed_values(field) else between}{limits_text}"
 
 
