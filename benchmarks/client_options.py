@@ -74,7 +74,7 @@ def _extinction(stage_file: Path) -> float:
     for prim in stage.Traverse():
         if prim.IsA(UsdVol.Volume) and prim.GetAttribute(EXTINCTION_PER_DENSITY):
             return float(prim.GetAttribute(EXTINCTION_PER_DENSITY).Get())
-    raise ValueError(f"{stage_file} has no Volume with {EXTINCTION_PER_DENSITY}; wanted a result")
+    raise ValueError(f"{stage_file} has no Volume with {EXTINCTION_PER_DENSITY}. Give a result.")
 
 
 def _draw(

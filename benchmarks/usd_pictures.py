@@ -79,6 +79,7 @@ class Difference:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     options = _parse(arguments)
+    options.out = options.out.resolve()  # stages lead from one folder to another
     try:
         result = make_sequence(options.out)
         for mode in options.mode or MODES:
@@ -110,6 +111,7 @@ def make_sequence(out_folder: Path) -> Path:
     words = ["--style", str(styles / "strokes.png")]
     words += ["--config", str(examples / "plume/config.yaml"), "--mode", MODES[0]]
     words += ["--frames", f"{FIRST}-{LAST}", "-o", str(result)]
+    words += ["--set", "layer.material=none"]  # the programs' own materials are compared
     _python("-m", "usdsmoke", "stylize", str(stage_file), *words)
     return result
 
