@@ -31,9 +31,8 @@ class Course:
         Args:
             whole: False: for a task of the run, where it does not matter which others are done.
         """
-        try:
-            again = self._again
-        except OutputExists:  # see ``refusal``
+        again = self._again
+        if isinstance(again, str):
             return self._job.plan
         if again is not None:
             return _repeated(again[0].plan, again[2], self._job.plan)
@@ -46,17 +45,22 @@ class Course:
     @property
     def refusal(self) -> str:
         """Why ``open_run`` would refuse the whole job; "" where it would not."""
+        if self._again is not None:
+            return self._again if isinstance(self._again, str) else ""
+        growth = self._growth
         try:
-            if self._again is None:
-                growth = self._growth
-                refuse_runs(growth.job if growth else self._job, growth)
+            refuse_runs(growth.job if growth else self._job, growth)
         except (OutputExists, LayerError) as error:
             return str(error)
         return ""
 
     @cached_property
-    def _again(self) -> tuple[Job, Run, frozenset[int]] | None:
-        return None if self._job.request.force else frames_again(self._job)
+    def _again(self) -> tuple[Job, Run, frozenset[int]] | str | None:
+        """As of ``frames_again``, or why it refuses."""
+        try:
+            return None if self._job.request.force else frames_again(self._job)
+        except OutputExists as error:
+            return str(error)
 
     @cached_property
     def _growth(self) -> Growth | None:
@@ -77,13 +81,14 @@ def _repeated(whole: Plan, numbers: Collection[int], part: Plan) -> Plan:
     stay = [task for task in whole.tasks if task.number not in numbers]
     notes = ["the output folder holds this result", *_kept_and_left(stay, done)]
     notes += _lasting_notes(whole)
-    frames = {frame.file_name for volume in whole.volumes for frame in volume.frames}
-    return replace(part, notes=tuple(notes), estimate=estimate_part(whole, done, frames))
+    estimate = estimate_part(whole, done, {*_frames(whole)})
+    return replace(part, notes=tuple(notes), estimate=estimate)
 
 
 def _grown(growth: Growth) -> Plan:
     plan, stay = growth.job.plan, [task for task, _ in growth.windows]
-    notes = [*growth.notes, *_kept_and_left(stay, growth.to_do), *_lasting_notes(plan)]
+    why = "" if stay else ", as each window has other frames, files or starts"
+    notes = [*growth.notes, *_kept_and_left(stay, growth.to_do, why), *_lasting_notes(plan)]
     started = {name for name in _frames(plan) if coarse_file_name(name) in growth.starts}
     estimate = estimate_part(plan, growth.to_do, started)
     return replace(plan, notes=tuple(notes), estimate=estimate)
@@ -109,8 +114,9 @@ def _lasting_notes(plan: Plan) -> list[str]:
     return [note for note in plan.notes if note not in measured]
 
 
-def _kept_and_left(stay: Sequence[WindowTask], left: Sequence[WindowTask]) -> tuple[str, str]:
-    why = "" if stay else ", as each window has other frames, files or starts"
+def _kept_and_left(
+    stay: Sequence[WindowTask], left: Sequence[WindowTask], why: str = ""
+) -> tuple[str, str]:
     kept = f"{_named(stay)}, " if stay else ""
     return f"kept: {kept}extinction and picture size", f"to do: {_named(left)}{why}"
 
