@@ -7,16 +7,18 @@ request, what is given explicitly for this run (options, mappings, texts).
 import difflib
 import math
 import os
+import re
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
 import yaml
+from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import relative_asset_path
-from usdsmoke.base.setting_model import extra_of, range_text, type_text
+from usdsmoke.base.setting_model import allowed_values, extra_of, range_text, type_text
 from usdsmoke.base.settings import SECTIONS, Config, declared_settings, flatten_settings
 
 FilePath = str | PathLike[str]
@@ -190,19 +192,26 @@ def settings_yaml(config: Config, comments: bool = True) -> str:
     Args:
         comments: whether each setting is preceded by its meaning, unit and limits.
     """
-    lines, told = [], settings()
+    lines, declared = [], declared_settings()
     for section, model in SECTIONS.items():
         lines += [f"# {model.__doc__}"] if comments else []
         lines.append(f"{section}:")
         for key, value in getattr(config, section).model_dump().items():
-            about = told[f"{section}.{key}"]
             if comments:
-                limits = "; ".join(filter(None, (about["unit"], about["range"])))
-                lines.append(f"  # {about['description']}{f' ({limits})' if limits else ''}")
+                lines.append(f"  # {_meaning(declared[f'{section}.{key}'])}")
             text = yaml.safe_dump(value, default_flow_style=True, width=math.inf)
             lines.append(f"  {key}: {text.removesuffix(_END_MARK).strip(chr(10))}")
         lines.append("")
     return "\n".join(lines)
+
+
+def _meaning(field: FieldInfo) -> str:
+    """A setting's description, unit and limits; its choices only if the description has not."""
+    about = str(field.description)
+    words = set(re.findall(r"\w+", about))
+    limits = range_text(field, with_choices=not words.issuperset(allowed_values(field)))
+    beside = "; ".join(filter(None, (extra_of(field).get("unit", ""), limits)))
+    return f"{about} ({beside})" if beside else about
 
 
 def _parts_of(settings: Any) -> Iterator[Any]:

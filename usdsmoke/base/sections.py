@@ -33,10 +33,11 @@ class StageConfig(Section):
     velocity: str = setting(
         "", "relationship or grid name of the velocity field; empty: the usual names")
     velocity_unit: Literal["second", "frame"] = setting(
-        "second", "the velocity is in grid-world units per second, or per timeCode (frame)")
+        "second", "time unit of the velocity, which is in grid-world units: per second, or per "
+        "timeCode (frame)")
     motion: Literal["velocity", "estimate"] = setting(
-        "velocity", "what carries results from frame to frame: the velocity field, or a velocity "
-        "estimated from the densities of neighbouring frames")
+        "velocity", "what carries results from frame to frame: the velocity field (velocity), or "
+        "one estimated from the densities of neighbouring frames (estimate)")
     mask: str = setting(
         "", "relationship or grid name of a scalar field in [0, 1] that scales the effect in "
         "space; empty: none")
@@ -110,7 +111,7 @@ class ViewsConfig(Section):
         ge=16, le=2048, unit="pixels", request="imageSize")
     camera: str = setting(
         "", "path of the shot's Camera. Views are taken around its direction, and only smoke that "
-        "it sees is stylized; empty: views around the up axis")
+        "it sees is stylized; default: views around the up axis")
     camera_width: int = setting(
         1920, "width of the shot's image; finer detail is not optimised",
         ge=1, le=65536, unit="pixels")
@@ -207,8 +208,8 @@ class LossesConfig(Section):
     style: float = setting(
         1.0, "weight of the style; 0 returns the source, whatever the other weights are", ge=0)
     statistic: Literal["gram", "sliced_wasserstein"] = setting(
-        "sliced_wasserstein", "how feature maps are compared: by their distributions or, as in the "
-        "paper, by their Gram matrices",
+        "sliced_wasserstein", "how feature maps are compared: by their distributions "
+        "(sliced_wasserstein) or, as in the paper, by their Gram matrices (gram)",
         request="statistic")
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
@@ -260,7 +261,8 @@ class ColourConfig(Section):
         "that it scatters (albedo), or that share plus an emission where scattering is not enough "
         "(both)")
     init: Literal["noise", "density"] = setting(
-        "noise", "first colours: density times white noise, or plain density", request="colourInit")
+        "noise", "first colours: density times white noise (noise), or plain density (density)",
+        request="colourInit")
     learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
         [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
@@ -280,11 +282,11 @@ class OptimizeConfig(Section):
         min_length=1, distinct=True, request="steps")
     iterations: int | None = setting(
         None, "total iterations of each step; the lists per octave are scaled to it; unset: the "
-        "lists as they are; 0, with optimize.start: what the network paints", ge=0,
+        "lists as they are; 0 with optimize.start: the result is what the network paints", ge=0,
         unit="iterations", request="iterations")
     start: str = setting(
         "", "network that 'usdsmoke train' wrote; a frame without a neighbour starts from its "
-        "colours, and only its finest octave is optimised; empty: such frames start from noise")
+        "colours, and only its finest octave is optimised; default: such frames start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "
@@ -349,7 +351,8 @@ class LayerConfig(Section):
         "bound (auto); one that shows the look in place of a bound one (replace); no change (none)")
     material_targets: list[Literal["glslfx", "mtlx", "arnold", "karma", "renderman"]] = setting(
         ["glslfx", "mtlx"], "what the material has a volume shader for: Hydra Storm (glslfx), "
-        "MaterialX (mtlx), Arnold, Karma, RenderMan", min_length=1, distinct=True)
+        "MaterialX (mtlx), Arnold (arnold), Karma (karma), RenderMan (renderman)",
+        min_length=1, distinct=True)
     digital_source_type: Literal[
         "algorithmicallyEnhanced",
         "compositeWithTrainedAlgorithmicMedia",

@@ -178,7 +178,7 @@ def type_text(field: FieldInfo) -> str:
     return f"null or {text}" if is_optional else text
 
 
-def range_text(field: FieldInfo) -> str:
+def range_text(field: FieldInfo, with_choices: bool = True) -> str:
     """A setting's choices and limits, such as "above 0 and at most 8"; "" without any."""
     is_list, limits, extra = ValueType.of(field).is_list, limits_of(field), extra_of(field)
     if "ge" in limits and "le" in limits:
@@ -186,7 +186,7 @@ def range_text(field: FieldInfo) -> str:
     else:
         words = {"ge": "at least", "gt": "above", "le": "at most"}
         numbers = " and ".join(f"{words[sign]} {_number(limits[sign])}" for sign in limits)
-    choices = ", ".join(allowed_values(field))
+    choices = ", ".join(allowed_values(field)) if with_choices else ""
     if is_list:
         numbers = f"each {numbers}" if numbers else ""
         if any(hasattr(item, "min_length") for item in field.metadata):

@@ -50,7 +50,7 @@ def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
 
 
 def measured_on_part(volume: VolumePlan) -> bool:
-    """Whether extinction and exposure are measured on some of a Volume's timeCodes."""
+    """Whether extinction and picture size are measured on some of a Volume's timeCodes."""
     optics = volume.config.optics
     is_open = optics.gamma is None or optics.gamma_shape is None
     return is_open and len(volume.frames) < len(volume.source.time_codes)
@@ -104,7 +104,7 @@ def _part(volume: VolumePlan) -> list[str]:
         return []
     n_all = count_text(len(volume.source.time_codes), "timeCode")
     return [
-        f"extinction and exposure of <{volume.source.prim_path}> are measured on "
+        f"extinction and picture size of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
         "optics.gamma and optics.gamma_shape"
@@ -122,7 +122,8 @@ def _measured_elsewhere(volume: VolumePlan) -> list[str]:
         return []
     return [
         f"optics.frames names {name_time_codes(absent)} of <{volume.source.prim_path}>, which "
-        "this run does not stylize: extinction and exposure are measured on selected frames only"
+        "this run does not stylize: extinction and picture size are measured on selected frames "
+        "only"
     ]
 
 

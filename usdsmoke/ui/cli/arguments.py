@@ -1,6 +1,7 @@
 """The arguments of each command. Defaults and limits of settings come from the settings."""
 
 import argparse
+import textwrap
 from functools import partial
 from typing import Any
 
@@ -208,7 +209,7 @@ def _add_preview(commands: Any) -> None:
         "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last; "
         "all for an animation; the middle for a turn)",
     )
-    add_set(parser, "one setting of stage, such as stage.density=fog; may be repeated")
+    add_set(parser, "a setting of the section 'stage', such as stage.density=fog; may be repeated")
     parser.add_argument(
         "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"
     )
@@ -269,7 +270,7 @@ def _add_report(commands: Any) -> None:
 def _add_run(parser: argparse.ArgumentParser) -> None:
     """The arguments of a run."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = f"{EXIT_CODES}\n\n{settings_summary()}"
+    parser.epilog = f"{textwrap.fill(EXIT_CODES, 80)}\n\n{settings_summary()}"
     parser.add_argument("stage", metavar="STAGE", help="a USD file")
     add_style(parser)
     parser.add_argument(

@@ -1,6 +1,7 @@
 """Options that several commands share, most of them for a setting; from options to settings."""
 
 import argparse
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ OPTIONS = {  # that stand for a setting
     "--split-rgb": "layer.split_rgb",
 }
 EXIT_CODES = (
-    "exit codes: 0 success; 1 an error, or a problem was found; 2 wrong usage; stopped by: "
-    "130 Ctrl-C, 143 SIGTERM, 141 a closed pipe"
+    "exit codes: 0 success; 1 an error, or a problem was found; 2 wrong usage; 130 Ctrl-C; "
+    "141 closed pipe; 143 SIGTERM"
 )
 
 
@@ -174,5 +175,6 @@ def settings_summary() -> str:
     """The names of all settings by section, for a help text."""
     lines = ["settings for --set and --config (explained by 'usdsmoke settings'):"]
     for section, model in SECTIONS.items():
-        lines.append(f"  {section}: {', '.join(model.model_fields)}")
+        names = f"{section}: {', '.join(model.model_fields)}"
+        lines += textwrap.wrap(names, 80, initial_indent="  ", subsequent_indent="    ")
     return "\n".join(lines)

@@ -46,17 +46,20 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     "FieldTypeMismatch": (field_rules.check_types, "fieldDataType describes the grid."),
     "FieldClassMismatch": (field_rules.check_classes, "fieldClass describes the grid."),
     "FieldTokenUnknown": (field_rules.check_tokens, "Field tokens are those the schema allows."),
-    "FrameGap": (field_rules.check_gaps, "Files follow one another without gaps."),
+    "FrameGap": (field_rules.check_gaps, "The numbered files of a sequence have no gaps."),
     "AbsolutePath": (field_rules.check_absolute_paths, "File paths are relative."),
     "MixedFilesPerVolume": (volume_rules.check_one_file, "A Volume's fields share one file."),
     "FieldNameMismatch": (
         volume_rules.check_one_name,
-        "A relationship to each field has the name of its grid.",
+        "Each field's relationship is named after its grid.",
     ),
-    "GridTransformMismatch": (volume_rules.check_one_place, "A Volume's fields share voxels."),
+    "GridTransformMismatch": (
+        volume_rules.check_one_place,
+        "The grids of a Volume have the same transform.",
+    ),
     "FieldPlaceDiffers": (
         volume_rules.check_field_place,
-        "Field prims stand where their Volume stands.",
+        "A field prim has the same transform as its Volume.",
     ),
     "LookHidden": (
         volume_rules.check_look_seen,
@@ -73,11 +76,11 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
     ),
     "LookStale": (
         result_rules.check_stale,
-        "The variants and files of the source are those that a look was made from.",
+        "The source has the variants and files that the look was made from.",
     ),
     "GridHashMismatch": (
         result_rules.check_field_results,
-        "Files that usdsmoke wrote hold what was written.",
+        "The grids in a file that usdsmoke wrote still match the hashes in the file.",
     ),
 }
 _PRIM_RULES: dict[str, tuple[PrimRule, str]] = {
@@ -89,7 +92,7 @@ _PRIM_RULES: dict[str, tuple[PrimRule, str]] = {
 _LAYER_RULES = {
     "ResultChanged": (
         result_rules.check_layer_results,
-        "The files of a look layer hold what the layer recorded of them.",
+        "The files of a look layer still match the hashes in the layer.",
     )
 }
 # These errors are about the installed renderers, not about the stage.
