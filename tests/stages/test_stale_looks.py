@@ -95,9 +95,10 @@ def test_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
     assert "written 2033-05-1" in change.found
 
 
-def test_a_source_written_again_with_the_same_grids_is_a_note(tmp_path: Path) -> None:
+@pytest.mark.parametrize("unit", ["second", "frame"])
+def test_a_source_written_again_with_the_same_grids_is_a_note(tmp_path: Path, unit: str) -> None:
     shot = make_shot(tmp_path, names=("density", "vel"))
-    result = run(shot, "stage.motion=velocity")
+    result = run(shot, "stage.motion=velocity", f"stage.velocity_unit={unit}")
     cache = shot.stage.parent / "cache/smoke.0001.vdb"
     for value, severity in ((0.625, Severity.INFO), (0.5, Severity.ERROR)):
         before = cache.read_bytes()

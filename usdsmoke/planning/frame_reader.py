@@ -3,8 +3,6 @@
 import dataclasses
 from collections.abc import Iterable
 
-import numpy as np
-
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
@@ -21,7 +19,7 @@ from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 from usdsmoke.vdb.store import GridStore
-from usdsmoke.vdb.velocity import read_velocity
+from usdsmoke.vdb.velocity import read_velocity, scale_field
 
 
 class FrameReader:
@@ -131,7 +129,7 @@ def read_frame(
         factor = _slowed(velocity.field, config)
         if config.stage.velocity_unit == "frame":
             factor *= time_codes_per_second
-        moving = _scaled(moving, factor)
+        moving = scale_field(moving, factor)
     return VolumeFrame(
         time_code=frame.time_code,
         density=density,
@@ -150,17 +148,6 @@ def _slowed(field: FieldSource, config: Config) -> float:
     """What layer offsets do to a velocity, in the unit it has in the file."""
     per_frame = config.stage.velocity_unit == "frame"
     return 1 / (field.code_stretch if per_frame else field.time_stretch)
-
-
-def _scaled(field: DenseField, factor: float) -> DenseField:
-    """The field times a number; the field itself for 1."""
-    if factor == 1:
-        return field
-    background = tuple(factor * value for value in np.broadcast_to(field.background, 3).tolist())
-    if field.values.ndim == 3:
-        background = float(background[0])  # type: ignore[assignment]
-    values = field.values * np.float32(factor)
-    return dataclasses.replace(field, values=values, background=background)
 
 
 def _read_mask(mask: MaskSource, config: Config, read: ReadGrids) -> DenseField:
@@ -194,7 +181,7 @@ def read_velocity_grids(
     requests = [GridRequest(grid.name, grid.index, where) for grid in velocity.grids]
     factor = _slowed(velocity.field, config)
     grids = read(velocity.field.file_path, requests, config.grids)
-    return [_scaled(grid, factor) for grid in grids]
+    return [scale_field(grid, factor) for grid in grids]
 
 
 def _hashes(frame: VolumeFrame) -> dict[str, str]:

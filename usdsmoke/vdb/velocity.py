@@ -126,3 +126,14 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
         background=(background[0], background[1], background[2]),
         half=all(part.half for part in parts),
     )
+
+
+def scale_field(field: DenseField, factor: float) -> DenseField:
+    """The field times a number; the field itself for 1."""
+    if factor == 1:
+        return field
+    background = tuple(factor * value for value in np.broadcast_to(field.background, 3).tolist())
+    if field.values.ndim == 3:
+        background = float(background[0])  # type: ignore[assignment]
+    values = field.values * np.float32(factor)
+    return dataclasses.replace(field, values=values, background=background)

@@ -6,6 +6,8 @@ from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
 
+from pxr import Sdf
+
 from usdsmoke.base.errors import FileUnreadable, GridError, StageError
 from usdsmoke.base.record_format import RunRecord, SourceGrid, hash_file
 from usdsmoke.base.sections import GridsConfig
@@ -14,7 +16,7 @@ from usdsmoke.base.volume import GRID_SEPARATORS, StageSource
 from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
-from usdsmoke.vdb.velocity import read_velocity
+from usdsmoke.vdb.velocity import read_velocity, scale_field
 
 _AT = "%Y-%m-%d %H:%M"
 
@@ -45,7 +47,8 @@ def rewritten_sources(
     finished = _seconds(record.finished)
     if not (record.stage and finished):
         return
-    stage_folder = Path(os.path.normpath(folder / record.stage)).parent
+    stage = os.path.normpath(folder / record.stage)
+    stage_folder, rate = Path(stage).parent, _velocity_factor(record, stage)
     used: dict[str, set[SourceGrid]] = {}
     for frame in record.frames:
         if prim_path in ("", frame.prim):
@@ -64,7 +67,9 @@ def rewritten_sources(
         except FileUnreadable:
             continue
         hashed = [source for source in used[path] if source.hash]
-        is_same = bool(hashed) and all(item.hash in _grid_hashes(path, item) for item in hashed)
+        is_same = bool(hashed) and all(
+            item.hash in _grid_hashes(path, item, rate) for item in hashed
+        )
         what = "was written again with the same grids," if is_same else "has other content, written"
         others = ", ".join(sorted({item.grid for item in used[path]} - {s.grid for s in hashed}))
         unknown = f"; no hash is recorded of {others}" if others and is_same else ""
@@ -141,11 +146,22 @@ def _seconds(text: str) -> float:
     return moment.replace(tzinfo=timezone.utc).timestamp() + 1  # it has no fraction
 
 
-def _grid_hashes(path: str, source: SourceGrid) -> set[str]:
+def _velocity_factor(record: RunRecord, stage: str) -> float:
+    """What a run has multiplied velocities by: one in timeCodes is brought to seconds."""
+    if record.settings.get("stage", {}).get("velocity_unit") != "frame":
+        return 1.0
+    layer = Sdf.Layer.FindOrOpen(stage)
+    return float(layer.timeCodesPerSecond) if layer else 1.0
+
+
+def _grid_hashes(path: str, source: SourceGrid, factor: float) -> set[str]:
     """The content hashes that a recorded grid would have as the file holds it now.
 
-    Of a velocity both as it is read and as it is copied. One in timeCodes, or one that layer
-    offsets slow down, was hashed in other units and so counts as another one.
+    Of a velocity both as it is read and as it is copied. One that layer offsets slow down was
+    hashed in other units and so counts as another one.
+
+    Args:
+        factor: of velocities that are read.
     """
     try:
         labels = source.grid.split(", ")
@@ -159,7 +175,8 @@ def _grid_hashes(path: str, source: SourceGrid) -> set[str]:
             if len(labels) > 1:  # one request for three components
                 base = labels[0].removesuffix("x").rstrip("".join(GRID_SEPARATORS))
             velocity = read_velocity(path, GridRequest(base), GridsConfig())
-            found |= set() if velocity is None else {hash_fields([velocity])}
+            if velocity is not None:
+                found.add(hash_fields([scale_field(velocity, factor)]))
         return found
     except (GridError, StageError, ArithmeticError):
         return set()
