@@ -63,8 +63,8 @@ VOLUME = _group(
       "test_an_empty_frame_in_between_does_not_break_the_chain",)),
     ("one voxel, a row of them", "finite: the mass is kept",
      (EXTREMES + "test_few_voxels_in_any_arrangement",)),
-    ("two voxels 10⁶ apart", "finite: both are painted; named error PlanError: smoke that far "
-     "apart is not moved, and the message names the setting that only paints",
+    ("two voxels 10⁶ apart", "finite: the colour step paints both; named error PlanError: the "
+     "shape step cannot move them, and the message says how to leave it out",
      (EXTREMES + "test_two_voxels_a_million_apart_are_painted",
       EXTREMES + "test_two_voxels_a_million_apart_are_not_moved_but_refused_by_name")),
     ("a box that does not fit in memory", "named error GridTooLarge: with its size and the limit",
@@ -269,9 +269,15 @@ NOT_YET_CHECKED: tuple[str, ...] = ()
 
 INTRODUCTION = """# Extreme input
 
-Each case ends in a finite, sensible result or in a named error. This file is written by `python -m
-tests.stability` from the list of tests, and `tests/repository/test_stability_table.py` compares the
-two.
+Each case ends in one of two ways, and some in either, depending on the settings:
+
+- *finite*: the run succeeds, and its result has no NaN or infinity. What the result is follows the
+  colon.
+- *named error*: the run stops before it writes a result. The class of the error and what its
+  message says follow.
+
+This file is written by `python -m tests.stability` from the list of tests, and
+`tests/repository/test_stability_table.py` compares the two.
 """
 
 FAULTS_FOUND = """\
