@@ -33,6 +33,17 @@ def test_beyond_the_box_the_background_holds_and_blends_in_within_a_voxel():
     assert mask.at(points).tolist() == pytest.approx(wanted)
 
 
+@pytest.mark.parametrize("shape", [(3, 3, 1), (1, 3, 1), (1, 1, 1)])
+def test_a_flat_mask_holds_for_half_a_voxel_and_ends_after_a_whole_one(shape):
+    mask = EffectMask(masked(np.full(shape, 0.75), background=0.25))
+    x = torch.tensor([-1e300, -2, -1, -0.75, -0.5, 0, 0.3, 0.5, 1, 2, 1e300], dtype=torch.float64)
+    wanted = [0.25, 0.25, 0.25, 0.5, 0.75, 0.75, 0.75, 0.75, 0.25, 0.25, 0.25]
+    for axis in (axis for axis, length in enumerate(shape) if length == 1):
+        points = torch.zeros(len(x), 3, dtype=torch.float64)
+        points[:, axis] = x
+        assert mask.at(points).tolist() == pytest.approx(wanted)
+
+
 def test_values_and_background_are_clamped_and_the_clamped_values_counted():
     values = np.array([-0.5, 0.0, 0.5, 1.0, 1.5, 3e38]).reshape(6, 1, 1)
     mask = EffectMask(masked(values, background=-7.0))

@@ -114,6 +114,9 @@ class EffectMask:
     def at(self, positions: Tensor) -> Tensor:
         """The share at points, [N] float32; trilinear, the background's beyond the field's box.
 
+        Along an axis with one voxel the mask holds for half a voxel to both sides, so that a flat
+        mask acts on all of a slab of smoke that lies in it, and has ended after a whole voxel.
+
         Args:
             positions: [N 3] float64, stage space.
         """
@@ -131,7 +134,12 @@ class EffectMask:
         # far away float32 has no fractions left, nor is there anything
         limit = torch.as_tensor(self._values.shape, device=place.device) + 1.0
         place = torch.minimum(place.clamp_min(-2.0), limit).float()
-        return sample_linear(self._values.to(place.device), place, self._outside).clamp(0, 1)
+        found = sample_linear(self._values.to(place.device), place, self._outside).clamp(0, 1)
+        for axis, length in enumerate(self._values.shape):
+            if length == 1:  # the sampler has no end along it
+                inside = (2 - 2 * place[:, axis].abs()).clamp(0, 1)
+                found = torch.lerp(torch.full_like(found, self._outside), found, inside)
+        return found
 
 
 def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> EffectMask | None:
