@@ -81,6 +81,18 @@ def test_an_empty_velocity_grid_moves_nothing():
     assert Transit(frame, 1.0).origins(positions) is positions
 
 
+@pytest.mark.parametrize(("depth", "elsewhere"), [(10, 0.0), (1, 1.0)])
+def test_a_velocity_of_one_plane_moves_the_smoke_in_it_and_any_slab(depth, elsewhere):
+    density = frame_of(puff(10)[:, :, -depth:]).density
+    values = np.broadcast_to(np.float32([1.0, 0.0, 0.0]), (10, 10, 1, 3)).copy()
+    plane = DenseField("velocity", values, (0, 0, 3), np.eye(4))
+    frame = VolumeFrame(1.0, density, np.eye(4), plane, np.eye(4))
+    places = torch.tensor([[4.0, 4.0, z] for z in (-40.0, 2.0, 2.5, 3.0, 3.4, 4.0)]).double()
+    moved = places - Transit(frame, 1.0).origins(places)
+    wanted = [elsewhere, elsewhere, 1.0, 1.0, 1.0, elsewhere]
+    assert moved[:, 0].tolist() == pytest.approx(wanted) and (moved[:, 1:] == 0).all()
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.5, 50.0])
 def test_any_speed_gives_finite_colours_in_range(speed):
     smoke = smoke_of(DENSITY)

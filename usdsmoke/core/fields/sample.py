@@ -19,6 +19,7 @@ returns that voxel's value bit for bit ("linear").
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -163,6 +164,23 @@ def voxel_positions(shape: tuple[int, ...], like: Tensor) -> Tensor:
     """
     ranges = [torch.arange(n, dtype=like.dtype, device=like.device) for n in shape[:3]]
     return torch.stack(torch.meshgrid(*ranges, indexing="ij"), dim=-1).reshape(-1, 3)
+
+
+def share_of_flat(shape: Sequence[int], positions_ijk: Tensor) -> Tensor:
+    """How far positions are within a box along its axes with one voxel, [N] in [0, 1].
+
+    ``sample_linear`` has no end along these. The share is 1 for half a voxel to both sides, so that
+    a flat field holds for all of a slab of smoke that lies in it, and 0 after a whole voxel.
+
+    Args:
+        shape: the box's I, J, K (further entries are ignored).
+        positions_ijk: [N 3], index units.
+    """
+    share = torch.ones_like(positions_ijk[:, 0])
+    for axis, length in enumerate(shape[:3]):
+        if length == 1:
+            share = share * (2 - 2 * positions_ijk[:, axis].abs()).clamp(0, 1)
+    return share
 
 
 def _check_sampling(values: Tensor, positions: Tensor) -> None:

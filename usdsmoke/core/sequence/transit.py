@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.fields.transport import backtrace, choose_substeps
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 
@@ -88,7 +88,11 @@ def ride_between(earlier: VolumeFrame, later: VolumeFrame) -> np.ndarray | None:
 def _flow_tracer(
     frame: VolumeFrame, seconds: float, device: torch.device
 ) -> Callable[[Tensor], Tensor]:
-    """Where smoke was ``seconds`` ago by the frame's own velocity; negative looks ahead."""
+    """Where smoke was ``seconds`` ago by the frame's own velocity; negative looks ahead.
+
+    Beyond its box the velocity is that of the border. But one plane of voxels moves only the smoke
+    in it, unless the smoke is a slab itself.
+    """
     velocity = frame.velocity
     if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
         return lambda positions: positions
@@ -104,9 +108,13 @@ def _flow_tracer(
     def rate_at(place: Tensor) -> Tensor:
         return sample_linear(rates, place, boundary="nearest")
 
+    ends = 1 in rates.shape[:3] and 1 not in frame.density.values.shape
+
     def trace(positions: Tensor) -> Tensor:
-        place = positions @ back[:3, :3] + back[3, :3] - low
-        place = backtrace(rate_at, place, seconds, n_substeps)
+        start = positions @ back[:3, :3] + back[3, :3] - low
+        place = backtrace(rate_at, start, seconds, n_substeps)
+        if ends:
+            place = torch.lerp(start, place, share_of_flat(rates.shape, start)[:, None])
         return (place + low) @ forth[:3, :3] + forth[3, :3]
 
     return trace

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.volume import CameraSource, VolumeFrame
-from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.frustum import Frustum, frustum_of, pixel_footprint
 
@@ -114,8 +114,7 @@ class EffectMask:
     def at(self, positions: Tensor) -> Tensor:
         """The share at points, [N] float32; trilinear, the background's beyond the field's box.
 
-        Along an axis with one voxel the mask holds for half a voxel to both sides, so that a flat
-        mask acts on all of a slab of smoke that lies in it, and has ended after a whole voxel.
+        Along an axis with one voxel it ends as ``share_of_flat`` says.
 
         Args:
             positions: [N 3] float64, stage space.
@@ -135,11 +134,8 @@ class EffectMask:
         limit = torch.as_tensor(self._values.shape, device=place.device) + 1.0
         place = torch.minimum(place.clamp_min(-2.0), limit).float()
         found = sample_linear(self._values.to(place.device), place, self._outside).clamp(0, 1)
-        for axis, length in enumerate(self._values.shape):
-            if length == 1:  # the sampler has no end along it
-                inside = (2 - 2 * place[:, axis].abs()).clamp(0, 1)
-                found = torch.lerp(torch.full_like(found, self._outside), found, inside)
-        return found
+        inside = share_of_flat(self._values.shape, place)
+        return torch.lerp(torch.full_like(found, self._outside), found, inside)
 
 
 def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> EffectMask | None:
