@@ -45,6 +45,11 @@ def budget_of(
             {"quadrature": "opacity", "temporal, colour": "no colour", "view sampling": "few"},
         ),
         (["optimize.steps=[colour]"], {"transport": "no shape", "optimiser, shape": "no shape"}),
+        (
+            ["views.azimuth=0", "views.elevation=0"],
+            dict.fromkeys(["view sampling", "unseen views"], "all views are the same"),
+        ),
+        (["views.pool=1"], {"view sampling": "views.pool is 1"}),
         (["shape.interpolation=linear"], {"optimiser's transport": "is linear"}),
     ],
 )

@@ -23,6 +23,7 @@ from usdsmoke.core.sequence.picture_errors import (
     quadrature_error,
     resolution_error,
 )
+from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
@@ -40,8 +41,9 @@ OTHER_SEED = 0x0DD5EED  # of their angles
 def frame_errors(frame: PaintedFrame) -> FrameErrors:
     """Errors of a finished frame: quadrature, resolution, pixel filter, unseen views.
 
-    Without colours there is no quadrature error: opacity is exact. A slab has only one view. There
-    is no error at all for a frame that is left out, and without ``optimize.error_budget``.
+    Without colours there is no quadrature error: opacity is exact. If all views are the same, none
+    is unseen. There is no error at all for a frame that is left out, and without
+    ``optimize.error_budget``.
 
     Args:
         frame: at the end of its chain.
@@ -60,7 +62,8 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w))
-        if frame.smoke.thin_axis is None and frame.config.losses.style > 0:
+        one_view = has_one_view(frame.config.views, frame.smoke.thin_axis is not None)
+        if not one_view and frame.config.losses.style > 0:
             unseen = _timed(lambda: _unseen_views(frame))
     return FrameErrors(quadrature, resolution, filtered, unseen)
 

@@ -76,10 +76,10 @@ def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
         count: views an iteration.
 
     Returns:
-        >= 0; 0 for a pool of one view; NaN where fewer than two iterations are known.
+        >= 0; NaN for a pool of one view, and where fewer than two iterations are known.
     """
     if pool == 1:
-        return 0.0
+        return math.nan
     passage = np.asarray(losses[-max(math.ceil(pool / count), _SHORTEST) :], float)
     if len(passage) < 2 or not np.isfinite(passage).all() or passage.mean() == 0:
         return math.nan

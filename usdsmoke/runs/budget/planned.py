@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 
 _MOST_NAMED = 6
@@ -50,7 +51,14 @@ class PlannedVolume:
     def one_view(self) -> str:
         """Why there is only one view."""
         thin = all(1 in frame.size.box for frame in self.plan.frames)
-        return "the smoke is one voxel thick and has one view" if thin else ""
+        if thin:
+            return "the smoke is one voxel thick and has one view"
+        return "all views are the same" if has_one_view(self.plan.config.views) else ""
+
+    @property
+    def no_spread(self) -> str:
+        """Why losses of views are not compared."""
+        return self.one_view or ("views.pool is 1" if self.plan.config.views.pool == 1 else "")
 
     @property
     def one_scheme(self) -> str:
