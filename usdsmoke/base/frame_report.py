@@ -154,6 +154,9 @@ class FrameReport(JsonRecord):
     warnings: tuple[str, ...] = ()
     left_out: str = ""  # why nothing is done; "" for a frame that is stylized
     extinction: float = 0.0  # 1/stage unit per density
+    # Optical depth of thick columns in the pictures of the last step; None where it is not measured
+    # or the extinction is set.
+    depth: float | None = None
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step
     colour: StepReport | None = None

@@ -135,6 +135,25 @@ def test_an_extinction_that_does_not_suit_the_smoke_is_named(
     assert finding.setting == wanted and finding.place.startswith("/")
 
 
+@pytest.mark.parametrize(
+    ("depth", "settings", "wanted"),
+    [
+        (3e4, [], ["optics.frames"]),
+        (0.03, [], ["optics.frames"]),
+        (6000.0, ["optics.percentile=0.001"], ["optics.percentile"]),
+        (60.0, [], []),
+        (3e4, ["optics.depth=1e4"], []),
+        (0.03, ["optics.depth=1"], []),
+    ],
+)
+def test_a_frame_far_from_the_depth_that_is_asked_for_is_named(
+    depth: float, settings: list[str], wanted: list[str], tmp_path: Path
+) -> None:
+    found = budget_of(tmp_path, [GOOD, replace(GOOD, depth=depth)], settings=settings).findings
+    assert [finding.setting for finding in found] == wanted
+    assert all(finding.place.endswith(".0002.vdb") for finding in found)
+
+
 @pytest.mark.parametrize(("light", "named"), [(1.0, 0), (1e6, 1), (1e-6, 1)])
 def test_light_that_leaves_no_albedo_or_no_emission_is_named(
     light: float, named: int, tmp_path: Path

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import Estimate, FrameErrors
+from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
 from usdsmoke.core.sequence.frame_state import PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (
@@ -31,7 +32,7 @@ from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.scene import frame_views
+from usdsmoke.core.views.scene import frame_views, thick_column
 
 N_UNSEEN = 2  # views that were not optimised, as far apart as possible
 N_SEEN = 8  # that were: fewer scatter more than what they are compared for
@@ -66,6 +67,24 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
         if not one_view and frame.config.losses.style > 0:
             unseen = _timed(lambda: _unseen_views(frame))
     return FrameErrors(quadrature, resolution, filtered, unseen)
+
+
+def thick_depth(frame: PaintedFrame) -> float | None:
+    """Optical depth of the frame's thick columns in the pictures of the last step.
+
+    Thick is the default of ``optics.percentile``, also if it is set. None where the extinction is
+    set, and where there are no errors, see ``frame_errors``.
+    """
+    optimize, optics = frame.config.optimize, frame.config.optics
+    gamma, gamma_w = optics.gamma, frame.scene.gamma_w
+    if frame.paint is None:
+        gamma, gamma_w = optics.gamma_shape, frame.scene.gamma_w_shape
+    if not (frame.in_effect and optimize.error_budget) or gamma is not None:
+        return None
+    if len(frame.smoke.ijk) == 0:
+        return None
+    percentile = OpticsConfig().percentile
+    return gamma_w * thick_column(frame.smoke, frame.config.views, frame.scene, percentile)
 
 
 def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, float]:

@@ -251,6 +251,18 @@ def measure_scene(
     )  # fmt: skip
 
 
+def thick_column(smoke: ActiveSmoke, views: ViewsConfig, scene: Scene, percentile: float) -> float:
+    """This percentile of a frame's column integrals from the middle view, density x stage unit.
+
+    Args:
+        smoke: of the frame, not empty.
+        scene: its own, with its camera.
+    """
+    coarse = max(scene.pixel_size, scene.reference_voxel_size)
+    view = _middle_view(smoke, views, scene.up_axis, coarse, scene.camera)
+    return float(np.percentile(_columns(smoke, view)[0], percentile))
+
+
 def frame_scene(scene: Scene, gamma: float | None) -> Scene:
     """The scene with the colour step's extinction and exposure that one frame's gamma asks for.
 

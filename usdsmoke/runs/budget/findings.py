@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport, StepReport
-from usdsmoke.base.sections import MOST_STOPS
+from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
+from usdsmoke.base.settings import Config
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER, MASS, MOTIONLESS, ROWS, SHAPE_OPTIMISER
@@ -21,6 +22,8 @@ HARDLY_FALLEN = 0.5  # of a cold frame's first loss
 UNLIKE = 3.0  # times the neighbour's loss
 FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
+LIKE_ASKED = 10.0  # times the depth that is asked for: frames of a shot are not alike
+FAR_BELOW = 100.0  # likewise
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
@@ -71,7 +74,7 @@ def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
         if report is not None
     }
     for name in reports:
-        yield from find_written(name, reports, before.get(name))
+        yield from find_written(name, reports, before.get(name), volume.plan.config)
 
 
 def frames_before(plan: VolumePlan) -> dict[str, str]:
@@ -80,7 +83,7 @@ def frames_before(plan: VolumePlan) -> dict[str, str]:
 
 
 def find_written(
-    name: str, reports: Mapping[str, FrameReport], before: str | None
+    name: str, reports: Mapping[str, FrameReport], before: str | None, config: Config
 ) -> Iterator[Finding]:
     """What a frame tells by itself, and beside the frame before.
 
@@ -88,11 +91,13 @@ def find_written(
         name: of its file.
         reports: by file name, its own and that of the frame before, if there is one already.
         before: file name of the frame before; None for none.
+        config: of the Volume.
     """
     report = reports[name]
     if report.left_out:
         return
     yield from find_frame(name, report)
+    yield from _find_depth(name, report, config.optics)
     earlier = reports.get(before) if before else None
     if before and earlier is not None and not earlier.left_out:
         yield from _find_pair((before, earlier), (name, report))
@@ -136,6 +141,33 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
                 _sentence(row.advice),
                 row.setting,
             )
+
+
+def _find_depth(name: str, report: FrameReport, optics: OpticsConfig) -> Iterator[Finding]:
+    """Whether the extinction that the shot's smoke chose suits a frame's."""
+    if report.depth is None:
+        return
+    asked = "depth_shape" if report.colour is None else "depth"
+    wanted = getattr(optics, asked)
+    is_deep = report.depth > max(DEEPEST, LIKE_ASKED * wanted)
+    if not is_deep and report.depth >= wanted / FAR_BELOW:
+        return
+    what = "a picture of it is its front alone" if is_deep else "it hardly shows in a picture"
+    if optics.percentile != OpticsConfig().percentile:
+        remedy, setting = "Unset optics.percentile", "optics.percentile"
+    else:
+        amount = "dense" if is_deep else "thin"
+        remedy, setting = f"Set optics.frames to frames as {amount} as this one", "optics.frames"
+        if asked == "depth":
+            remedy += ", or give frames their own gamma"
+    yield Finding(
+        name,
+        "",
+        f"the thick columns have an optical depth of {report.depth:.2g}, and optics.{asked} is "
+        f"{wanted:g}: {what}",
+        remedy,
+        setting,
+    )
 
 
 def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:

@@ -35,4 +35,4 @@ class WindowFindings:
             name: of the frame's file.
         """
         self._reports[name] = report
-        return find_written(name, self._reports, self._before.get(name))
+        return find_written(name, self._reports, self._before.get(name), self._volume.plan.config)
