@@ -241,19 +241,27 @@ def run_shape_step(
         values, end = _optimize_octave(octave, first, descent, watch_octave)
         potential = Potential(values, octave.lattice)
         ends += [end] if end is not None else []
-        box = (octave.lattice, octave.effect, octave.base) if smoke is source else None
+        box = (octave.lattice, octave.effect, octave.base if smoke is source else None)
         del octave  # with its views, which are most of a step's memory
     give_back_memory()  # fragments of the octaves, before dense boxes are made
     if box is None:
         lattice = smoke_box(source, reach.fade)
         density = lattice.fill(source)
         effect = effect_on(density, lattice, reach.fade, shares_on(lattice, problem.mask, density))
-        base = None if start is None else start(lattice)
-    else:  # of the last octave, which is at full resolution
-        lattice, effect, base = box
+        box = (lattice, effect, None if start is None else start(lattice))
+    lattice, effect, base = box
     found = _potential_on(lattice, potential, n_channels, source.density)
     unclamped = unclamped_displacement(found, effect, kind, lattice, base)
-    return Displacement(lattice.to_stage(unclamped), lattice), ends
+    moved = Displacement(lattice.to_stage(unclamped), lattice)
+    if todo and todo[-1][2] is not source:
+        # What moves blocks is interpolated. The curl of an interpolated potential has kinks between
+        # blocks, and folds there.
+        lattice = smoke_box(source, reach.fade)
+        unclamped = moved.on(lattice)
+        if start is not None:
+            unclamped = unclamped + start(lattice)
+        moved = Displacement(lattice.to_stage(unclamped), lattice)
+    return moved, ends
 
 
 def max_displacement(source: ActiveSmoke, share: float) -> float:
