@@ -56,7 +56,6 @@ Start = Callable[[Lattice], Tensor]
 
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}  # of the potential
 N_LEVELS = 5  # of the coefficient pyramid
-BLOCK_PIXELS = 2  # longest block of voxels that moves as one, in pixels (decision 034)
 # Weights of the penalties, relative to the style's (decision 018)
 FOLDING_WEIGHT = 10.0  # on folding
 MASS_WEIGHT = 0.75  # on the change of mass, of which LARGE_CHANGE is one: darkness is cheap style
@@ -231,7 +230,7 @@ def run_shape_step(
     kind, potential, ends, box = config.shape.displacement, None, [], None
     # in a slab only a stream function's component across it moves anything
     n_channels = 1 if kind == "stream" and source.thin_axis is not None else N_CHANNELS[kind]
-    todo = octaves_to_do(source, iterations, BLOCK_PIXELS * problem.scene.pixel_size)
+    todo = octaves_to_do(source, iterations, problem.scene.pixel_size)
     for number, factor, smoke, n_iterations in todo:
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
         octave = _Octave(here, factor, seed, reach, n_channels, start, steadiness)
