@@ -17,7 +17,7 @@ from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.pyramid import SparsePyramid
 from usdsmoke.core.fields.transport import warp
-from usdsmoke.core.steps import optimize
+from usdsmoke.core.steps import optimize, shape
 from usdsmoke.core.steps.move import displacement_of
 from usdsmoke.core.steps.pictures import ViewPool, grey_view
 from usdsmoke.core.steps.shape import max_displacement, run_shape_step
@@ -155,3 +155,24 @@ def test_what_is_left_in_pieces_is_given_back_before_an_octave_is_optimised(
     monkeypatch.setattr(optimize, "give_back_memory", lambda: calls.append(1))
     run_core([frame_of(puff(12))])
     assert len(calls) == 4  # two octaves of two steps
+
+
+def test_smoke_that_is_moved_far_hardly_folds(monkeypatch: pytest.MonkeyPatch):
+    """Without the penalty two percent of it do."""
+    config = quick_config().with_values(
+        {
+            "optimize.steps": ["shape"],
+            "views.image_size": 64,
+            "views.pool": 4,
+            "shape.iterations": [40],
+            "shape.reach": 0.12,
+            "shape.learning_rate": 0.12,
+            "losses.keep": 0.0,
+        }
+    )
+    folded = []
+    for weight in (shape.FOLDING_WEIGHT, 0.0):
+        monkeypatch.setattr(shape, "FOLDING_WEIGHT", weight)
+        (frame,) = run_core([frame_of(puff(24))], config)
+        folded.append(frame.report.transport.folded)
+    assert folded[0] < 0.005 < 0.01 < folded[1]
