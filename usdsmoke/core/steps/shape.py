@@ -253,14 +253,19 @@ def run_shape_step(
     unclamped = unclamped_displacement(found, effect, kind, lattice, base)
     moved = Displacement(lattice.to_stage(unclamped), lattice)
     if todo and todo[-1][2] is not source:
-        # What moves blocks is interpolated. The curl of an interpolated potential has kinks between
-        # blocks, and folds there.
-        lattice = smoke_box(source, reach.fade)
-        unclamped = moved.on(lattice)
-        if start is not None:
-            unclamped = unclamped + start(lattice)
-        moved = Displacement(lattice.to_stage(unclamped), lattice)
+        moved = _between_blocks(moved, smoke_box(source, reach.fade), start)
     return moved, ends
+
+
+def _between_blocks(blocks: Displacement, lattice: Lattice, start: Start | None) -> Displacement:
+    """What moves blocks, on their voxels, and the start.
+
+    The curl of an interpolated potential would have kinks between blocks, and smoke would fold.
+    """
+    velocity = blocks.on(lattice)
+    if start is not None:
+        velocity = velocity + start(lattice)
+    return Displacement(lattice.to_stage(velocity), lattice)
 
 
 def max_displacement(source: ActiveSmoke, share: float) -> float:
