@@ -165,7 +165,7 @@ def test_smoke_moves_less_than_its_reach_and_keeps_its_mass(displacement, interp
             "displacement": displacement,
             "interpolation": interpolation,
             "reach": 0.1,
-            "learning_rate": 0.5,
+            "learning_rate": 0.1,
             "iterations": [0, 4],
         },
         losses={"statistic": "gram"},  # steps so long would be taken back, as no descent
