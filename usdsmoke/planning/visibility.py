@@ -48,7 +48,7 @@ def pixel_sizes(
         voxel, longest_side = _lengths(points[0], frame.size.box)
         voxels.append(voxel / config.grids.refine)
         longest = max(longest, longest_side)
-    if not voxels:
+    if not voxels or not np.isfinite(finest):  # no point is seen: nothing is told of detail
         return 0.0, 0.0
     return finest, max(float(np.median(voxels)), longest / config.views.image_size)
 

@@ -8,6 +8,7 @@ import pytest
 from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.sections import MOST_STOPS
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, DenseField, LightSource, Scattering, VolumeFrame
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.stylize import StylizedFrame
@@ -70,21 +71,21 @@ def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
     brightness: float, told: str
 ) -> None:
     found = stylized(in_light(brightness)).report
-    findings = list(find_frame("a.vdb", found))
+    findings = list(find_frame("a.vdb", found, Config()))
     if not told:
         assert not any("exposure" in finding.setting for finding in findings)
         return
     (finding,) = (f for f in findings if f.setting == "optics.exposure")
     assert told in finding.cause
     mended = stylized(in_light(brightness), exposure=found.light.advised).report
-    assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended))
+    assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended, Config()))
     assert 0.02 < mended.light.share < 1 and mended.light.outshone < 0.02
 
 
 @pytest.mark.parametrize("brightness", [1e-14, 1e14])
 def test_no_exposure_out_of_its_limits_is_advised(brightness: float) -> None:
     found = stylized(in_light(brightness)).report
-    (finding,) = (f for f in find_frame("a.vdb", found) if f.setting == "optics.exposure")
+    (finding,) = (f for f in find_frame("a.vdb", found, Config()) if f.setting == "optics.exposure")
     assert "optics.exposure" not in finding.remedy and "brightness" in finding.remedy
 
 
@@ -128,7 +129,9 @@ def test_smoke_that_no_light_reaches_is_told() -> None:
     )
     frame = replace(frame, lights=(sun,), mask=mask, mask_to_stage=frame.density_to_stage)
     (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
-    (finding,) = (f for f in find_frame("a.vdb", result.report) if f.setting == "optics.exposure")
+    (finding,) = (
+        f for f in find_frame("a.vdb", result.report, Config()) if f.setting == "optics.exposure"
+    )
     assert "none" in finding.cause and "optics.exposure=" not in finding.remedy
 
 

@@ -17,8 +17,10 @@ from usdsmoke.base.frame_report import (
     TemporalErrors,
     TransportReport,
 )
+from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.budget import ErrorBudget, Finding, run_budget
+from usdsmoke.runs.budget.findings import find_frame
 from usdsmoke.ui.cli.budget_text import budget_text
 
 GOOD = FrameReport(
@@ -62,15 +64,15 @@ def test_ordinary_frames_have_no_finding(tmp_path: Path) -> None:
         (
             {"transport": replace(GOOD.transport, largest_displacement=1e-9)},
             "motionless mass",
-            "optics.gamma_shape",
+            "optimize.steps",
         ),
         (
             {"transport": TransportReport(1.0, 0.0, folded=0.0, motionless=1.0)},
             "motionless mass",
             "optimize.steps",
         ),
-        ({"voxels_written": 980}, "mass", "grids.prune"),
-        ({"voxels_written": 0}, "mass", "grids.prune"),
+        ({"voxels_written": 980}, "mass", "shape.reach"),
+        ({"voxels_written": 0}, "mass", "shape.reach"),
         (
             {"colour": StepReport(loss=(30.0, 22.5), fallen=1.0)},
             "optimiser, colour",
@@ -100,6 +102,39 @@ def test_what_went_wrong_is_named_with_its_row_and_its_remedy(
     assert ErrorBudget.from_json(budget.to_json()) == budget
     if row in {estimate.name for estimate in budget.estimates}:
         assert f"change {setting}" in budget_text(budget)
+
+
+STILL = {"transport": replace(GOOD.transport, largest_displacement=1e-9)}
+SHORT = {"shape": StepReport(loss=(4.0, 3.9), fallen=0.1)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "row", "settings"),
+    [
+        (STILL, "motionless mass", ["losses.keep=1000000.0"]),
+        (STILL, "motionless mass", ["optics.gamma_shape=0.001"]),
+        ({"voxels_written": 500}, "mass", ["grids.prune=0.5"]),
+        ({"voxels_written": 500}, "mass", ["grids.half=true"]),
+        (
+            {"errors": FrameErrors(storage_density=Estimate(0.7))},
+            "storage, density",
+            ["grids.prune=0.5"],
+        ),
+        (SHORT, "optimiser, shape", ["shape.reach=1e-05"]),
+    ],
+)
+def test_the_setting_that_is_named_is_the_one_that_was_changed(
+    changes: dict[str, Any], row: str, settings: list[str], tmp_path: Path
+) -> None:
+    budget = budget_of(tmp_path, [replace(GOOD, **changes)], settings=settings)
+    assert budget.verdict(row) == f"change {settings[0].partition('=')[0]}"
+
+
+def test_a_step_with_iterations_that_does_nothing_is_laid_to_the_camera() -> None:
+    idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
+    config = Config(views={"camera": "/cam"})
+    (finding,) = find_frame("a.vdb", idle, config)
+    assert finding.setting == "views.camera"
 
 
 @pytest.mark.parametrize("place", [0, 1])

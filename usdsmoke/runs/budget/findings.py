@@ -12,14 +12,23 @@ from typing import Any
 from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
 from usdsmoke.base.settings import Config
+from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
-from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER, MASS, MOTIONLESS, ROWS, SHAPE_OPTIMISER
+from usdsmoke.runs.budget.rows import (
+    COLOUR_OPTIMISER,
+    MASS,
+    MOTIONLESS,
+    ROWS,
+    SHAPE_OPTIMISER,
+    ErrorRow,
+)
 
 UNMOVED = 1e-3  # of the largest allowed displacement: less is not seen
 VANISHED = 0.01  # of the voxels
 HARDLY_FALLEN = 0.5  # of a cold frame's first loss
 UNLIKE = 3.0  # times the neighbour's loss
+LEAST_REACH = 1e-3  # of the smoke's longest side: less changes no picture
 FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
 LIKE_ASKED = 10.0  # times the depth that is asked for: frames of a shot are not alike
@@ -29,6 +38,13 @@ DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
+_OUTWEIGH = (  # settings that can keep the shape step from moving anything
+    "optics.gamma_shape",
+    "shape.learning_rate",
+    "losses.keep",
+    "losses.style",
+    "optimize.strength",
+)
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
 
@@ -96,40 +112,34 @@ def find_written(
     report = reports[name]
     if report.left_out:
         return
-    yield from find_frame(name, report)
+    yield from find_frame(name, report, config)
     yield from _find_depth(name, report, config.optics)
     earlier = reports.get(before) if before else None
     if before and earlier is not None and not earlier.left_out:
         yield from _find_pair((before, earlier), (name, report))
 
 
-def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
+def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
     """What one frame's report tells by itself.
 
     Args:
         name: of the frame's file.
         report: of a frame that is stylized.
+        config: of its Volume.
     """
     moved = report.transport
     if report.temporal is None:  # a warm frame may be what its neighbour is
-        yield from _no_iterations(name, report)
+        yield from _no_iterations(name, report, config)
     if report.shape and report.shape.loss and moved is not None and moved.folded is not None:
         if moved.largest_displacement <= UNMOVED * moved.cap:
-            yield _unmoved(name, moved.motionless or 0.0)
+            yield _unmoved(name, moved.motionless or 0.0, config)
     if report.voxels and report.voxels_written is not None:
         gone = 1 - report.voxels_written / report.voxels
         if gone > VANISHED:
-            yield Finding(
-                name,
-                MASS.name,
-                f"{gone:.1%} of the voxels with smoke are empty in the result",
-                "Lower grids.prune, unset grids.half, or look for voxels that are much denser than "
-                "the rest",
-                "grids.prune",
-            )
+            yield _vanished(name, gone, config)
     if report.temporal is None:  # a warm frame starts where its neighbour ended
         for step, found in report.steps.items():
-            yield from _hardly_fallen(name, step, found)
+            yield from _hardly_fallen(name, step, found, config)
     yield from _find_light(name, report)
     for row in ROWS:
         figure = row.of_frame(report)
@@ -138,8 +148,7 @@ def find_frame(name: str, report: FrameReport) -> Iterator[Finding]:
                 name,
                 row.name,
                 f"{row.name} is {abs(figure.value):.1%} of {row.relative_to}, above {row.most:.0%}",
-                _sentence(row.advice),
-                row.setting,
+                *_advice(row, config),
             )
 
 
@@ -198,11 +207,48 @@ def _find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     yield Finding(name, "", cause, advice, "optics.exposure")
 
 
-def _no_iterations(name: str, report: FrameReport) -> Iterator[Finding]:
+def _advice(row: ErrorRow, config: Config) -> tuple[str, str]:
+    """Remedy and setting; of those that cost accuracy in storage, the ones that are set."""
+    if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
+        return f"Unset {' and '.join(changed)}", changed[0]
+    return _sentence(row.advice), row.setting
+
+
+def _vanished(name: str, gone: float, config: Config) -> Finding:
+    """Voxels with smoke that are empty in the result."""
+    remedy, setting = "Set a smaller shape.reach", "shape.reach"
+    if changed := _changed(config, "grids.prune", "grids.half"):
+        remedy, setting = f"Unset {' and '.join(changed)}", changed[0]
+    remedy += ", or look for voxels much denser than the rest or far from it"
+    cause = f"{gone:.1%} of the voxels with smoke are empty in the result"
+    return Finding(name, MASS.name, cause, remedy, setting)
+
+
+def _changed(config: Config, *names: str) -> list[str]:
+    """Those of these settings that differ from their defaults: others need not be unset."""
+    default = Config()
+    pairs = [(name, name.split(".")) for name in names]
+    return [
+        name
+        for name, (section, key) in pairs
+        if getattr(getattr(config, section), key) != getattr(getattr(default, section), key)
+    ]
+
+
+def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
     """Steps that end where they start."""
     ends = {"shape": "nothing is moved", "colour": "the colours are the noise that it started from"}
     for step, found in report.steps.items():
-        if not found.loss:
+        asked = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
+        if not found.loss and config.views.camera and any(asked):
+            yield Finding(
+                name,
+                _OPTIMISERS[step],
+                f"the {step} step has no picture to work on: {ends[step]}",
+                "Check what the camera sees of the smoke, or unset views.camera",
+                "views.camera",
+            )
+        elif not found.loss:
             yield Finding(
                 name,
                 _OPTIMISERS[step],
@@ -212,37 +258,40 @@ def _no_iterations(name: str, report: FrameReport) -> Iterator[Finding]:
             )
 
 
-def _unmoved(name: str, motionless: float) -> Finding:
+def _unmoved(name: str, motionless: float, config: Config) -> Finding:
     if motionless > 1 - VANISHED:
         cause = "the shape step moved nothing: no potential moves smoke of this shape"
         remedy, setting = "Set optimize.steps=[colour], which leaves the step out", "optimize.steps"
     else:
-        cause = (
-            "the shape step moved nothing: its pictures hardly depend on the displacement, or "
-            "other settings outweigh the style"
-        )
-        remedy, setting = (
-            "Use the defaults of optics.gamma_shape, shape.learning_rate, losses.keep, "
-            "losses.style and optimize.strength, or leave the step out with "
-            "optimize.steps=[colour]",
-            "optics.gamma_shape",
-        )
+        cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
+        remedy, setting = "Look for smoke in places far apart, or leave", "optimize.steps"
+        if changed := _changed(config, *_OUTWEIGH):
+            cause += ", or other settings outweigh the style"
+            remedy, setting = f"Use the default of {', '.join(changed)}, or leave", changed[0]
+        if config.stage.mask:
+            cause += ", or the mask leaves too little"
+        remedy += " the step out with optimize.steps=[colour]"
     return Finding(name, MOTIONLESS.name, cause, remedy, setting)
 
 
-def _hardly_fallen(name: str, step: str, found: StepReport) -> Iterator[Finding]:
+def _hardly_fallen(name: str, step: str, found: StepReport, config: Config) -> Iterator[Finding]:
     if found.fallen is None or not found.loss or not math.isfinite(found.loss[-1]):
         return
     end = found.loss[-1]
-    if end > HARDLY_FALLEN * (first := found.fallen + end) and first > 0:
-        yield Finding(
-            name,
-            _OPTIMISERS[step],
-            f"the {step} step ends at {end / first:.0%} of its first loss",
-            f"Compare the result with the style; raise {step}.iterations, or optimize.iterations "
-            "if it is set",
-            f"{step}.iterations",
-        )
+    if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
+        return
+    setting, remedy = f"{step}.iterations", f"raise {step}.iterations, or optimize.iterations"
+    if step == "shape" and config.shape.reach < LEAST_REACH:
+        setting, remedy = "shape.reach", "raise shape.reach"
+    elif config.optimize.iterations is None:
+        remedy = f"raise {step}.iterations"
+    yield Finding(
+        name,
+        _OPTIMISERS[step],
+        f"the {step} step ends at {end / first:.0%} of its first loss",
+        f"Compare the result with the style; {remedy}",
+        setting,
+    )
 
 
 def _find_pair(
