@@ -6,7 +6,7 @@
 - `contact_sheet`: pictures in rows, with labels and style images
 - `drawing`: smoke as pixels, for previews and contact sheets
 - `preview`: draws a stage's smoke
-- `preview_request`, `preview_smoke`: what a preview shows, and of which Volumes
+- `preview_request`, `preview_smoke`, `preview_grids`: what a preview shows, and of which Volumes
 - `preview_files`: its pictures on disk
 
 `drawing` and `preview` are imported by themselves: they need torch and OpenUSD.

@@ -133,7 +133,9 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
             files = write_animation(request, durations(request, codes, look.selected), drawn)
         else:
             files = write_picture(request, drawn, n_pictures)
-    notes = dict.fromkeys(note for smoke in smokes.values() for note in smoke.notes)
+    notes = dict.fromkeys(
+        note for smoke in smokes.values() for note in (*smoke.notes, *smoke.left_out)
+    )
     return PreviewResult(
         files, tuple(codes), view.width, view.height, request.camera, request.angles,
         look.extinctions, tuple(notes),
@@ -142,7 +144,7 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
 
 def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
     """The frames to draw, all of them or a few."""
-    codes = look.time_codes
+    codes = look.time_codes if request.frames else look.readable(look.time_codes)
     if request.turn is not None:
         if not request.frames:
             few = spread(codes)

@@ -1,37 +1,43 @@
 """The smoke of a preview: which Volumes, which fields, how opaque, where."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pxr import Usd
+from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.base.errors import (
     AssetNotResolved,
     FieldNotFound,
+    GridError,
     PlanError,
     UsdSmokeError,
 )
 from usdsmoke.base.machine import GIB, available_memory_gib
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_code, spread
+from usdsmoke.base.time_codes import format_time_code, name_time_codes, spread
 from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
-    FrameSource,
     StageSource,
-    VolumeFrame,
     VolumeSource,
 )
 from usdsmoke.pictures.drawing import GREY, box_corners
+from usdsmoke.pictures.preview_grids import (
+    grid_of,
+    grid_request,
+    is_filled,
+    read_density,
+    share_lattice,
+)
 from usdsmoke.usd.schema import EMISSION_PER_DENSITY
 from usdsmoke.usd.stage import ComposedVolume, composed_volumes, find_volumes
 from usdsmoke.vdb.colour_grids import absolute_emission
-from usdsmoke.vdb.header import GridHeader, read_header
-from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
+from usdsmoke.vdb.read import read_grids
 
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
@@ -52,6 +58,8 @@ class Smoke:
     config: Config = field(default_factory=Config)
     extinctions: dict[str, float] = field(default_factory=dict)  # used last, by Volume
     notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
+    passed_over: tuple[type[UsdSmokeError], ...] = ()  # errors that leave a Volume out of a frame
+    _unread: dict[str, dict[float, str]] = field(default_factory=dict)  # why, by Volume and time
     _scenes: dict[str, "Scene"] = field(default_factory=dict)
 
     @property
@@ -59,16 +67,57 @@ class Smoke:
         """All timeCodes that were selected, of any animated Volume; of a static stage its one."""
         return _time_codes(self.selected)
 
+    @property
+    def left_out(self) -> list[str]:
+        """A sentence for each Volume that could not be read in some frames."""
+        sentences = []
+        for path, reasons in self._unread.items():
+            reasons = {code: why for code, why in reasons.items() if code not in self._told(path)}
+            if not reasons:
+                continue
+            first = next(iter(reasons.values()))
+            sentences.append(f"left out: <{path}> at {name_time_codes(sorted(reasons))}: {first}")
+        return sentences
+
+    def readable(self, time_codes: Sequence[float]) -> list[float]:
+        """The timeCodes without those at which every Volume in sight is left out.
+
+        Raises:
+            StageError, GridError: a field cannot be used and is not passed over; or none is left.
+        """
+        if not self.passed_over:
+            return list(time_codes)
+        found = [code for code in time_codes if self.shown(code) or not self._unread_at(code)]
+        if not found:
+            self.passed_over = ()
+            self.shown(time_codes[0])  # raises
+        return found
+
     def shown(self, time_code: float) -> list[ComposedVolume]:
         """What there is at a timeCode, from headers alone.
 
         Raises:
-            StageError, GridError: a field cannot be used.
+            StageError, GridError: a field cannot be used and is not passed over.
         """
-        return [
-            self._with_light(volume)
-            for volume in composed_volumes(self.stage, self.selected, time_code)
-        ]
+        found = []
+        for volume in self.selected.volumes:
+            try:
+                shown = _composed(self.stage, self.selected, volume, time_code)
+                found += [self._with_light(item) for item in shown]
+            except self.passed_over as error:
+                self._pass_over(volume.prim_path, time_code, error)
+        return found
+
+    def _pass_over(self, prim_path: str, time_code: float, error: UsdSmokeError) -> None:
+        self._unread.setdefault(prim_path, {})[time_code] = str(error)
+
+    def _told(self, prim_path: str) -> set[float]:
+        """The timeCodes whose density has no file: ``find_volumes`` names them."""
+        volume = next(item for item in self.selected.volumes if item.prim_path == prim_path)
+        return set(volume.time_codes) - {frame.time_code for frame in volume.frames}
+
+    def _unread_at(self, time_code: float) -> bool:
+        return any(time_code in reasons for reasons in self._unread.values())
 
     def check_memory(self, time_code: float) -> None:
         """Refuse a frame that does not fit the machine, from headers alone.
@@ -76,7 +125,7 @@ class Smoke:
         Raises:
             PlanError: with what is needed and what there is.
         """
-        shapes = [_grid(volume.density, 1).box_shape for volume in self.shown(time_code)]
+        shapes = [grid_of(volume.density, 1).box_shape for volume in self.shown(time_code)]
         n_voxels = sum(math.prod(shape) for shape in shapes if shape is not None)
         needed, there = _BASE_GIB + n_voxels * _BYTES / GIB, available_memory_gib()
         if needed > there:
@@ -98,11 +147,12 @@ class Smoke:
         """
         drawn = set(time_codes)
         corners = []
-        for time_code in sorted(drawn | set(_time_codes(self.whole))):
+        times = sorted(drawn | set(_time_codes(self.whole)))
+        for time_code, volume in product(times, self.whole.volumes):
             try:
-                corners += self._corners(time_code, time_code in drawn)
-            except UsdSmokeError:
-                if time_code in drawn:
+                corners += self._corners(volume, time_code, time_code in drawn)
+            except UsdSmokeError as error:
+                if time_code in drawn and not isinstance(error, self.passed_over):
                     raise
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
@@ -124,7 +174,11 @@ class Smoke:
 
         media = []
         for volume in shown:
-            density, light, colour = self.fields(volume)
+            try:
+                density, light, colour = self.fields(volume)
+            except self.passed_over as error:
+                self._pass_over(volume.prim_path, volume.density.time_code, error)
+                continue
             light = None if light is None else self._absolute(volume, density, light)
             if density.is_empty:
                 continue
@@ -151,11 +205,11 @@ class Smoke:
 
     def _with_light(self, volume: ComposedVolume) -> ComposedVolume:
         """Without an emission or a scattering colour that is none; density has to be usable."""
-        _grid(volume.density, 1)
+        grid_of(volume.density, 1)
         found: dict[str, Any] = {}
         for name in ("emission", "colour"):
             source: FieldSource | None = getattr(volume, name)
-            if source is None or (grid := _grid(source, None)).value_type == "vec3s":
+            if source is None or (grid := grid_of(source, None)).value_type == "vec3s":
                 continue
             self.notes[
                 f"the {name} of <{volume.prim_path}> holds {grid.value_type} values and no "
@@ -172,7 +226,7 @@ class Smoke:
         found: dict[str, DenseField] = {}
         for file_path in {source.file_path for source in sources.values() if source is not None}:
             wanted = {
-                name: _request(source, 1 if name == "density" else 3)
+                name: grid_request(source, 1 if name == "density" else 3)
                 for name, source in sources.items()
                 if source is not None and source.file_path == file_path
             }
@@ -186,7 +240,7 @@ class Smoke:
         """Absolute emission; the file may store it divided by the density."""
         if volume.emission is None or volume.emission_mode != EMISSION_PER_DENSITY:
             return light
-        if _share_lattice(volume, density, light, volume.emission):
+        if share_lattice(volume, density, light, volume.emission):
             return absolute_emission(density, light, volume.emission_mode)
         self.notes[
             f"the emission of <{volume.prim_path}> is stored per density and has other voxels than "
@@ -209,7 +263,7 @@ class Smoke:
             return fields[0]
         sources = (volume.emission, volume.colour)
         for item, source in zip(fields, sources, strict=True):
-            if item is not None and not _share_lattice(volume, density, item, source):
+            if item is not None and not share_lattice(volume, density, item, source):
                 self.notes[
                     f"{item.name} of <{volume.prim_path}> has other voxels than the density. "
                     "Light that the smoke scatters is left out."
@@ -232,8 +286,8 @@ class Smoke:
 
         if prim_path not in self._scenes:
             volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)
-            filled = [frame for frame in volume.frames if _is_filled(volume, frame)]
-            frames = [_read_density(volume, frame, self.config) for frame in spread(filled)]
+            filled = [frame for frame in volume.frames if is_filled(volume, frame)]
+            frames = [read_density(volume, frame, self.config) for frame in spread(filled)]
             self._scenes[prim_path] = measure_scene(
                 frames,
                 self.config.views,
@@ -243,19 +297,17 @@ class Smoke:
             )
         return self._scenes[prim_path]
 
-    def _corners(self, time_code: float, may_read: bool) -> list[np.ndarray]:
-        """Of every Volume's box at one timeCode, [8 3] each."""
-        boxes = [
-            self._box(volume.density, may_read)
-            for volume in composed_volumes(self.stage, self.whole, time_code)
-        ]
+    def _corners(self, volume: VolumeSource, time_code: float, may_read: bool) -> list[np.ndarray]:
+        """Of a Volume's box at one timeCode, [8 3]."""
+        shown = _composed(self.stage, self.whole, volume, time_code)
+        boxes = [self._box(item.density, may_read) for item in shown]
         return [box_corners(*box) for box in boxes if box is not None]
 
     def _box(
         self, source: FieldSource, may_read: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """First and last voxel, and the way from indices to the stage; None without smoke."""
-        grid = _grid(source, 1)
+        grid = grid_of(source, 1)
         if grid.active_voxels == 0:
             return None
         matrix = np.asarray(grid.index_to_world, float) @ source.field_to_stage
@@ -263,7 +315,7 @@ class Smoke:
             return np.array(grid.bbox_min), np.array(grid.bbox_max), matrix
         if not may_read:
             return None
-        (density,) = read_grids(source.file_path, [_request(source, 1)], self.config.grids)
+        (density,) = read_grids(source.file_path, [grid_request(source, 1)], self.config.grids)
         if density.is_empty:
             return None
         low = np.array(density.ijk_min)
@@ -275,15 +327,11 @@ def is_uneven(shown: Iterable[ComposedVolume]) -> bool:
     return any(volume.scattering is not None and volume.scattering.is_uneven for volume in shown)
 
 
-def _share_lattice(
-    volume: ComposedVolume, density: DenseField, other: DenseField, source: FieldSource | None
-) -> bool:
-    """Whether a field of the Volume has the density's voxels."""
-    if source is None:
-        return False
-    pairs = ((density, volume.density), (other, source))
-    places = [field.index_to_world @ place.field_to_stage for field, place in pairs]
-    return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
+def _composed(
+    stage: Usd.Stage, source: StageSource, volume: VolumeSource, time_code: float
+) -> list[ComposedVolume]:
+    """What one Volume shows: the faults of the others are not met."""
+    return composed_volumes(stage, replace(source, volumes=(volume,)), time_code)
 
 
 def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
@@ -298,10 +346,13 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
             layer without its source.
     """
     problems: list[str] = []
-    if config.prims:  # what is named must be there
+    named = [path for path in config.prims if _is_volume(stage, path)]
+    if named and len(named) == len(config.prims):  # what is named must be there
         selected = _find(stage, config)
-    else:
+    else:  # all Volumes, or those of a group
         selected = _find(stage, config, problems)
+        if not {volume.prim_path for volume in selected.volumes}.issuperset(named):
+            selected = _find(stage, config)
     whole, faults = selected, list[str]()
     if config.frames:
         try:
@@ -310,13 +361,25 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
             whole = selected  # files of frames that are not requested may be missing
         if len(problems) > len(faults):  # not of a Volume that cannot be drawn at all
             selected = _find(stage, config)
-    smoke = Smoke(stage, selected, whole)
+    smoke = Smoke(stage, selected, whole, passed_over=_passed_over(config))
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
     notes = [*selected.missing, *problems]
     smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
     smoke.notes |= dict.fromkeys(selected.unopened)
     return smoke
+
+
+def _passed_over(config: StageConfig) -> tuple[type[UsdSmokeError], ...]:
+    """What leaves a Volume out of a frame, instead of refusing the preview."""
+    if not config.frames:
+        return AssetNotResolved, GridError
+    return (AssetNotResolved,) if config.allow_missing else ()
+
+
+def _is_volume(stage: Usd.Stage, path: str) -> bool:
+    prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+    return not prim or bool(prim.IsA(UsdVol.Volume))  # find_volumes refuses what is not there
 
 
 def _find(stage: Usd.Stage, config: StageConfig, problems: list[str] | None = None) -> StageSource:
@@ -329,28 +392,3 @@ def _time_codes(source: StageSource) -> list[float]:
     return sorted(
         {frame.time_code for volume in animated or source.volumes for frame in volume.frames}
     )
-
-
-def _request(source: FieldSource, components: int | None) -> GridRequest:
-    where = f"field <{source.prim_path}>, timeCode {format_time_code(source.time_code)}"
-    return GridRequest(source.grid_name, source.grid_index, where, components)
-
-
-def _grid(source: FieldSource, components: int | None) -> GridHeader:
-    header, request = read_header(source.file_path), _request(source, components)
-    grid = find_grid(header, request)
-    check_readable(header, grid, request)
-    return grid
-
-
-def _is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
-    try:
-        return _grid(frame.fields[volume.density], 1).active_voxels != 0
-    except UsdSmokeError:
-        return False  # reported when the frame is drawn
-
-
-def _read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> VolumeFrame:
-    source = frame.fields[volume.density]
-    (density,) = read_grids(source.file_path, [_request(source, 1)], config.grids)
-    return VolumeFrame(frame.time_code, density, source.field_to_stage)

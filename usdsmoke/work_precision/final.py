@@ -85,7 +85,7 @@ def check_final(
     config = resolve_config(settings).with_values({"views.image_size": SIZE})
     ours = config.stage
     selected = StageConfig(prims=ours.prims, frames=ours.frames, density=ours.density)
-    smoke = find_smoke(open_stage(stage), selected)
+    smoke = replace(find_smoke(open_stage(stage), selected), passed_over=())
     code, look = _middle_look(smoke)
     images = [read_style_image(image).pixels for image in style_paths(style)]
     drawn = list(

@@ -1,0 +1,74 @@
+"""Previews of stages of which a part cannot be read: the rest is drawn, the part is named."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    plume_stage,
+    sequence,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+)
+from usdsmoke.base.errors import AssetNotResolved, DamagedFile, FieldNotFound
+from usdsmoke.pictures.preview import preview
+
+pytestmark = pytest.mark.usefixtures("quick_grids")
+
+ONE, TWO, BAD = "/World/fx/one", "/World/fx/two", "/World/fx/bad"
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """Two Volumes of three frames, of which the second lacks the file of frame 2; and a bad one."""
+    write_sequence(tmp_path, (1, 2, 3))
+    write_sequence(tmp_path / "b", (1, 3))
+    body = volume_prim(density_prim(sequence((1, 2, 3))), "one")
+    body += volume_prim(density_prim(sequence((1, 2, 3), "./b/cache/smoke.{:04d}.vdb")), "two")
+    body += volume_prim("", "bad", "")
+    group = f'def Xform "fx" {{ {body.replace("/World/", "/World/fx/")} }}'
+    return write_text(tmp_path / "shot.usda", world(group))
+
+
+@pytest.mark.parametrize("allow_missing", [False, True])
+@pytest.mark.parametrize("prims", [(), ("/World/fx",), (ONE, TWO)], ids=len)
+def test_a_volume_without_one_file_and_one_without_density_hide_no_others(
+    pair: Path, prims: Sequence[str], allow_missing: bool
+) -> None:
+    target = pair.with_name("a.png")
+    if prims == (ONE, TWO) and not allow_missing:  # what is named must be there
+        with pytest.raises(AssetNotResolved, match=r"0002.*--allow-missing"):
+            preview(pair, target, prims=prims, width=16)
+        return
+    drawn = preview(pair, target, prims=prims, allow_missing=allow_missing, width=16)
+    assert drawn.time_codes == (1, 2, 3) and set(drawn.extinctions) == {ONE, TWO}
+    (note,) = [note for note in drawn.notes if f"<{TWO}" in note]
+    assert "timeCode 2" in note
+    assert any(f"<{BAD}>" in note for note in drawn.notes) == (BAD not in prims and len(prims) < 2)
+
+
+def test_frames_that_are_named_have_their_files_unless_they_may_be_missing(pair: Path) -> None:
+    target = pair.with_name("a.png")
+    with pytest.raises(AssetNotResolved, match="0002"):
+        preview(pair, target, prims=[ONE, TWO], frames="1-2", width=16)
+    preview(pair, target, prims=[ONE, TWO], frames="1-2", allow_missing=True, width=16)
+    with pytest.raises(FieldNotFound, match=BAD):
+        preview(pair, target, prims=[ONE, BAD, "/World/fx"], width=16)
+
+
+def test_a_damaged_file_leaves_out_its_frame(tmp_path: Path) -> None:
+    stage = plume_stage(tmp_path, (1, 2, 3))
+    damaged = tmp_path / "cache/smoke.0002.vdb"
+    damaged.write_bytes(damaged.read_bytes()[:300])
+    drawn = preview(stage, tmp_path / "a.png", width=16)
+    assert drawn.time_codes == (1, 3)
+    (note,) = drawn.notes
+    assert "</World/smoke> at timeCode 2" in note and "smoke.0002.vdb" in note
+    for code in (1, 3):
+        (tmp_path / f"cache/smoke.{code:04d}.vdb").write_bytes(b"none")
+    with pytest.raises(DamagedFile):
+        preview(stage, tmp_path / "a.png", width=16)

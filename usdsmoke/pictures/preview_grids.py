@@ -1,0 +1,61 @@
+"""The grids that a preview draws: their headers, what they hold, and their lattices."""
+
+import numpy as np
+
+from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import (
+    DenseField,
+    FieldSource,
+    FrameSource,
+    VolumeFrame,
+    VolumeSource,
+)
+from usdsmoke.usd.stage import ComposedVolume
+from usdsmoke.vdb.header import GridHeader, read_header
+from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids
+
+
+def share_lattice(
+    volume: ComposedVolume, density: DenseField, other: DenseField, source: FieldSource | None
+) -> bool:
+    """Whether a field of the Volume has the density's voxels."""
+    if source is None:
+        return False
+    pairs = ((density, volume.density), (other, source))
+    places = [field.index_to_world @ place.field_to_stage for field, place in pairs]
+    return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
+
+
+def grid_request(source: FieldSource, components: int | None) -> GridRequest:
+    """To read a field's grid of so many components by; None takes any."""
+    where = f"field <{source.prim_path}>, timeCode {format_time_code(source.time_code)}"
+    return GridRequest(source.grid_name, source.grid_index, where, components)
+
+
+def grid_of(source: FieldSource, components: int | None) -> GridHeader:
+    """The header of a field's grid.
+
+    Raises:
+        GridError: it cannot be read.
+    """
+    header, request = read_header(source.file_path), grid_request(source, components)
+    grid = find_grid(header, request)
+    check_readable(header, grid, request)
+    return grid
+
+
+def is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
+    """Whether a frame has smoke, as far as its header tells."""
+    try:
+        return grid_of(frame.fields[volume.density], 1).active_voxels != 0
+    except UsdSmokeError:
+        return False  # reported when the frame is drawn
+
+
+def read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> VolumeFrame:
+    """The density of a frame, read from its file."""
+    source = frame.fields[volume.density]
+    (density,) = read_grids(source.file_path, [grid_request(source, 1)], config.grids)
+    return VolumeFrame(frame.time_code, density, source.field_to_stage)
