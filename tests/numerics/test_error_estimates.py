@@ -248,9 +248,9 @@ def test_a_bowl_whose_bottom_is_reached_has_nothing_left() -> None:
 
 
 def test_few_losses_or_some_that_are_not_finite_tell_nothing() -> None:
-    assert math.isnan(remaining_decrease([1.0] * 23, [1.0] * 23))
+    assert math.isnan(remaining_decrease([1.0] * 29, [1.0] * 29))
     assert math.isnan(remaining_decrease([1.0] * 29 + [math.inf], [1.0] * 30))
-    assert remaining_decrease([1.0] * 24, [1.0] * 24) < 1e-9
+    assert remaining_decrease([1.0] * 30, [1.0] * 30) < 1e-9
 
 
 @pytest.mark.parametrize(("pool", "count"), [(16, 1), (12, 1), (16, 4)])

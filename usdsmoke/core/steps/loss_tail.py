@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FEWEST = 24  # iterations from which a tail shows: twenty told a tenth of what was left
+FEWEST = 30  # iterations from which a tail shows: 24 told a third of what was left
 LONGER = 4.0  # times as long: the run that a loss is compared with
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
