@@ -28,6 +28,7 @@ REFUSED = (
 )
 STAGES = "tests/runs/test_extreme_stages.py::"
 MASK = "tests/unit/planning/test_mask.py::"
+MASK_FIELD = "tests/unit/core/test_mask_field.py::"
 WARM = "tests/unit/core/test_departures.py::"
 WINDOWS = "tests/unit/planning/test_windows.py::"
 
@@ -119,6 +120,10 @@ VOLUME = _group(
      "named error UnsupportedGrid: detected from stage and header",
      (MASK + "test_a_grid_that_is_no_field_of_numbers_is_no_mask",
       MASK + "test_a_mask_that_is_scaled_to_nothing_is_refused")),
+    ("a mask or a velocity of one plane of voxels, or of one voxel",
+     "finite: it acts where it lies; a velocity also on any slab of smoke",
+     (MASK_FIELD + "test_a_flat_mask_holds_for_half_a_voxel_and_ends_after_a_whole_one",
+      WARM + "test_a_velocity_of_one_plane_moves_the_smoke_in_it_and_any_slab")),
     ("NaN in a mask", "named error NonFiniteError: field and timeCode; finite: with "
      "`grids.repair_nan`",
      (MASK + "test_nan_in_a_mask_is_refused_or_repaired_as_in_a_density",)),
