@@ -212,6 +212,11 @@ def test_a_package_fails_and_is_said_to_be_one(
         assert "ResultChanged" in first and "inside the package p.usdz" in first
     assert main(["inspect", str(package)]) == 1
     assert "package" in capsys.readouterr().err
+    assert main(["verify", str(package)]) == 1
+    referencing = write_text(tmp_path / "r.usda", "#usda 1.0\n(subLayers = [@./p.usdz@])\n")
+    assert main(["verify", str(referencing)]) == 1
+    out, err = capsys.readouterr()
+    assert "p.usdz is a package" in err and "result-missing" in out
     (found,) = provenance(package)
     assert found.record.run == provenance(result.look_layer)[0].record.run
 

@@ -41,9 +41,11 @@ def verify(file: str | PathLike[str]) -> list[Change]:
         file: as ``find_records`` takes it.
 
     Raises:
+        LayerError: it is a package, whose files are not compared.
         UsdSmokeError: see ``find_records``.
     """
     changes: list[Change] = []
+    _check_is_unpacked(Path(file))
     for item in find_records(file):
         edited = list(_check_layer(item))
         changes += edited
@@ -61,6 +63,14 @@ def verify(file: str | PathLike[str]) -> list[Change]:
 def verify_inputs(item: FoundRecord) -> list[Change]:
     """Those changes of what a result was made from that make another result of it."""
     return [change for change in check_inputs(item) if change.severity != "note"]
+
+
+def _check_is_unpacked(file: Path) -> None:
+    if file.suffix.lower() == ".usdz":
+        raise LayerError(
+            f"{file} is a package, and the frames inside cannot be compared with the record. "
+            "Unpack it (a .usdz is a zip), and verify the stage inside."
+        )
 
 
 def _check_layer(item: FoundRecord) -> Iterator[Change]:
@@ -88,6 +98,9 @@ def _check_shaders(item: FoundRecord) -> Iterator[Change]:
 
 
 def _check_results(item: FoundRecord) -> list[Change]:
+    if not item.record.results:  # only authorship is left, of frames in a package or nowhere
+        expected = "frames of the result"
+        return [Change("result-missing", str(item.file), expected, "none that can be read")]
     files = [item.place(name) for name in item.record.results]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = pool.map(_check_result, files, item.record.results.values())
