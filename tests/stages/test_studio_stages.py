@@ -130,6 +130,8 @@ def test_points_or_vectors_as_density_are_an_error_of_validate(tmp_path: Path) -
     write_text(shot.stage, text)
     found = [finding for finding in validate(Usd.Stage.Open(str(shot.stage)))]
     assert "GridUnsupported" in {finding.rule for finding in found}
+    problems = inspect(shot.stage)["problems"]
+    assert len(problems) == 2 and all('"vel"' in problem for problem in problems)
 
 
 def test_a_range_that_starts_below_0_is_read(

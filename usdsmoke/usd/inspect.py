@@ -133,7 +133,7 @@ def _describe_volume(volume: VolumeSource, headers: dict[str, FileHeader | str])
         "velocity": list(volume.velocity),
         "other_fields": list(volume.other_fields),
         "lights": _describe_lights(volume),
-        "frames": [_describe_frame(frame, headers) for frame in volume.frames],
+        "frames": [_describe_frame(volume, frame, headers) for frame in volume.frames],
     }
 
 
@@ -150,12 +150,19 @@ def _describe_lights(volume: VolumeSource) -> list[dict[str, Any]]:
     ]
 
 
-def _describe_frame(frame: FrameSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:
-    fields = {name: _describe_field(field, headers) for name, field in frame.fields.items()}
+def _describe_frame(
+    volume: VolumeSource, frame: FrameSource, headers: dict[str, FileHeader | str]
+) -> dict[str, Any]:
+    fields = {
+        name: _describe_field(field, headers, _components(volume, name))
+        for name, field in frame.fields.items()
+    }
     return {"time_code": frame.time_code, "fields": fields}
 
 
-def _describe_field(field: FieldSource, headers: dict[str, FileHeader | str]) -> dict[str, Any]:
+def _describe_field(
+    field: FieldSource, headers: dict[str, FileHeader | str], components: int | None
+) -> dict[str, Any]:
     described: dict[str, Any] = {
         "prim_path": field.prim_path,
         "file": field.file_path,
@@ -172,7 +179,7 @@ def _describe_field(field: FieldSource, headers: dict[str, FileHeader | str]) ->
     described["file_bytes"] = os.path.getsize(field.file_path)
     described["grids"] = [_describe_grid(grid) for grid in header.grids]
     described["velocity_grids"] = [grid.label for grid in find_velocity(header)]
-    problem = _grid_problem(field, header)
+    problem = _grid_problem(field, header, components)
     return described | ({"problem": problem} if problem else {})
 
 
@@ -186,10 +193,15 @@ def _header_of(file_path: str, headers: dict[str, FileHeader | str]) -> FileHead
     return headers[file_path]
 
 
-def _grid_problem(field: FieldSource, header: FileHeader) -> str:
+def _components(volume: VolumeSource, name: str) -> int | None:
+    """How many numbers a voxel of a field has; None is any."""
+    return 1 if name in (volume.density, volume.mask) else None
+
+
+def _grid_problem(field: FieldSource, header: FileHeader, components: int | None) -> str:
     """What keeps smoke from being read from the field's grid; "" when nothing does."""
     where = f"field <{field.prim_path}>, timeCode {field.time_code:g}"
-    request = GridRequest(field.grid_name, field.grid_index, where)
+    request = GridRequest(field.grid_name, field.grid_index, where, components)
     try:
         check_readable(header, find_grid(header, request), request)
     except UsdSmokeError as error:
@@ -219,10 +231,11 @@ def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list
     found: dict[str, None] = {}
     for volume in source.volumes:
         for frame in volume.frames:
-            for field in frame.fields.values():
+            for name, field in frame.fields.items():
                 header = headers[field.file_path]
-                text = header if isinstance(header, str) else _grid_problem(field, header)
-                if text:
+                if isinstance(header, str):
+                    found[header] = None
+                elif text := _grid_problem(field, header, _components(volume, name)):
                     found[text] = None
     return list(found)
 

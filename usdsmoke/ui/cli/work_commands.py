@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from usdsmoke.base.errors import REFUSED
 from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.plan_text import plan_text
@@ -40,7 +41,7 @@ def run_stylize(arguments: argparse.Namespace) -> int:
             lambda: plan.to_dict() | {"config": plan.config.model_dump()},
             lambda: plan_text(plan, arguments.verbose),
         )
-        return 0
+        return 1 if any(note.startswith(REFUSED) for note in plan.notes) else 0
     if arguments.coarse or arguments.window is not None:
         task = _with_progress(_run_task, arguments)
         show(arguments, lambda: _task_as_dict(task), lambda: task_text(task))
