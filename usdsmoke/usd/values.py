@@ -2,11 +2,12 @@
 
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pxr import Ar, Gf, Sdf, Usd, Vt
+from pxr import Ar, Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdsmoke.base.naming import relative_asset_path
 
@@ -74,10 +75,14 @@ FRAME_PATTERN = re.compile(r"#+|\$F\d*|%0?\d*d|<F\d*>")
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # two letters at least: C: is a drive
 
 
-def vdb_problem(authored_path: str, file_path: str) -> str:
+def vdb_problem(authored_path: str, file_path: str, attribute: Usd.Attribute | None = None) -> str:
     """Why a field's file cannot be opened, and what to do about it; "" when nothing is wrong.
 
     The text continues a sentence that names the path; only the path is looked at, not the file.
+
+    Args:
+        attribute: the ``filePath``, whose layer and stage say where the files are and in which
+            units; None where only whether there is a problem matters.
     """
     if not authored_path and not file_path:
         return "it is empty. Author the path of a .vdb file."
@@ -91,7 +96,7 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
     if not file_path and FRAME_PATTERN.search(authored_path):
         return (
             "OpenUSD expands no frame patterns. Author a time sample for each file or value clips, "
-            f"or make a stage of the files: usdsmoke stage '{authored_path}' -o NEW.usda."
+            f"or make a stage of the files: {_stage_command(authored_path, attribute)}."
         )
     if not file_path:
         return "there is no such file. Check the path, and whether the files were copied too."
@@ -102,6 +107,22 @@ def vdb_problem(authored_path: str, file_path: str) -> str:
             f"it resolves to {file_path}, where there is no file. Check the resolver and the disk."
         )
     return ""
+
+
+def _stage_command(authored_path: str, attribute: Usd.Attribute | None) -> str:
+    """The command that makes a stage of the files of a pattern, with this stage's units."""
+    if attribute is None:
+        return "usdsmoke stage"
+    stage = attribute.GetStage()
+    layer = _authoring_layer(attribute, Usd.TimeCode.EarliestTime())
+    files = authored_path
+    if layer is not None and not layer.anonymous:
+        files = Sdf.ComputeAssetPathRelativeToLayer(layer, authored_path)
+    units, up_axis = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
+    return (
+        f"usdsmoke stage {shlex.quote(files)} -o NEW.usda --meters-per-unit {units:g} "
+        f"--up-axis {up_axis}"
+    )
 
 
 def package_of(path: str) -> str:

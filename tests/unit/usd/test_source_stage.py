@@ -1,11 +1,23 @@
 """A stage made from bare VDB files: fields, time samples, extents, and what is refused."""
 
+import shlex
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdVol
 
-from tests.fixtures.usd_fixtures import needs_usd, write_vdb
-from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    needs_usd,
+    volume_prim,
+    world,
+    write_sequence,
+    write_text,
+    write_vdb,
+)
+from usdsmoke import inspect
+from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError, StageError
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.ui.cli.main import main
 from usdsmoke.ui.cli.text import source_stage_text
@@ -92,3 +104,19 @@ def test_the_command_leads_from_a_file_to_a_plan(tmp_path, capsys):
     command = ["stage", str(tmp_path / "puff.vdb"), "-o", str(stage_file)]
     assert main([*command, "--meters-per-unit", "1"]) == 0
     assert main(["inspect", str(stage_file)]) == 0
+
+
+def test_the_command_of_a_refused_pattern_works_as_it_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_sequence(tmp_path / "in", (1, 2))
+    files = density_prim("asset filePath = @./cache/smoke.$F4.vdb@")
+    stage = write_text(tmp_path / "in/shot.usda", world(volume_prim(files)))
+    with pytest.raises(StageError, match="usdsmoke stage") as refused:
+        inspect(stage)
+    command = str(refused.value).partition("usdsmoke stage ")[2].partition(". ")[0].rstrip(".")
+    monkeypatch.chdir(tmp_path)
+    assert main(["stage", *shlex.split(command)]) == 0
+    made = Usd.Stage.Open(str(tmp_path / "NEW.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(made) == 0.5 and UsdGeom.GetStageUpAxis(made) == "Z"
+    assert made.GetEndTimeCode() == 2

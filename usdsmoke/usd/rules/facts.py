@@ -114,11 +114,12 @@ def is_velocity(relationship: str) -> bool:
     return _VELOCITY.fullmatch(relationship) is not None
 
 
-def file_trouble(sample: FieldSample) -> str:
+def file_trouble(sample: FieldSample, prim: Usd.Prim | None = None) -> str:
     """Why the file of a field cannot be opened at all; empty when it can, or nothing is shown."""
     if sample.blocked:
         return ""
-    problem = vdb_problem(sample.authored_path, sample.file_path)
+    attribute = prim.GetAttribute("filePath") if prim else None
+    problem = vdb_problem(sample.authored_path, sample.file_path, attribute)
     path = f"@{sample.authored_path}@" if sample.authored_path else "empty"
     return f"filePath is {path}: {problem}" if problem else ""
 

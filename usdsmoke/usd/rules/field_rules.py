@@ -91,7 +91,7 @@ def check_files(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             if package := package_of(sample.file_path):
                 packed.setdefault(package, {}).setdefault(field.relationship, sample.time_code)
                 continue
-            trouble = file_trouble(sample)
+            trouble = file_trouble(sample, field.prim)
             if not trouble and not sample.blocked:
                 trouble = _header_trouble(sample.file_path)
             if trouble:

@@ -217,7 +217,10 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
         AssetNotResolved: a path is empty, Houdini's own, inside a package, a folder, or resolves to
             no file.
     """
-    found = [(source, vdb_problem(source.authored_path, source.file_path)) for source in sources]
+    path = prim.GetAttribute("filePath")
+    found = [
+        (source, vdb_problem(source.authored_path, source.file_path, path)) for source in sources
+    ]
     problems = [(source, problem) for source, problem in found if problem]
     if not problems:
         return

@@ -295,12 +295,14 @@ def _split_by_file(
     outline: _Outline, selected: Sequence[float]
 ) -> tuple[tuple[float, ...], list[str]]:
     """The timeCodes whose density file exists, and a sentence about the others."""
-    samples = FieldSamples(outline.fields.prims[outline.fields.density])
+    density = outline.fields.prims[outline.fields.density]
+    samples = FieldSamples(density)
     absent = [code for code in selected if not Path(samples.at(code).file_path or "/").is_file()]
     sentence = f"<{outline.prim.GetPath()}> has no file at {name_time_codes(absent)}"
     if absent:
         sample = samples.at(absent[0])
-        reason = vdb_problem(sample.authored_path, sample.file_path).rstrip(".")
+        path = density.GetAttribute("filePath")
+        reason = vdb_problem(sample.authored_path, sample.file_path, path).rstrip(".")
         sentence += f", such as @{sample.authored_path}@: {reason}"
     return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
