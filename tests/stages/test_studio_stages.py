@@ -134,6 +134,18 @@ def test_points_or_vectors_as_density_are_an_error_of_validate(tmp_path: Path) -
     assert len(problems) == 2 and all('"vel"' in problem for problem in problems)
 
 
+def test_grids_without_a_relationship_are_named_with_the_setting_that_copies_them(
+    tmp_path: Path,
+) -> None:
+    shot = shot_of(tmp_path, smoke("smoke"))
+    assert inspect(shot.stage)["notes"] == []
+    for code in (1, 2):
+        names = ("density", "vel", "flame")
+        write_vdb(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", names)
+    (note,) = inspect(shot.stage)["notes"]
+    assert "flame" in note and "vel" not in note and "layer.copy_fields" in note
+
+
 def test_a_range_that_starts_below_0_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -59,7 +59,7 @@ def inspect(
             _describe_volume(volume, headers) | {"request": request}
             for volume, request in zip(lit.volumes, requests, strict=True)
         ],
-        "notes": _notes(lit),
+        "notes": [*_notes(lit), *_grids_beside(source, headers)],
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": [
             *(f"{sentence}." for sentence in source.unopened),
@@ -100,6 +100,25 @@ def _notes(source: StageSource) -> list[str]:
         f"the light <{path}> is left out: {why}." for path, why in source.unused_lights.items()
     ]
     return [*filter(None, [late_note()]), *missing, *ignored, *places, *lights]
+
+
+def _grids_beside(source: StageSource, headers: dict[str, FileHeader | str]) -> list[str]:
+    """The grids of a density's file, in the first frame, that no relationship leads to."""
+    notes = []
+    for volume in source.volumes:
+        fields = volume.frames[0].fields
+        header = _header_of(fields[volume.density].file_path, headers)
+        if isinstance(header, str):
+            continue
+        used = {field.grid_name for field in fields.values()}
+        used |= {grid.name for grid in find_velocity(header)} | set(volume.other_fields)
+        names = dict.fromkeys(grid.name for grid in header.grids if grid.name not in {"", *used})
+        if names:
+            notes.append(
+                f"no relationship of <{volume.prim_path}> leads to {', '.join(names)} "
+                "in its density's file: not in the result unless layer.copy_fields names it."
+            )
+    return notes
 
 
 def _describe_stage(source: StageSource) -> dict[str, Any]:
