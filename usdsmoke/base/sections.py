@@ -285,7 +285,7 @@ class OptimizeConfig(Section):
         "lists as they are; 0 with optimize.start: the result is what the network paints", ge=0,
         unit="iterations", request="iterations")
     start: str = setting(
-        "", "network that 'usdsmoke train' wrote; a frame without a neighbour starts from its "
+        "", "network that 'usdsmoke train' wrote; a frame that starts from no neighbour takes its "
         "colours, and only its finest octave is optimised; default: such frames start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "

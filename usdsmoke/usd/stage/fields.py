@@ -140,8 +140,8 @@ def _required_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.
         advice = "Correct its target: one OpenVDBAsset prim."
         if prim.endswith("Asset"):  # another program's fields
             advice = (
-                "usdsmoke reads OpenVDB files alone: convert the volume to .vdb, and show the file "
-                "by an OpenVDBAsset."
+                "usdsmoke reads only OpenVDB files: convert the volume to .vdb, and point an "
+                "OpenVDBAsset at it."
             )
         raise FieldNotFound(f"the {_where(volume, name)} {prim}. {advice}")
     return prim

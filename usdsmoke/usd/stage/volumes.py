@@ -298,7 +298,7 @@ def _split_by_file(
     density = outline.fields.prims[outline.fields.density]
     samples = FieldSamples(density)
     absent = [code for code in selected if not Path(samples.at(code).file_path or "/").is_file()]
-    sentence = f"<{outline.prim.GetPath()}> has no file at {name_time_codes(absent)}"
+    sentence = f"files of <{outline.prim.GetPath()}> are missing at {name_time_codes(absent)}"
     if absent:
         sample = samples.at(absent[0])
         path = density.GetAttribute("filePath")
