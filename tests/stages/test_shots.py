@@ -164,7 +164,7 @@ def test_the_command_line_tells_what_to_open_and_what_to_switch(
     assert main(["stylize", *files, "--mode", "reference", "--look", "ember"]) == 0
     told = capsys.readouterr().out
     assert re.search(rf"open +{re.escape(str(big.output))}/shot_asset.usda", told)
-    assert "variant of 'look'" in told and "ember, original" in told
+    assert re.search("variant of 'look'.*ember.*original", told)
 
 
 def test_a_job_for_a_queue_is_assembled_by_look_and_mode(big: BigShot) -> None:

@@ -72,7 +72,7 @@ def _use_of(result: "StylizeResult") -> list[str]:
     if layer.mode == "layer":
         return [f"use: add it above its source, subLayers = [@{result.look_layer}@, ...]"]
     if layer.mode == "reference":
-        names = f"{layer.look} (as it is now), another look of the folder, or {ORIGINAL}"
+        names = f"{layer.look} (selected now), {ORIGINAL}, or another look in the folder"
         return [f"use: select a variant of {VARIANT_SET!r} on the root prims: {names}"]
     return []
 
