@@ -154,3 +154,13 @@ def test_colours_at_places_absurdly_far_away_are_none_and_finite():
     places = torch.tensor([[1e30, 0.0, 0.0], [-1e15, 3.0, 3.0], [0.0, 1e9, -1e9]]).double()
     found, near = sample_colours(smoke, torch.ones(len(smoke.ijk), 3), places)
     assert not found.any() and not near.any()
+
+
+def test_the_outline_holds_the_voxels_farthest_in_every_direction() -> None:
+    rng = np.random.default_rng(4)
+    values = np.where(rng.random((14, 11, 17)) < 0.4, 1.0, 0.0).astype(np.float32)
+    smoke = smoke_of(np.pad(values, ((0, 0), (0, 0), (3, 9))), affine(4))
+    everywhere = smoke.positions.numpy()
+    assert len(smoke.outline) < 0.7 * len(everywhere)
+    for axis in rng.standard_normal((50, 3)):
+        assert (smoke.outline @ axis).max() == (everywhere @ axis).max()

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ class ActiveSmoke:
     """Voxels that hold smoke: nothing in the core touches the empty rest of the box.
 
     ``ijk`` are absolute voxel indices of this resolution, so that neither noise nor octaves depend
-    on how the box was cropped.
+    on how the box was cropped. Voxels lie in lexicographic order.
     """
 
     ijk: Tensor  # [N 3] int64
@@ -66,16 +67,32 @@ class ActiveSmoke:
         matrix = torch.as_tensor(self.index_to_stage, dtype=torch.float64, device=self.ijk.device)
         return self.ijk.double() @ matrix[:3, :3] + matrix[3, :3]
 
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Centres of the voxels that begin or end a row along k, [M 3], stage space.
+
+        The largest and the smallest of all voxels in any direction are among them. A million
+        voxels have some ten thousand.
+        """
+        rows = self.ijk[:, :2]
+        begins = torch.ones(len(rows), dtype=torch.bool, device=rows.device)
+        begins[1:] = (rows[1:] != rows[:-1]).any(1)
+        ends = torch.ones_like(begins)
+        ends[:-1] = begins[1:]
+        return self.take(begins | ends).positions.cpu().numpy()
+
     @property
     def longest_side(self) -> float:
         """Of the box of the active voxels, stage units."""
         low, high = self.box
         return float(max((high - low + 1) * np.linalg.norm(self.index_to_stage[:3, :3], axis=1)))
 
-    @property
+    @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest active index, [3] each."""
-        return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
+        """Lowest and highest active index, [3] each; read-only."""
+        low, high = self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
+        low.flags.writeable = high.flags.writeable = False
+        return low, high
 
 
 def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:

@@ -77,7 +77,7 @@ def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> Vi
 def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
     """Like ``fit_view``, but around the voxels themselves: a cut leaves their box half empty."""
     axes = np.stack([view.right, view.up, view.forward])
-    places = smoke.positions.cpu().numpy() @ axes.T
+    places = smoke.outline @ axes.T
     half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
     low, high = places.min(0) - half, places.max(0) + half
     width, height = (
@@ -91,7 +91,7 @@ def _trimmed(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> Vi
     """The same pixels without those around the smoke, which a turned box leaves in its corners."""
     axes = np.stack([view.right, -view.up])
     half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
-    places = smoke.positions.cpu().numpy() @ axes.T - view.centre @ axes.T
+    places = smoke.outline @ axes.T - view.centre @ axes.T
     size = np.array([view.width, view.height])
     low, high = (
         np.rint((places.min(0) - half) / view.pixel_size + size / 2) - margin,
