@@ -147,15 +147,13 @@ def _floor(smoke: ActiveSmoke, values: Tensor, index: Tensor, clouds: Clouds) ->
     place = index.reshape(-1, 3) - SHIFT
     base = torch.floor(place)
     part = (place - base).to(values)
-    back = values.new_zeros(len(place), values.shape[1])
-    total = torch.zeros_like(back[:, :1])
-    for corner in range(8):
-        offset = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=place.device)
-        weight = torch.where(offset.bool(), part, 1 - part).prod(1, keepdim=True)
-        found, inside = _look_up(smoke, values, (base + offset + SHIFT)[:, None])
-        weight = weight * inside
-        back += weight * found[:, 0]
-        total += weight
+    corners = [[n >> 2 & 1, n >> 1 & 1, n & 1] for n in range(8)]
+    offsets = torch.tensor(corners, device=place.device)[:, None]  # [8 1 3]
+    weights = torch.where(offsets.bool(), part, 1 - part).prod(2, keepdim=True)
+    found, inside = _look_up(smoke, values, base + offsets + SHIFT)  # at once: it lays out a box
+    weights = weights * inside[..., None]
+    total = weights.sum(0)
+    back = (weights * found).sum(0)
     there = total.view(index.shape[:2]) > NEAR
     back = (back / total.clamp_min(NEAR)).view(*index.shape[:2], -1)
     return min(_squared_error(clouds, back, there) or 0.0, MOST_FLOOR)
