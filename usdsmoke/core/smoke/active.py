@@ -87,12 +87,10 @@ class ActiveSmoke:
         low, high = self.box
         return float(max((high - low + 1) * np.linalg.norm(self.index_to_stage[:3, :3], axis=1)))
 
-    @cached_property
+    @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest active index, [3] each; read-only."""
-        low, high = self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
-        low.flags.writeable = high.flags.writeable = False
-        return low, high
+        """Lowest and highest active index, [3] each."""
+        return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
 
 
 def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:
