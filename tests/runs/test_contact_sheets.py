@@ -53,8 +53,9 @@ class Drawn:
 
     def _march(self, media: Any, view: Any) -> Any:
         self.views.append(view)
-        self.opacity.append(float(media[0].values[..., 0].max()))
-        self.light.append(float(media[0].values[..., 1:4].sum()))
+        self.opacity.append(float(media[0].extinction.max()))
+        emission = media[0].emission
+        self.light.append(0.0 if emission is None else float(emission.sum()))
         self.held.append(tuple(name for name, item in self._given if item() is not None))
         return SimpleNamespace(rgba=np.ones((view.height, view.width, 4), np.float32))
 

@@ -5,23 +5,20 @@ Previews and contact sheets are both drawn here, by rays (see ``core.views.march
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from usdsmoke.base.sections import ViewsConfig
+from usdsmoke.core.views.cameras import View, frame_points, orbit_view
 from usdsmoke.pictures.png import encode_srgb
-
-if TYPE_CHECKING:
-    from usdsmoke.core.views.cameras import View
 
 BACKGROUND = 0.03  # linear, behind the smoke; on black the style's dark colours would be lost
 GREY = 0.5  # scene-linear light of thick smoke that has no emission
 _FINE = 1_000_000  # pixels, of a view that is made for its proportions
 
 
-def front_view(up_axis: str, views: ViewsConfig | None = None, turn: float = 0.0) -> "View":
+def front_view(up_axis: str, views: ViewsConfig | None = None, turn: float = 0.0) -> View:
     """The direction from the front; ``fit_views`` gives it a place and a size.
 
     Args:
@@ -29,8 +26,6 @@ def front_view(up_axis: str, views: ViewsConfig | None = None, turn: float = 0.0
         views: the section ``views`` of the settings; None takes the defaults.
         turn: degrees around the up axis, away from the front.
     """
-    from usdsmoke.core.views.cameras import orbit_view
-
     views = views or ViewsConfig()
     angles = (views.centre_azimuth + turn, views.centre_elevation)
     return orbit_view(*angles, up_axis, np.zeros(3), 1, 1, 1.0)
@@ -54,15 +49,13 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return corners
 
 
-def fitted_size(directions: Sequence["View"], points: np.ndarray) -> tuple[float, float]:
+def fitted_size(directions: Sequence[View], points: np.ndarray) -> tuple[float, float]:
     """Height and width in stage units of a picture that holds all points from every direction.
 
     Args:
         directions: from ``front_view``.
         points: [N 3], stage space.
     """
-    from usdsmoke.core.views.cameras import frame_points
-
     fitted = [frame_points(direction, points, None, _FINE) for direction in directions]
     height, width = (
         max(getattr(view, side) * view.pixel_size for view in fitted)
@@ -72,8 +65,8 @@ def fitted_size(directions: Sequence["View"], points: np.ndarray) -> tuple[float
 
 
 def fit_views(
-    directions: Sequence["View"], points: np.ndarray, height: int, width: int
-) -> list["View"]:
+    directions: Sequence[View], points: np.ndarray, height: int, width: int
+) -> list[View]:
     """The directions as views of one size and scale, each of which holds all points.
 
     Args:
@@ -81,8 +74,6 @@ def fit_views(
         points: [N 3], stage space. Smoke keeps its middle in a turn if they are a box's corners.
         height, width: pixels.
     """
-    from usdsmoke.core.views.cameras import frame_points
-
     views = [frame_points(direction, points, height, width) for direction in directions]
     pixel_size = max(view.pixel_size for view in views)
     return [replace(view, pixel_size=pixel_size) for view in views]

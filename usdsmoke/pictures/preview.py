@@ -16,6 +16,9 @@ import numpy as np
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.time_codes import spread
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.smoke.tasks import computing_threads
+from usdsmoke.core.views.cameras import view_of_camera
+from usdsmoke.core.views.march import march
 from usdsmoke.pictures.drawing import box_around, fit_views, fitted_size, front_view
 from usdsmoke.pictures.preview_files import (
     LOOK,
@@ -102,8 +105,6 @@ def preview(
         WriteFailed: the output could not be written.
     """
     request = PreviewRequest(stage, Path(output), **options)
-    from usdsmoke.core.smoke.device import computing_threads
-
     with computing_threads(request.threads):
         return _preview(request, progress)
 
@@ -173,8 +174,6 @@ def _shots(
     request: PreviewRequest, smokes: dict[str, Smoke], codes: Sequence[float]
 ) -> list[PreviewShot]:
     """What to draw of each Smoke, all of one size, frame by frame."""
-    from usdsmoke.core.views.cameras import view_of_camera
-
     look = smokes[LOOK]
     shots: list[PreviewShot] = []
     if request.camera:
@@ -218,8 +217,6 @@ def _draw(
     progress: Callable[[int, int], None] | None,
 ) -> Drawn:
     """One picture after the other."""
-    from usdsmoke.core.views.march import march
-
     done, total = 0, len(smokes) * len(shots)
     for label, smoke in smokes.items():
         for code, of_frame in groupby(shots, key=attrgetter("time_code")):

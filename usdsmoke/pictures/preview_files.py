@@ -4,23 +4,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from usdsmoke.base.naming import frame_file_names
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import StageSource
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.march import Picture
 from usdsmoke.pictures.contact_sheet import compose_sheet
 from usdsmoke.pictures.drawing import BACKGROUND, display_picture
 from usdsmoke.pictures.exr import write_exr
 from usdsmoke.pictures.png import encode_srgb, write_png
 from usdsmoke.pictures.preview_request import PreviewRequest
 from usdsmoke.pictures.webp import write_webp
-
-if TYPE_CHECKING:
-    from usdsmoke.core.views.cameras import View
-    from usdsmoke.core.views.march import Picture
 
 LOOK, ORIGINAL = "look", "original"
 _MOST_COLUMNS = 6  # of a contact sheet
@@ -32,12 +30,12 @@ class PreviewShot:
 
     time_code: float
     angle: float  # degrees around the up axis from the front
-    view: "View"
+    view: View
     clip: tuple[float, float] = (-np.inf, np.inf)  # nearest and farthest depth, stage units
 
 
 # The label, what is seen, the picture.
-Drawn: TypeAlias = Iterator[tuple[str, PreviewShot, "Picture"]]
+Drawn: TypeAlias = Iterator[tuple[str, PreviewShot, Picture]]
 
 
 def write_layers(request: PreviewRequest, codes: Sequence[float], drawn: Drawn) -> tuple[Path, ...]:

@@ -26,6 +26,9 @@ from usdsmoke.base.volume import (
     StageSource,
     VolumeSource,
 )
+from usdsmoke.core.smoke.tasks import computing_threads, n_sharing
+from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.pictures.drawing import GREY, box_corners
 from usdsmoke.pictures.preview_grids import (
     grid_of,
@@ -40,8 +43,6 @@ from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import read_grids
 
 if TYPE_CHECKING:
-    from usdsmoke.core.views.cameras import View
-    from usdsmoke.core.views.media import Medium
     from usdsmoke.core.views.scene import Scene
 
 _BASE_GIB = 0.5  # of a process that draws; measured
@@ -157,8 +158,8 @@ class Smoke:
         return np.concatenate(corners) if corners else np.zeros((0, 3))
 
     def media(
-        self, shown: Iterable[ComposedVolume], view: "View", exposed: bool = False
-    ) -> list["Medium"]:
+        self, shown: Iterable[ComposedVolume], view: View, exposed: bool = False
+    ) -> list[Medium]:
         """The smoke of some Volumes as media for ray marching.
 
         Args:
@@ -170,8 +171,6 @@ class Smoke:
             GridError, NonFiniteError: a grid cannot be used.
             ShapeError: a field is flattened on the stage.
         """
-        from usdsmoke.core.views.media import make_media
-
         media = []
         for volume in shown:
             try:
@@ -254,7 +253,7 @@ class Smoke:
         density: DenseField,
         fields: tuple[DenseField | None, DenseField | None],
         gamma_w: float,
-        view: "View",
+        view: View,
     ) -> DenseField | None:
         """The emission, and the light of lamps that a look's smoke scatters."""
         from usdsmoke.core.views.lighting import lit_emission
@@ -270,7 +269,8 @@ class Smoke:
                 ] = None
                 return fields[0]
         place = volume.density.field_to_stage
-        return lit_emission(density, fields, place, gamma_w, volume.scattering, view)
+        with computing_threads(n_sharing()):  # of torch, which is loaded by now
+            return lit_emission(density, fields, place, gamma_w, volume.scattering, view)
 
     def _extinction(self, volume: ComposedVolume, lit: bool) -> float:
         """From the look, or else as a run would choose it for the shot."""

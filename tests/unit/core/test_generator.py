@@ -18,7 +18,7 @@ from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.smoke.device import computing_threads
+from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.style.safetensors import safetensors_bytes
 from usdsmoke.core.training import canvas

@@ -14,7 +14,8 @@ from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress, WorkMeter
-from usdsmoke.ui.cli.progress_bar import ConsoleProgress, format_seconds
+from usdsmoke.ui.cli.progress_bar import ConsoleProgress
+from usdsmoke.ui.cli.text import format_seconds
 
 
 def reports_of(config: Config, warm: list[bool]) -> list[tuple[int, Progress]]:

@@ -2,8 +2,6 @@
 
 import os
 import platform
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +9,7 @@ import torch
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import usable_cpus
 from usdsmoke.base.sections import OptimizeConfig
-from usdsmoke.core.smoke.tasks import n_sharing, share_among
+from usdsmoke.core.smoke.tasks import share_among
 
 # Variables by which libraries under torch take other instructions than the processor offers.
 _LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR")
@@ -43,22 +41,6 @@ def choose_device(config: OptimizeConfig) -> torch.device:
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     return device
-
-
-@contextmanager
-def computing_threads(count: int) -> Iterator[None]:
-    """Compute with a number of threads, and afterwards with as many as before.
-
-    Args:
-        count: at least 1.
-    """
-    before, before_of_torch = n_sharing(), torch.get_num_threads()
-    share_among(count)
-    try:
-        yield
-    finally:
-        share_among(before)
-        torch.set_num_threads(before_of_torch)
 
 
 def describe_machine(config: OptimizeConfig) -> Machine:

@@ -3,32 +3,55 @@
 torch's own threads split sums, which then round differently for each number of threads. Here work
 is split into tasks whose number and order do not depend on the threads; one thread computes a task,
 and results are combined in the order of the tasks. torch's own threads are switched off.
+
+This file does not load torch: a preview shares its rays without it.
 """
 
 import os
+import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
-
-import torch
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
 _here = threading.local()  # .busy: this thread is computing a task, and does not share it again
 _helpers: ThreadPoolExecutor | None = None
+_helpers_know_torch = False
 _n_threads = 1
 
 
 def share_among(n_threads: int) -> None:
     """Set the number of threads that tasks of this process are shared among; at least 1."""
     global _helpers, _n_threads
-    torch.set_num_threads(1)
+    _switch_off_torchs_own()
     if n_threads != _n_threads and _helpers is not None:
         _helpers.shutdown()
         _helpers = None
     _n_threads = n_threads
+
+
+@contextmanager
+def computing_threads(count: int) -> Iterator[None]:
+    """Compute with a number of threads, and afterwards with as many as before.
+
+    Where torch computes, it is loaded before this is called.
+
+    Args:
+        count: at least 1.
+    """
+    before, torch = n_sharing(), _loaded_torch()
+    before_of_torch = None if torch is None else torch.get_num_threads()
+    share_among(count)
+    try:
+        yield
+    finally:
+        share_among(before)
+        if torch is not None:
+            torch.set_num_threads(before_of_torch)
 
 
 def n_sharing() -> int:
@@ -49,12 +72,16 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     if n_helpers < 1 or getattr(_here, "busy", False):
         return [task() for task in tasks]
     results: dict[int, Result] = {}
-    waiting, with_gradients = iter(range(len(tasks))), torch.is_grad_enabled()
+    waiting, torch = iter(range(len(tasks))), _loaded_torch()
+    with_gradients = torch is not None and torch.is_grad_enabled()
+
+    def gradients_as_here() -> AbstractContextManager[Any]:
+        return nullcontext() if torch is None else torch.set_grad_enabled(with_gradients)
 
     def work() -> None:
         _here.busy = True
         try:
-            with torch.set_grad_enabled(with_gradients):
+            with gradients_as_here():
                 for number in waiting:  # every number goes to one thread alone
                     results[number] = tasks[number]()
         finally:
@@ -73,12 +100,27 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
 
 
 def _executor() -> ThreadPoolExecutor:
-    global _helpers
+    global _helpers, _helpers_know_torch
+    if _helpers is not None and _loaded_torch() is not None and not _helpers_know_torch:
+        _helpers.shutdown()
+        _helpers = None
     if _helpers is None:
+        _helpers_know_torch = _loaded_torch() is not None
         _helpers = ThreadPoolExecutor(
-            _n_threads - 1, "usdsmoke", initializer=torch.set_num_threads, initargs=(1,)
+            _n_threads - 1, "usdsmoke", initializer=_switch_off_torchs_own
         )
     return _helpers
+
+
+def _loaded_torch() -> Any:
+    """The module, or None as long as nothing has loaded it."""
+    return sys.modules.get("torch")
+
+
+def _switch_off_torchs_own() -> None:
+    """In this thread."""
+    if (torch := _loaded_torch()) is not None:
+        torch.set_num_threads(1)
 
 
 def _forget_helpers() -> None:

@@ -1,17 +1,28 @@
-"""Rays of any direction through lattices: cut at every plane of voxel centres."""
+"""Rays of any direction through lattices: cut at every plane of voxel centres.
+
+A segment lies in one cell of each lattice. Extinction is a cubic polynomial along it there, and two
+Gauss points give its optical depth exactly. ``views.segments`` takes the line through the values at
+these points for the light; segments of much optical depth are cut once more.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor
 
-from usdsmoke.core.views.media import EXTINCTION, Medium
-from usdsmoke.core.views.segments import GAUSS, OPAQUE, PARALLEL, Segments, depth_before
+from usdsmoke.core.views.media import Medium
+from usdsmoke.core.views.segments import (
+    GAUSS,
+    OPAQUE,
+    PARALLEL,
+    cut_more,
+    depth_before,
+    n_parts,
+    segment_weights,
+)
 
-_Rays = tuple[np.ndarray, np.ndarray]  # starts and steps [3 R] in a lattice's indices
+_THICK = 0.2  # optical depth above which a segment is cut: its fields are no lines
+_EXTINCTION, _EMISSION, _GREY = 0, 1, 4  # channels
+_CORNERS = list(np.ndindex(2, 2, 2))
 
 
 class Cells:
@@ -21,199 +32,226 @@ class Cells:
         media: in stage space; may overlap.
         forward: [3], the view's axis.
         clip: nearest and farthest depth along it from where rays start, stage units.
+        with_light: else only optical depths are found.
     """
 
     def __init__(
-        self, media: Sequence[Medium], forward: np.ndarray, clip: tuple[float, float]
+        self,
+        media: Sequence[Medium],
+        forward: np.ndarray,
+        clip: tuple[float, float],
+        with_light: bool,
     ) -> None:
-        self._tables = [_Table(medium) for medium in media]
-        self._forward, self._clip = forward, clip
-        self.numbers_per_ray = sum(sum(medium.values.shape[:3]) for medium in media)
+        self._tables = [_Table(medium, with_light) for medium in media]
+        self._forward, self._clip, self._with_light = forward, clip, with_light
+        self._light = sorted({n for table in self._tables for n in table.channels} - {_EXTINCTION})
+        self.numbers_per_ray = sum(sum(medium.extinction.shape) for medium in media)
 
-    def cut(
-        self, origin: np.ndarray, direction: np.ndarray, with_light: bool
-    ) -> tuple[np.ndarray, Segments | None]:
-        """Optical depths of rays [R 3], and with their light the segments that can be seen."""
-        rays = [table.rays(origin, direction) for table in self._tables]
-        spans = [table.span(*own) for table, own in zip(self._tables, rays, strict=True)]
+    def trace(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Optical depths of rays [R 3], and their light, emission and grey, [R 4]; float64."""
+        lattices = [_Lattice(table, *table.rays(origin, direction)) for table in self._tables]
+        ray, low, high = self._cut(lattices, direction)
+        (extinction,) = _sampled(lattices, ray, low, high, [_EXTINCTION])
+        thickness = extinction.mean(axis=0, dtype=np.float64) * (high - low)
+        depth = np.bincount(ray, thickness, minlength=len(origin))
+        if not self._with_light:
+            return depth, np.zeros((len(origin), 4))
+        before = depth_before(ray, thickness)
+        seen = before < OPAQUE
+        ray, low, length = ray[seen], low[seen], (high - low)[seen]
+        index, first, last = cut_more(n_parts(thickness[seen], before[seen], _THICK))
+        ray, length = ray[index], length[index]
+        low, high = low[index] + first * length, low[index] + last * length
+        found = _sampled(lattices, ray, low, high, [_EXTINCTION, *self._light])
+        return depth, self._sent(ray, high - low, found, len(origin))
+
+    def _cut(
+        self, lattices: Sequence["_Lattice"], direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The segments that hold anything: ray, and distances at which they begin and end, [M]."""
+        spans = [lattice.span() for lattice in lattices]
         hit = np.flatnonzero(np.any([enter < leave for enter, leave in spans], axis=0))
-        found = [
-            table.cuts(start[:, hit], step[:, hit], enter[hit], leave[hit])
-            for table, (start, step), (enter, leave) in zip(self._tables, rays, spans, strict=True)
-        ]
-        cuts = np.concatenate(found, axis=1)
+        cuts = np.concatenate(
+            [
+                lattice.cuts(hit, enter[hit], leave[hit])
+                for lattice, (enter, leave) in zip(lattices, spans, strict=True)
+            ],
+            axis=1,
+        )
         if np.isfinite(self._clip).any():
             slope = (direction[hit] @ self._forward)[:, None]  # depth along the axis by distance
             near, far = self._clip
             np.clip(cuts, near / slope, far / slope, out=cuts)
         cuts.sort(axis=1)
-        place, number = np.nonzero(cuts[:, 1:] > cuts[:, :-1])
-        ray, low, high = hit[place], cuts[place, number], cuts[place, number + 1]
-        middle, filled = (low + high) / 2, np.zeros(len(ray), bool)
-        for table, own in zip(self._tables, rays, strict=True):
-            filled |= table.filled(*own, ray, middle)
-        ray, low, high = ray[filled], low[filled], high[filled]
-        lattices = list(zip(self._tables, rays, strict=True))
-        extinction = _sampled(lattices, ray, low, high, extinction_alone=True)
-        thickness = extinction[..., EXTINCTION].mean(dim=1).double().numpy() * (high - low)
-        depth = np.bincount(ray, thickness, minlength=len(origin))
-        if not with_light:
-            return depth, None
-        seen = depth_before(ray, thickness) < OPAQUE
-        ray, low, high, thickness = ray[seen], low[seen], high[seen], thickness[seen]
-        return depth, _CellSegments(ray, high - low, thickness, low, lattices)
+        holds = np.zeros((len(hit), cuts.shape[1] - 1), bool)
+        middle = (cuts[:, 1:] + cuts[:, :-1]) / 2
+        for lattice in lattices:
+            holds |= lattice.holds(hit, middle)
+        holds &= cuts[:, 1:] > cuts[:, :-1]
+        place, number = np.nonzero(holds)
+        return hit[place], cuts[place, number], cuts[place, number + 1]
 
+    def _sent(
+        self, ray: np.ndarray, length: np.ndarray, values: np.ndarray, n_rays: int
+    ) -> np.ndarray:
+        """Light of rays [n_rays 4], front to back along every ray, of segments [M].
 
-@dataclass
-class _CellSegments:
-    """See ``Segments``."""
-
-    ray: np.ndarray
-    length: np.ndarray
-    thickness: np.ndarray
-    low: np.ndarray  # [M] where they begin
-    lattices: Sequence[tuple["_Table", _Rays]]
-
-    def sample(self, index: np.ndarray, low: np.ndarray, high: np.ndarray) -> Tensor:
-        start, length = self.low[index], self.length[index]
-        return _sampled(self.lattices, self.ray[index], start + low * length, start + high * length)
+        Args:
+            values: extinction and light at both Gauss points, [C 2 M].
+        """
+        extinction, *light = values
+        total = extinction.sum(axis=0, dtype=np.float64)
+        thickness = total * (length / 2)
+        slope = (extinction[1] - extinction[0]) * 3**0.5
+        slope = np.divide(slope, total, out=np.zeros_like(total), where=total > 0)
+        mean, rest = segment_weights(thickness, slope)
+        arriving = np.exp(-depth_before(ray, thickness)) * (length / 2)
+        near, far = (mean + 3**0.5 * rest) * arriving, (mean - 3**0.5 * rest) * arriving
+        sent = np.zeros((n_rays, 4))
+        for channel, (first, second) in zip(self._light, light, strict=True):
+            shine = first * near + second * far
+            sent[:, channel - _EMISSION] = np.bincount(ray, shine, minlength=n_rays)
+        return sent
 
 
 class _Table:
     """A medium ready to be looked up; cell (a, b, c) lies between its voxel of that index and the
     next along every axis."""
 
-    def __init__(self, medium: Medium) -> None:
-        values = medium.values
-        self.last = np.array(values.shape[:3]) - 2  # cell along each axis
-        self.values = torch.from_numpy(values.reshape(-1, values.shape[3]))
-        self.extinction = self.values[:, EXTINCTION : EXTINCTION + 1].contiguous()
-        filled = (values != 0).any(axis=-1)
+    def __init__(self, medium: Medium, with_light: bool) -> None:
+        shape = medium.extinction.shape
+        self.last = np.array(shape) - 2  # cell along each axis
+        self.channels = {_EXTINCTION: medium.extinction.reshape(-1)}
+        filled = medium.extinction != 0
+        if with_light and medium.grey:
+            self.channels[_GREY] = np.float32(medium.grey) * self.channels[_EXTINCTION]
+        if with_light and medium.emission is not None:
+            for channel, values in enumerate(medium.emission, start=_EMISSION):
+                self.channels[channel] = values.reshape(-1)
+                filled |= values != 0
         # one layer more on each side, of cells outside
         cells = np.zeros(self.last + 3, bool)
         inner = cells[1:-1, 1:-1, 1:-1]
-        for a, b, c in np.ndindex(2, 2, 2):
+        for a, b, c in _CORNERS:
             inner |= filled[a : a + inner.shape[0], b : b + inner.shape[1], c : c + inner.shape[2]]
         self.cells = cells.reshape(-1)
         self.cell_strides = (cells.shape[1] * cells.shape[2], cells.shape[2], 1)
-        self.strides = (values.shape[1] * values.shape[2], values.shape[2], 1)
+        self.strides = (shape[1] * shape[2], shape[2], 1)
         self.to_index = np.linalg.inv(medium.index_to_stage)
 
-    def rays(self, origin: np.ndarray, direction: np.ndarray) -> _Rays:
+    def rays(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same rays [R 3] in the array's indices, [3 R]; distances along them stay."""
         moved = origin @ self.to_index[:3, :3] + self.to_index[3, :3]
         turned = direction @ self.to_index[:3, :3]
         return np.ascontiguousarray(moved.T), np.ascontiguousarray(turned.T)
 
-    def span(self, start: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances [R] at which rays [3 R] enter and leave; a ray that misses leaves before."""
-        ends = (self.last + 1.0)[:, None]
-        slow = self._slow(step)
-        safe = np.where(slow, 1.0, step)
-        one, other = -start / safe, (ends - start) / safe
-        inside = (start >= 0.0) & (start <= ends)
-        enter = np.where(slow, np.where(inside, -np.inf, np.inf), np.minimum(one, other))
-        leave = np.where(slow, np.inf, np.maximum(one, other))
+
+class _Lattice:
+    """A medium's table, and rays in its indices."""
+
+    def __init__(self, table: _Table, start: np.ndarray, step: np.ndarray) -> None:
+        self.table, self._start, self._step = table, start, step  # [3 R]
+        # axes along which a ray does not move
+        self._slow = np.abs(step) <= PARALLEL * np.abs(step).max(axis=0)
+
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances [R] at which rays enter and leave; a ray that misses leaves before."""
+        ends = (self.table.last + 1.0)[:, None]
+        safe = np.where(self._slow, 1.0, self._step)
+        one, other = -self._start / safe, (ends - self._start) / safe
+        inside = (self._start >= 0.0) & (self._start <= ends)
+        enter = np.where(self._slow, np.where(inside, -np.inf, np.inf), np.minimum(one, other))
+        leave = np.where(self._slow, np.inf, np.maximum(one, other))
         return enter.max(axis=0), leave.min(axis=0)
 
-    def cuts(
-        self, start: np.ndarray, step: np.ndarray, enter: np.ndarray, leave: np.ndarray
-    ) -> np.ndarray:
-        """Distances [R K] at which rays meet planes of voxel centres; the same one for a miss.
+    def cuts(self, rays: np.ndarray, enter: np.ndarray, leave: np.ndarray) -> np.ndarray:
+        """Distances [m K] at which rays meet planes of voxel centres; the same one for a miss.
 
         Args:
-            start, step: [3 R], indices.
-            enter, leave: [R], from ``span``.
+            rays: [m], which.
+            enter, leave: [m], from ``span``.
         """
         miss = enter >= leave
         enter, leave = np.where(miss, 0.0, enter), np.where(miss, 0.0, leave)
-        crossings = []
-        for axis, slow in enumerate(self._slow(step)):
-            first, pace = np.where(slow, 0.0, start[axis]), np.where(slow, 1.0, step[axis])
-            met = np.arange(self.last[axis] + 2) - first[:, None]
-            met *= (1 / pace)[:, None]
-            met[slow] = enter[slow, None]
+        crossings = [enter[:, None], leave[:, None]]
+        for axis in range(3):
+            still = miss | self._slow[axis, rays]
+            start = np.where(still, 0.0, self._start[axis, rays])
+            step = np.where(still, 1.0, self._step[axis, rays])
+            ends = start + enter * step, start + leave * step
+            first = np.ceil(np.minimum(*ends))
+            most = int(np.max(np.maximum(*ends) - first, where=~still, initial=-1.0)) + 2
+            met = first[:, None] + np.arange(most) - start[:, None]
+            met *= (1 / step)[:, None]
+            met[still] = enter[still, None]
             crossings.append(np.clip(met, enter[:, None], leave[:, None], out=met))
         return np.concatenate(crossings, axis=1)
 
-    @staticmethod
-    def _slow(step: np.ndarray) -> np.ndarray:
-        """Along which axes rays [3 R] do not move."""
-        slow: np.ndarray = np.abs(step) <= PARALLEL * np.abs(step).max(axis=0)
-        return slow
-
-    def filled(
-        self, start: np.ndarray, step: np.ndarray, ray: np.ndarray, middle: np.ndarray
-    ) -> np.ndarray:
-        """Which segments [M] lie in a cell that holds anything.
+    def holds(self, rays: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        """Which segments [m K] lie in a cell that holds anything.
 
         Args:
-            start, step: [3 R], indices.
-            ray, middle: [M], the segments' rays and the distances of their middles.
+            rays: [m], which.
+            middle: [m K], the distances of the segments' middles.
         """
-        number = np.zeros(len(ray), np.int64)
-        for axis, stride in enumerate(self.cell_strides):
-            cell = np.floor(start[axis][ray] + middle * step[axis][ray])
-            number += (np.clip(cell, -1, self.last[axis] + 1).astype(np.int64) + 1) * stride
-        return self.cells[number]
+        number = np.zeros(middle.shape, np.int32)
+        for axis, stride in enumerate(self.table.cell_strides):
+            cell = middle * self._step[axis, rays, None]
+            cell += self._start[axis, rays, None] + 1.0
+            np.clip(cell, 0.0, self.table.last[axis] + 2.0, out=cell)
+            number += cell.astype(np.int32) * np.int32(stride)
+        return self.table.cells[number]
 
-    def sample(
-        self,
-        start: np.ndarray,
-        step: np.ndarray,
-        ray: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
-        extinction_alone: bool,
-    ) -> Tensor:
-        """Values at the Gauss points of segments that lie in one cell each, [M 2 C].
+    def corners(
+        self, ray: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The first corner [M] of the cells of segments, and the eight corners' weights [2 M] at
+        both Gauss points.
 
         Args:
-            start, step: [3 R], indices.
             ray: [M].
             low, high: [M], where the segments begin and end.
-            extinction_alone: without the light, C = 1.
         """
         middle, half = (low + high) / 2, (high - low) * GAUSS
         base = np.zeros(len(ray), np.int64)
         sides: list[tuple[np.ndarray, np.ndarray]] = []
-        for axis, stride in enumerate(self.strides):
-            place, pace = start[axis][ray] + middle * step[axis][ray], half * step[axis][ray]
-            cell = np.clip(np.floor(place), 0, self.last[axis])
+        for axis, stride in enumerate(self.table.strides):
+            step = self._step[axis][ray]
+            place = self._start[axis][ray] + middle * step
+            step *= half
+            cell = np.clip(np.floor(place), 0, self.table.last[axis])
             place -= cell
             base += cell.astype(np.int64) * stride
-            part = np.empty((len(ray), 2), np.float32)
-            part[:, 0], part[:, 1] = place - pace, place + pace
-            part = np.clip(part, 0.0, 1.0, out=part).reshape(-1)
+            part = np.empty((2, len(ray)), np.float32)
+            part[0], part[1] = place - step, place + step
+            np.clip(part, 0.0, 1.0, out=part)
             sides.append((1 - part, part))
-        taps, weights = (
-            np.empty((len(ray), 2, 8), np.int64),
-            np.empty((2 * len(ray), 8), np.float32),
-        )
-        for tap, (a, b, c) in enumerate(np.ndindex(2, 2, 2)):
-            offset = a * self.strides[0] + b * self.strides[1] + c
-            taps[..., tap] = (base + offset)[:, None]
-            np.multiply(sides[0][a] * sides[1][b], sides[2][c], out=weights[:, tap])
-        values = self.extinction if extinction_alone else self.values
-        found = F.embedding_bag(
-            torch.from_numpy(taps.reshape(-1, 8)),
-            values,
-            mode="sum",
-            per_sample_weights=torch.from_numpy(weights),
-        )
-        return found.view(len(ray), 2, values.shape[1])
+        faces = [[near * across for across in sides[1]] for near in sides[0]]
+        return base, [faces[a][b] * sides[2][c] for a, b, c in _CORNERS]
 
 
 def _sampled(
-    lattices: Sequence[tuple[_Table, _Rays]],
+    lattices: Sequence[_Lattice],
     ray: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    extinction_alone: bool = False,
-) -> Tensor:
-    """Sums over lattices, [M 2 C]; see ``_Table.sample``."""
-    values = [
-        table.sample(start, step, ray, low, high, extinction_alone)
-        for table, (start, step) in lattices
-    ]
-    return torch.stack(values).sum(dim=0) if len(values) > 1 else values[0]
+    channels: Sequence[int],
+) -> np.ndarray:
+    """Values at the Gauss points of segments that lie in one cell each, summed over lattices.
+
+    Args:
+        ray: [M].
+        low, high: [M], where the segments begin and end.
+
+    Returns:
+        [C 2 M] float32.
+    """
+    found = np.zeros((len(channels), 2, len(ray)), np.float32)
+    for lattice in lattices:
+        base, weights = lattice.corners(ray, low, high)
+        for (a, b, c), weight in zip(_CORNERS, weights, strict=True):
+            taps = base + (np.array([a, b, c]) @ lattice.table.strides)
+            for own, channel in zip(found, channels, strict=True):
+                if channel in lattice.table.channels:
+                    own += weight * lattice.table.channels[channel][taps]
+    return found

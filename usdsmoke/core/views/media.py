@@ -8,19 +8,19 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 
-EXTINCTION, _EMISSION, _GREY = 0, slice(1, 4), 4  # channels of a medium
-LIGHT = slice(1, 5)  # emission and grey
-
 _THICKEST = 1e30  # extinction; thicker smoke hides what is behind it no better
 
 
 @dataclass(frozen=True)
 class Medium:
-    """Smoke on one lattice, as the rays see it."""
+    """Smoke on one lattice, as the rays see it.
 
-    # [i j k 5]: extinction in 1/stage unit, emitted RGB and the colourless light of grey smoke in
-    # radiance/stage unit; float32. The outermost layer is empty, and so is all outside.
-    values: np.ndarray
+    The outermost layer of voxels is empty, and so is all outside.
+    """
+
+    extinction: np.ndarray  # [i j k] float32, 1/stage unit
+    emission: np.ndarray | None  # [3 i j k] float32, RGB, radiance/stage unit
+    grey: float  # colourless light per extinction
     index_to_stage: np.ndarray  # [4 4], from the array's own indices
 
 
@@ -57,27 +57,36 @@ def make_media(
     for group, lattice in zip(groups, lattices, strict=False):
         filled = [field for field in group if not field.is_empty]
         if filled:
-            values, first = _filled(filled, density, gamma_w, grey if emission is None else 0.0)
-            media.append(Medium(values, _moved(first) @ lattice))
+            look = (gamma_w, grey if emission is None else 0.0)
+            media.append(_medium(filled, density, lattice, look))
     return media
 
 
-def _filled(
-    fields: Sequence[DenseField], density: DenseField, gamma_w: float, grey: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fields of one lattice on the box that holds them and one layer more; its first index."""
+def _medium(
+    fields: Sequence[DenseField],
+    density: DenseField,
+    lattice: np.ndarray,
+    look: tuple[float, float],
+) -> Medium:
+    """Fields of one lattice on the box that holds them and one layer more.
+
+    Args:
+        look: extinction per density and grey of the smoke.
+    """
+    gamma_w, grey = look
     low = np.min([field.ijk_min for field in fields], axis=0)
     high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in fields], axis=0)
-    values = np.zeros((*(high - low + 2), 5), np.float32)
+    shape = tuple((high - low + 2).tolist())
+    extinction, emission = np.zeros(shape, np.float32), None
     for field in fields:
         start = np.subtract(field.ijk_min, low) + 1
         i, j, k = (slice(a, a + n) for a, n in zip(start, field.values.shape[:3], strict=True))
         if field is density:
-            values[i, j, k, EXTINCTION] = _extinction(density, gamma_w)
-            values[i, j, k, _GREY] = np.float32(grey) * values[i, j, k, EXTINCTION]
+            extinction[i, j, k] = _extinction(density, gamma_w)
         else:
-            values[i, j, k, _EMISSION] = field.values
-    return values, low - 1
+            emission = np.zeros((3, *shape), np.float32)
+            emission[:, i, j, k] = np.moveaxis(field.values, -1, 0)
+    return Medium(extinction, emission, grey, _moved(low - 1) @ lattice)
 
 
 def _extinction(density: DenseField, gamma_w: float) -> np.ndarray:

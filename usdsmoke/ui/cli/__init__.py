@@ -4,8 +4,8 @@
 - ``arguments``, ``record_arguments``: what each command takes
 - ``options``: what several commands take, and the settings that their options stand for
 - ``parser``, ``values``: hints for misspelt words; numbers and sizes from text
-- ``work_commands`` (stylize, submit, assemble), ``commands`` (all others): one call of the package
-  each
+- ``work_commands`` (stylize, submit, assemble), ``preview_command``, ``commands`` (all others): one
+  call of the package each
 - ``plan_text``, ``text``, ``budget_text``, ``record_text``: what they print
 - ``progress_bar``: how far a run is
 """

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from usdsmoke.ui.cli.progress_bar import format_seconds
-from usdsmoke.ui.cli.text import columns
+from usdsmoke.ui.cli.text import columns, format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission

@@ -1,4 +1,4 @@
-"""All commands but ``stylize``, ``submit`` and ``assemble``, which are in ``work_commands``."""
+"""All commands but those in ``work_commands`` and ``preview_command``."""
 
 import argparse
 import os
@@ -6,14 +6,13 @@ import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import Settings, resolve_config, settings_yaml
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from usdsmoke.pictures.preview import PreviewResult
     from usdsmoke.usd.rules import Finding
     from usdsmoke.work_precision import ReportResult
 
@@ -114,66 +112,6 @@ def run_settings(arguments: argparse.Namespace) -> int:
         text = settings_yaml(config)
     show(arguments, config.model_dump, lambda: text.removesuffix("\n"))
     return 0
-
-
-def run_preview(arguments: argparse.Namespace) -> int:
-    """``usdsmoke preview``; the exit code."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from usdsmoke.pictures.preview import preview
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("drawing", total=None)
-        result = preview(
-            arguments.stage,
-            arguments.output,
-            camera=arguments.camera,
-            frames=arguments.frames or "",
-            allow_missing=bool(arguments.allow_missing),
-            compare=arguments.compare,
-            prims=arguments.prim,
-            width=arguments.width,
-            size=arguments.size,
-            background=arguments.background,
-            turn=arguments.turn,
-            threads=arguments.threads,
-            settings=arguments.set,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    for note in result.notes:
-        print(f"note: {note}", file=sys.stderr)
-    show(arguments, lambda: _preview_dict(result), lambda: _preview_text(result))
-    return 0
-
-
-def _preview_text(result: "PreviewResult") -> str:
-    seen = f"camera <{result.camera}>" if result.camera else "the front view"
-    if len(result.angles) > 1:
-        seen = f"{len(result.angles)} views around the up axis"
-    lines = [str(file_path) for file_path in result.files]
-    each = " each" if len(result.time_codes) * len(result.angles) > 1 else ""
-    lines.append(
-        f"  {name_time_codes(result.time_codes)}, "
-        f"{seen}, {result.width} x {result.height} pixels{each}"
-    )
-    for path, extinction in result.extinctions.items():
-        lines.append(f"  <{path}>: extinction {extinction:.4g} per density and stage unit")
-    return "\n".join(lines)
-
-
-def _preview_dict(result: "PreviewResult") -> dict[str, Any]:
-    return {
-        "files": [str(file_path) for file_path in result.files],
-        "time_codes": list(result.time_codes),
-        "width": result.width,
-        "height": result.height,
-        "camera": result.camera,
-        "angles": list(result.angles),
-        "extinction_per_density": result.extinctions,
-        "notes": list(result.notes),
-    }
 
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log

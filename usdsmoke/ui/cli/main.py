@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
     """The function of each command."""
-    from usdsmoke.ui.cli import commands, work_commands
+    from usdsmoke.ui.cli import commands, preview_command, work_commands
 
     return {
         "inspect": commands.run_inspect,
@@ -72,7 +72,7 @@ def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
         "assemble": work_commands.run_assemble,
         "validate": commands.run_validate,
         "plugin-path": commands.run_plugin_path,
-        "preview": commands.run_preview,
+        "preview": preview_command.run_preview,
         "report": commands.run_report,
         "provenance": commands.run_provenance,
         "verify": commands.run_verify,

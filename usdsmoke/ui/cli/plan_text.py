@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import REFUSED, count_text
 from usdsmoke.base.time_codes import format_time_codes, name_time_codes
-from usdsmoke.ui.cli.progress_bar import format_seconds
-from usdsmoke.ui.cli.text import box_text
+from usdsmoke.ui.cli.text import box_text, format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission, Plan, VolumePlan

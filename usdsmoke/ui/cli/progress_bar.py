@@ -9,6 +9,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress
+from usdsmoke.ui.cli.text import format_seconds
 
 _LINE_EVERY = 10.0  # seconds between two lines of a log
 _LEARN_FOR = 2.0  # seconds before the remaining time is shown
@@ -106,17 +107,3 @@ def _where(report: RunProgress) -> str:
     if report.n_octaves:
         where += f" octave {report.octave + 1}/{report.n_octaves}"
     return where + (f" loss {report.loss:.3g}" if report.loss else "")
-
-
-def format_seconds(seconds: float) -> str:
-    """A duration as text.
-
-    >>> format_seconds(7.4), format_seconds(95), format_seconds(7260)
-    ('7 s', '1 min 35 s', '2 h 1 min')
-    """
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"

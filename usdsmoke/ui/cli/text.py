@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.base.time_codes import find_holes, name_time_codes
-from usdsmoke.ui.cli.progress_bar import format_seconds
 
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
@@ -35,6 +34,20 @@ def show(arguments: argparse.Namespace, value: Callable[[], Any], text: Callable
         print_json(value())
     else:
         print(text())
+
+
+def format_seconds(seconds: float) -> str:
+    """A duration as text.
+
+    >>> format_seconds(7.4), format_seconds(95), format_seconds(7260)
+    ('7 s', '1 min 35 s', '2 h 1 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
 def result_text(result: "StylizeResult") -> str:
