@@ -13,7 +13,7 @@ from torch import Tensor
 from benchmarks.coherence_runs import Outcome, Run, Shot
 from benchmarks.control_scenes import FRAMES_PER_SECOND
 from benchmarks.held_out import held_out_angles
-from usdsmoke.base.volume import DenseField
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -43,36 +43,48 @@ class Distances:
     grey: np.ndarray
 
 
-def temporal_errors(run: Run, scene_gamma_w: float) -> dict[str, dict[int, np.ndarray]]:
-    """The temporal errors of displacement and colour, by the number of frames in between, in order.
+def temporal_errors(
+    frames: Sequence[VolumeFrame], run: Run, scene_gamma_w: float
+) -> dict[str, dict[int, dict[float, float]]]:
+    """The temporal errors of displacement and colour: by kind, frames in between, and timeCode.
 
-    The earlier frame's velocity carries smoke from frame to frame, as in the run itself.
+    The earlier frame's velocity carries smoke from frame to frame, as in the run itself, also over
+    frames that the run has left out.
 
     Args:
-        run: at least two frames.
+        frames: of the shot, ascending.
+        run: some of these frames.
         scene_gamma_w: extinction per density that the emission was made with.
     """
+    outcomes = {outcome.source.time_code: outcome for outcome in run.outcomes}
+    codes = [frame.time_code for frame in frames]
     measures = {kind: Steadiness() for kind in ("displacement", "colour")}
-    found: dict[str, dict[int, list[float]]] = {kind: {} for kind in measures}
+    found: dict[str, dict[int, dict[float, float]]] = {kind: {} for kind in measures}
     before = None
-    for own in run.outcomes:
+    for number, frame in enumerate(frames):
         transit = None
         if before is not None:
-            seconds = (own.source.time_code - before.time_code) / FRAMES_PER_SECOND
+            seconds = (frame.time_code - before.time_code) / FRAMES_PER_SECOND
             transit = Transit(before, seconds)
-        patterns = {
-            "displacement": (own.still, own.displacement.at(own.still.positions)),
-            "colour": painted_colours(own, scene_gamma_w),
-        }
+        patterns = _patterns(frame, outcomes.get(frame.time_code), scene_gamma_w)
         for kind, pattern in patterns.items():
-            errors = measures[kind].compare(*pattern, transit)
-            for lag, error in errors.items():
-                found[kind].setdefault(lag, []).append(error)
-        before = own.source
-    return {
-        kind: {lag: np.array(errors) for lag, errors in by_lag.items()}
-        for kind, by_lag in found.items()
-    }
+            for lag, error in measures[kind].compare(*pattern, transit).items():
+                if {frame.time_code, codes[number - lag]} <= outcomes.keys():
+                    found[kind].setdefault(lag, {})[frame.time_code] = error
+        before = frame
+    return found
+
+
+def _patterns(
+    frame: VolumeFrame, outcome: Outcome | None, gamma_w: float
+) -> dict[str, tuple[ActiveSmoke, Tensor]]:
+    """What is compared, by kind; zeros for a frame that was left out."""
+    if outcome is None:
+        smoke = activate(frame.density, frame.density_to_stage, torch.device("cpu"))
+        nothing = torch.zeros(len(smoke.ijk), 3)
+        return {"displacement": (smoke, nothing), "colour": (smoke, nothing)}
+    moved = outcome.displacement.at(outcome.still.positions)
+    return {"displacement": (outcome.still, moved), "colour": painted_colours(outcome, gamma_w)}
 
 
 def border_ratio(errors: np.ndarray, touched: Sequence[int]) -> tuple[float, float]:

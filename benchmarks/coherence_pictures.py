@@ -1,18 +1,20 @@
 """The pictures of benchmarks.coherence: errors over time, frames across a border, an animation."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.coherence_runs import Outcome, Run, Shot
+from benchmarks.coherence_runs import Run, Shot
 from benchmarks.splats import display_picture, render_fields
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
 
-__all__ = ["draw_animation", "draw_flicker", "draw_strip"]
+__all__ = ["draw_animation", "draw_flicker", "draw_panels", "draw_strip"]
 
 PAPER, INK, DIM, BAND = (24, 24, 26), (226, 226, 222), (120, 120, 118), (44, 46, 54)
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
@@ -27,49 +29,60 @@ CROP_TOP = 0.1  # where it begins, as a share of the smoke's height
 GAP, LABEL = 6, 92
 
 
-def draw_flicker(errors: Mapping[str, Mapping[str, np.ndarray]], windows: Run) -> Image.Image:
+def draw_flicker(
+    errors: Mapping[str, Mapping[str, Mapping[int, float]]],
+    starts: Sequence[int],
+    touched: Container[int],
+) -> Image.Image:
     """The temporal error of every step, alone and in windows, one plot a kind.
 
     Args:
-        errors: by way of running, then by kind: one number a step.
-        windows: says where windows begin and which steps blending has a hand in.
+        errors: by way of running, then by kind: by the frame that a step leads to.
+        starts: frames that windows begin with.
+        touched: frames that blending has changed the step to.
     """
     kinds = list(errors["windows"])
     sheet = Image.new("RGB", (WIDTH, HEIGHT * len(kinds)), PAPER)
     pen = ImageDraw.Draw(sheet)
     for number, kind in enumerate(kinds):
         curves = {name: found[kind] for name, found in errors.items()}
-        _draw_plot(pen, number * HEIGHT, f"temporal error of {kind}", curves, windows)
+        _draw_plot(pen, number * HEIGHT, f"temporal error of {kind}", curves, (starts, touched))
     return sheet
 
 
 def _draw_plot(
-    pen: ImageDraw.ImageDraw, top: int, title: str, curves: Mapping[str, np.ndarray], windows: Run
+    pen: ImageDraw.ImageDraw,
+    top: int,
+    title: str,
+    curves: Mapping[str, Mapping[int, float]],
+    borders: tuple[Sequence[int], Container[int]],
 ) -> None:
     font, large = ImageFont.load_default(12), ImageFont.load_default(14)
-    n = len(next(iter(curves.values())))
-    highest = 1.15 * max(float(curve.max()) for curve in curves.values())
+    codes = sorted({code for curve in curves.values() for code in curve})
+    highest = 1.15 * max(max(curve.values()) for curve in curves.values())
     low, high = top + HEIGHT - BOTTOM, top + TOP
-    wide = (WIDTH - LEFT - RIGHT) / n
+    wide = (WIDTH - LEFT - RIGHT) / len(codes)
 
-    def place(step: float, value: float) -> tuple[float, float]:
-        return LEFT + wide * (step + 0.5), low - (low - high) * value / highest
+    def place(code: float, value: float) -> tuple[float, float]:
+        return LEFT + wide * (code - codes[0] + 0.5), low - (low - high) * value / highest
 
-    for step in windows.touched:
-        x = LEFT + wide * step
-        pen.rectangle([x, high, x + wide, low], BAND)
-    for start in windows.starts:  # a step is drawn between its frames; this one leads to frame 0
-        x = LEFT + wide * start
+    starts, touched = borders
+    for code in codes:
+        if code in touched:
+            x = place(code - 0.5, 0)[0]
+            pen.rectangle([x, high, x + wide, low], BAND)
+    for start in starts:
+        x = place(start, 0)[0]
         for dash in range(high, low, 8):
-            pen.line([x - wide / 2, dash, x - wide / 2, dash + 4], DIM)
+            pen.line([x, dash, x, dash + 4], DIM)
     for value in _round_values(highest):
-        height = place(0, value)[1]
+        height = place(codes[0], value)[1]
         pen.line([LEFT, height, WIDTH - RIGHT, height], DIM if value == 0 else BAND)
         pen.text((LEFT - 8, height), f"{value:g}", DIM, font, anchor="rm")
-    for step in range(0, n, max(1, n // 12)):
-        pen.text((place(step, 0)[0], low + 6), f"{step + 1}-{step + 2}", DIM, font, anchor="ma")
+    for code in codes[:: max(1, len(codes) // 12)]:
+        pen.text((place(code, 0)[0], low + 6), f"{code - 1}-{code}", DIM, font, anchor="ma")
     for name, curve in curves.items():
-        points = [place(step, float(value)) for step, value in enumerate(curve)]
+        points = [place(code, value) for code, value in sorted(curve.items())]
         pen.line(points, CURVES[name], 2)
         for x, y in points:
             pen.ellipse([x - 2, y - 2, x + 2, y + 2], CURVES[name])
@@ -78,7 +91,7 @@ def _draw_plot(
 
 
 def _draw_legend(
-    pen: ImageDraw.ImageDraw, top: int, curves: Mapping[str, np.ndarray], font: Font
+    pen: ImageDraw.ImageDraw, top: int, curves: Mapping[str, Mapping[int, float]], font: Font
 ) -> None:
     right = WIDTH - RIGHT
     words = [(NAMES[name], CURVES[name]) for name in curves]
@@ -96,79 +109,90 @@ def _round_values(highest: float) -> list[float]:
     return [0.0]
 
 
-def draw_strip(runs: Mapping[str, Run], shot: Shot) -> Image.Image:
-    """Consecutive frames across the first border, alone above, in windows below; one crop."""
-    windows = runs["windows"]
-    first = max(0, min(windows.starts[0] - 3, len(windows.outcomes) - SHOWN))
-    numbers = range(first, min(first + SHOWN, len(windows.outcomes)))
-    view = _close_view(windows.outcomes[numbers[-1]], shot)
-    sheet = Image.new(
-        "RGB", (LABEL + len(numbers) * (SIDE + GAP), 2 * (SIDE + GAP) + 26), PAPER
-    )  # fmt: skip
+def draw_strip(
+    panels: Mapping[str, Mapping[int, np.ndarray]], starts: Sequence[int], touched: Container[int]
+) -> Image.Image:
+    """Consecutive frames across the first border, alone above, in windows below; one crop.
+
+    Args:
+        panels: of ``draw_panels`` by way of running and by frame.
+        starts, touched: see ``draw_flicker``.
+    """
+    both = sorted(set.intersection(*(set(found) for found in panels.values())))
+    codes = [code for code in both if starts[0] - 3 <= code < starts[0] - 3 + SHOWN]
+    sheet = Image.new("RGB", (LABEL + len(codes) * (SIDE + GAP), 2 * (SIDE + GAP) + 26), PAPER)
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
-    for row, name in enumerate(("alone", "windows")):
+    for row, (name, found) in enumerate(panels.items()):
         top = row * (SIDE + GAP) + GAP
         pen.text((LABEL - 10, top + SIDE / 2), NAMES[name], INK, font, anchor="rm")
-        for column, number in enumerate(numbers):
-            pixels = _picture(runs[name].outcomes[number], shot, view)
-            sheet.paste(pixels, (LABEL + column * (SIDE + GAP), top))
-    for column, number in enumerate(numbers):
+        for column, code in enumerate(codes):
+            sheet.paste(Image.fromarray(found[code]), (LABEL + column * (SIDE + GAP), top))
+    for column, code in enumerate(codes):
+        text = f"{code}"
+        if code in starts:
+            text += ": window begins"
+        elif code in touched and code + 1 in touched:  # the step from the last one is touched too
+            text += ", blended"
         middle = LABEL + column * (SIDE + GAP) + SIDE / 2
-        pen.text((middle, sheet.height - 20), _label(number, windows), INK, font, anchor="ma")
+        pen.text((middle, sheet.height - 20), text, INK, font, anchor="ma")
     return sheet
 
 
-def draw_animation(runs: Mapping[str, Run], shot: Shot) -> list[np.ndarray]:
-    """Frames alone, in windows, and the source side by side, [H W 3] in [0, 1] a frame."""
-    view = _close_view(runs["windows"].outcomes[-1], shot)
+def draw_animation(panels: Mapping[str, Mapping[int, np.ndarray]], shot: Shot) -> list[np.ndarray]:
+    """Frames side by side, alone, in windows and of the source, [H W 3] in [0, 1] a frame.
+
+    Args:
+        panels: of ``draw_panels`` by way of running and by frame; frames of all of them are drawn.
+    """
+    view = _close_view(shot)
     font, shown = ImageFont.load_default(13), []
-    for number, frame in enumerate(shot.frames):
+    for frame in shot.frames:
+        if not all(frame.time_code in found for found in panels.values()):
+            continue
         sheet = Image.new("RGB", (3 * SIDE + 4 * GAP, SIDE + 2 * GAP + 22), PAPER)
         pen = ImageDraw.Draw(sheet)
-        panels = {NAMES[name]: _picture(runs[name].outcomes[number], shot, view) for name in NAMES}
-        panels["source"] = _drawn(frame, frame.density, None, shot, view)
-        for column, (name, pixels) in enumerate(panels.items()):
+        drawn = {NAMES[name]: found[int(frame.time_code)] for name, found in panels.items()}
+        drawn["source"] = _drawn(frame, frame.density, None, shot, view)
+        for column, (name, pixels) in enumerate(drawn.items()):
             left = GAP + column * (SIDE + GAP)
-            sheet.paste(pixels, (left, GAP))
+            sheet.paste(Image.fromarray(pixels), (left, GAP))
             pen.text((left + SIDE / 2, SIDE + 2 * GAP), name, INK, font, anchor="ma")
         shown.append(np.asarray(sheet, np.float32) / 255)
     return shown
 
 
-def _label(number: int, windows: Run) -> str:
-    if number in windows.starts:
-        return f"{number + 1}: window begins"
-    blended = {step for step in windows.touched if step not in _before(windows)}
-    return f"{number + 1}, blended" if number in blended else f"{number + 1}"
+def draw_panels(run: Run, shot: Shot) -> np.ndarray:
+    """A close picture of every frame of a run, all from one view, [N SIDE SIDE 3] uint8.
+
+    Args:
+        shot: with the frame that the view is fitted to at its end.
+    """
+    view = _close_view(shot)
+    return np.stack(
+        [_drawn(item.source, item.density, item.emission, shot, view) for item in run.outcomes]
+    )
 
 
-def _before(windows: Run) -> Sequence[int]:
-    """Numbers of the frames before windows begin: they touch a border, but are not blended."""
-    return [start - 1 for start in windows.starts]
-
-
-def _close_view(outcome: Outcome, shot: Shot) -> View:
+def _close_view(shot: Shot) -> View:
     """From the front, onto a square part of the smoke, two pixels or more a voxel."""
-    voxel = outcome.still.voxel_size
+    last = shot.frames[-1]
+    smoke = activate(last.density, last.density_to_stage, torch.device("cpu"))
+    voxel = smoke.voxel_size
     front = orbit_view(0.0, 0.0, shot.scene.up_axis, np.zeros(3), 1, 1, voxel)
-    whole = fit_view(front, outcome.still, margin=0)
+    whole = fit_view(front, smoke, margin=0)
     width, height = whole.width * voxel, whole.height * voxel
     side = CROP * width
     middle = whole.centre + whole.up * (height / 2 - CROP_TOP * height - side / 2)
     return replace(whole, centre=middle, height=SIDE, width=SIDE, pixel_size=side / SIDE)
 
 
-def _picture(outcome: Outcome, shot: Shot, view: View) -> Image.Image:
-    return _drawn(outcome.source, outcome.density, outcome.emission, shot, view)
-
-
 def _drawn(
     frame: VolumeFrame, density: DenseField, emission: DenseField | None, shot: Shot, view: View
-) -> Image.Image:
+) -> np.ndarray:
     """Drawn at one pixel a voxel, or two, then enlarged: gaps show between coarser voxels."""
     voxel = float(density.index_to_world[0, 0]) / 2
     n = max(1, round(view.pixel_size * SIDE / voxel))
     near = replace(view, height=n, width=n, pixel_size=voxel)
     drawn = render_fields(density, emission, frame.density_to_stage, shot.scene.gamma_w, near)
     pixels = np.rint(display_picture(drawn, 0.01) * 255).astype(np.uint8)
-    return Image.fromarray(pixels).resize((SIDE, SIDE), Image.Resampling.BICUBIC)
+    return np.asarray(Image.fromarray(pixels).resize((SIDE, SIDE), Image.Resampling.BICUBIC))

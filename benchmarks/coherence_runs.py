@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,16 @@ from usdsmoke.core.views.scene import Scene, measure_scene
 from usdsmoke.planning.windows import Window, coarse_runs, split_windows
 from usdsmoke.vdb.blend import blend_frames, relative_difference, tail_weights
 
-__all__ = ["Outcome", "Run", "Shot", "make_shot", "run_alone", "run_windows", "simulate_plume"]
+__all__ = [
+    "Outcome",
+    "Run",
+    "Shot",
+    "make_shot",
+    "run_alone",
+    "run_windows",
+    "simulate_plume",
+    "some_frames",
+]
 
 WARM_UP_STEPS = 40  # of the simulation, as in examples/plume/simulate.py
 
@@ -107,6 +116,12 @@ def run_alone(shot: Shot) -> Run:
     started = time.process_time()
     outcomes = [outcome for frame in shot.frames for outcome in _chain(shot, [frame], {})]
     return Run(outcomes, time.process_time() - started)
+
+
+def some_frames(shot: Shot, codes: Iterable[float]) -> Shot:
+    """The shot with some of its frames; extinction and picture size stay."""
+    chosen = set(codes)
+    return replace(shot, frames=[f for f in shot.frames if f.time_code in chosen])
 
 
 def run_windows(shot: Shot) -> Run:

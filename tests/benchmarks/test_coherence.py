@@ -42,10 +42,20 @@ def make_outcome(
 def test_what_stays_has_no_temporal_error_and_what_is_drawn_anew_has_one() -> None:
     seeds = [0, 0, 1, 2, 0]
     outcomes = [make_outcome(code, 0, 0, noise=seed) for code, seed in enumerate(seeds)]
-    for by_lag in temporal_errors(Run(outcomes, 0), GAMMA_W).values():
-        assert list(by_lag) == [1, 4]
-        assert by_lag[1][0] == 0 and by_lag[4][0] == 0
-        np.testing.assert_allclose(by_lag[1][1:], 1, atol=0.35)
+    frames = [outcome.source for outcome in outcomes]
+    for by_lag in temporal_errors(frames, Run(outcomes, 0), GAMMA_W).values():
+        assert {lag: list(steps) for lag, steps in by_lag.items()} == {1: [1, 2, 3, 4], 4: [4]}
+        assert by_lag[1][1] == 0 and by_lag[4][4] == 0
+        np.testing.assert_allclose([by_lag[1][code] for code in (2, 3, 4)], 1, atol=0.35)
+
+
+def test_frames_are_compared_over_those_that_a_run_has_left_out() -> None:
+    outcomes = [make_outcome(code, 0, 0, noise=seed) for code, seed in enumerate([0, 0, 1, 2, 0])]
+    frames = [outcome.source for outcome in outcomes]
+    whole = temporal_errors(frames, Run(outcomes, 0), GAMMA_W)
+    some = temporal_errors(frames, Run([outcomes[0], *outcomes[2:4], outcomes[4]], 0), GAMMA_W)
+    for kind, by_lag in some.items():
+        assert by_lag == {1: {c: whole[kind][1][c] for c in (3, 4)}, 4: whole[kind][4]}
 
 
 def test_borders_are_compared_with_all_other_steps() -> None:

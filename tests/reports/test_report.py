@@ -26,11 +26,12 @@ _VOID = {"meta", "img", "br"}
 
 
 def shortened(sweep: Sweep) -> Sweep:
-    """Two points of a sweep, once each."""
+    """Two points of a sweep, once each; three of windows: the last are single frames."""
+    n = 3 if sweep.name.startswith("windows") else 2
 
     def plan(case: object) -> object:
         whole = sweep.plan(case)  # type: ignore[arg-type]
-        return replace(whole, tasks=whole.tasks[:2], n_runs=1, warm_up=False)
+        return replace(whole, tasks=whole.tasks[:n], n_runs=1, warm_up=False)
 
     return replace(sweep, plan=plan)  # type: ignore[arg-type]
 
@@ -85,10 +86,12 @@ def test_the_page_is_whole_and_needs_nothing_else(result: ReportResult) -> None:
     text = result.page.read_text(encoding="utf-8")
     page = Page(text)
     assert page.open == [] and "http" not in text and "url(" not in text
+    kinds = ("data:image/png;base64,", "data:image/webp;base64,")
     for link in page.links:
-        assert link.startswith("data:image/png;base64,") or link[1:] in page.ids
-    pictures = [link for link in page.links if link.startswith("data:")]
+        assert link.startswith(kinds) or link[1:] in page.ids
+    pictures, films = ([x for x in page.links if x.startswith(kind)] for kind in kinds)
     assert len(pictures) == len(result.report.sweeps) == 8
+    assert len(films) == 1
 
 
 def test_every_sweep_has_a_verdict_and_the_configured_point(result: ReportResult) -> None:
@@ -113,10 +116,27 @@ def test_json_holds_the_numbers_of_the_page(result: ReportResult) -> None:
 def test_diagrams_are_files_too_and_nothing_else_is_left(result: ReportResult) -> None:
     names = {file_path.name for file_path in result.page.parent.iterdir()}
     pictures = {f"{sweep.name}.png" for sweep in result.report.sweeps}
-    assert names == pictures | {"report.html", "report.json"}
+    assert names == pictures | {"windows.webp", "report.html", "report.json"}
     for name in pictures:
         with Image.open(result.page.parent / name) as picture:
             assert picture.width > 600
+
+
+def test_frames_alone_in_windows_and_the_source_are_shown_beside_each_other(
+    result: ReportResult,
+) -> None:
+    with Image.open(result.page.parent / "windows.webp") as film:
+        assert film.n_frames == 3
+        pictures = []
+        for number in range(3):
+            film.seek(number)
+            pictures.append(np.asarray(film.convert("RGB"), float))
+    for picture in pictures:
+        below = picture[80:]  # the title and the labels
+        thirds = np.array_split(below, 3, axis=1)
+        assert all(third.std() > 5 for third in thirds)
+        assert np.ptp(thirds[2], axis=-1).max() < 40 < np.ptp(thirds[0], axis=-1).max()
+    assert np.abs(pictures[0][80:] - pictures[1][80:]).max() > 20
 
 
 def test_machine_versions_and_omissions_are_told(result: ReportResult) -> None:

@@ -210,15 +210,23 @@ def _plain_ticks(axes: Any) -> None:
             axis.set_minor_formatter(NullFormatter())
 
 
-def make_page(report: Report, pictures: Mapping[str, bytes]) -> str:
+def make_page(
+    report: Report, pictures: Mapping[str, bytes], films: Mapping[str, bytes] | None = None
+) -> str:
     """The report as HTML, from the template ``page.html.j2``.
 
     Args:
         pictures: a PNG file's bytes by the sweep's name.
+        films: a WebP file's bytes by the name of a sweep that has one.
     """
-    images = {name: base64.b64encode(data).decode("ascii") for name, data in pictures.items()}
-    text: str = _template().render(report=report, images=images)
+    text: str = _template().render(
+        report=report, images=_in_base64(pictures), films=_in_base64(films or {})
+    )
     return text
+
+
+def _in_base64(files: Mapping[str, bytes]) -> dict[str, str]:
+    return {name: base64.b64encode(data).decode("ascii") for name, data in files.items()}
 
 
 def number(value: float) -> str:

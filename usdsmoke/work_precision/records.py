@@ -66,6 +66,7 @@ class Plan:
     n_runs: int = 3
     warm_up: bool = False
     rate: float = 0.0  # seconds per unit of effort, if known before the first point
+    film: Callable[[], bytes] | None = None  # an animation of the results, WebP; empty: none
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class ReportResult:
     """What was written."""
 
     page: Path
-    files: tuple[Path, ...]  # page, diagrams and JSON
+    files: tuple[Path, ...]  # page, diagrams, animations and JSON
     report: Report
 
     def __str__(self) -> str:
@@ -107,7 +107,8 @@ def make_report(
     job = prepare_job(Request(stage, style, target, settings), fits=False)
     check_network(job.plan)
     sweeps = SWEEPS if sweeps is None else sweeps
-    names = [*(f"{sweep.name}.png" for sweep in sweeps), DATA, PAGE]
+    names = [f"{sweep.name}.{kind}" for sweep in sweeps for kind in ("png", "webp")]
+    names += [DATA, PAGE]
     with _report_folder(target, names) as old:
         try:
             # The scene, and its sweeps as far as the time goes.
@@ -336,8 +337,11 @@ def _write(report: Report, target: Path, old: Sequence[str]) -> ReportResult:
     nothing behind for good.
     """
     pictures = {result.name: draw_sweep(result) for result in report.sweeps}
+    drawn = {result.name: result.plan.film() for result in report.sweeps if result.plan.film}
+    films = {name: data for name, data in drawn.items() if data}
     contents = {f"{name}.png": data for name, data in pictures.items()}
-    contents[PAGE] = make_page(report, pictures).encode("utf-8")
+    contents |= {f"{name}.webp": data for name, data in films.items()}
+    contents[PAGE] = make_page(report, pictures, films).encode("utf-8")
     names = [*contents, DATA]
 
     def put_data(files: Sequence[str]) -> None:

@@ -1,7 +1,7 @@
 """Sweeps over the window size: temporal error and style against time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
+from usdsmoke.work_precision.film import Fields, draw_film
 from usdsmoke.work_precision.records import Plan, Task
 from usdsmoke.work_precision.trial import (
     EXCESS,
@@ -72,6 +73,7 @@ class _Shot:
     frames: Sequence[VolumeFrame]
     config: Config
     reference: Reference
+    shown: dict[int, Sequence[Fields]] = field(default_factory=dict)  # first runs by window size
 
     @property
     def rate(self) -> float:
@@ -112,7 +114,16 @@ class _Shot:
         for first in range(0, len(self.frames), size):
             window = self.frames[first : first + size]
             found += stylize_window(window, case.styles, case.small_scene, config, None, self.rate)
+        self.shown.setdefault(size, [(frame.density, _light(frame)) for frame in found])
         return found
+
+    def film(self) -> bytes:
+        """Frames alone, in the largest windows, and the source; nothing if one is missing."""
+        if 1 not in self.shown or len(self.shown) < 2:
+            return b""
+        sizes = (1, max(self.shown))
+        versions = {_label(size, size): self.shown[size] for size in sizes}
+        return draw_film(self.frames, versions, self.case.small_scene)
 
     def style_error(self, found: Sequence["StylizedFrame"]) -> float:
         """The mean error of the frames' style losses, each relative to its own start."""
@@ -159,6 +170,7 @@ def _plan(error: str, case: Case) -> Plan:
         uncertain=style.apart if error == "style" else 0.0,
         n_runs=N_RUNS,
         rate=trial_seconds(case, step),
+        film=shot.film if error == "temporal" else None,
     )
 
 
@@ -280,6 +292,15 @@ def _painted(
     before, after = (_values_at(field, smoke) for field in (source.density, found.density))
     change = torch.from_numpy((after - before) / max(float(source.density.values.max()), 1e-30))
     return smoke, change[:, None].to(smoke.density)
+
+
+def _light(found: "StylizedFrame") -> DenseField | None:
+    """What is painted: emission, and scattering as it looks in white light."""
+    if not found.painted:
+        return None
+    first, *others = found.painted
+    values = sum((other.values for other in others), first.values)
+    return replace(first, values=values)
 
 
 def _union(source: VolumeFrame, found: "StylizedFrame") -> DenseField:
