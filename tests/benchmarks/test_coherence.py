@@ -1,11 +1,15 @@
 """The coherence benchmark: its measures against closed forms, and a small run of the command."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from benchmarks import coherence_study
 from benchmarks.coherence_measures import border_ratio, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, _joined
+from benchmarks.coherence_study import WINDOWS, Case, Kept, Study, keep_runs
 from benchmarks.long_shot import fit_line
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
@@ -56,6 +60,29 @@ def test_frames_are_compared_over_those_that_a_run_has_left_out() -> None:
     some = temporal_errors(frames, Run([outcomes[0], *outcomes[2:4], outcomes[4]], 0), GAMMA_W)
     for kind, by_lag in some.items():
         assert by_lag == {1: {c: whole[kind][1][c] for c in (3, 4)}, 4: whole[kind][4]}
+
+
+def test_a_run_is_kept_and_used_again_with_the_same_settings_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case(24, "strokes", 3, WINDOWS, (1, 2))
+    asked: list[list[str]] = []
+
+    def measure(case: Case, settings: list[str], study: Study, folder: Path) -> Kept:
+        asked.append(settings)
+        errors = {"colour": {1: {2: 0.25}}}
+        kept = Kept(case, settings, {"grey": {1: 2.0, 2: 3.0}}, errors, 1.5, [2], [2], [(0.1, 0.2)])
+        coherence_study._write(folder, kept, np.zeros((2, 4, 4, 3), np.uint8))
+        return kept
+
+    monkeypatch.setattr(coherence_study, "_measure", measure)
+    study = Study((case,), (), 2)
+    first, again = (keep_runs(study, tmp_path)[case] for _ in range(2))
+    assert again.mean_distance("grey", [1, 2]) == first.mean_distance("grey", [1, 2]) == 2.5
+    assert again.mean_error("colour", 1) == 0.25 and np.isnan(again.mean_error("colour", 4))
+    assert asked == [["optimize.seed=3"]]
+    keep_runs(Study((case,), (), 2, ("views.pool=2",)), tmp_path)
+    assert len(asked) == 2
 
 
 def test_borders_are_compared_with_all_other_steps() -> None:

@@ -14,6 +14,7 @@
 
 from usdsmoke.pictures.contact_sheet import compose_sheet, sheet_files
 from usdsmoke.pictures.png import StyleImage, encode_srgb, read_style_image, write_png
+from usdsmoke.pictures.webp import write_webp
 
 __all__ = [
     "StyleImage",
@@ -22,4 +23,5 @@ __all__ = [
     "read_style_image",
     "sheet_files",
     "write_png",
+    "write_webp",
 ]

@@ -6,6 +6,7 @@
 - ``trial``, ``unseen_loss``: one step on the small copy, and its error
 - ``engine``: takes points while there is time
 - ``final``, ``path_tracer``: a look under its lights with many bounces, drawn by Mitsuba
+- ``film``: frames alone, in windows and of the source, as an animation
 - ``page`` (with ``page.html.j2``): what is written
 - ``records``: points, sweeps, the report
 """

@@ -9,7 +9,7 @@ import numpy as np
 
 from usdsmoke.base.errors import ImageError
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.pictures import compose_sheet
+from usdsmoke.pictures import compose_sheet, write_webp
 from usdsmoke.pictures.drawing import (
     GREY,
     box_around,
@@ -20,7 +20,6 @@ from usdsmoke.pictures.drawing import (
     fitted_size,
     front_view,
 )
-from usdsmoke.pictures.webp import write_webp
 
 if TYPE_CHECKING:
     from usdsmoke.core.views.cameras import View
