@@ -12,8 +12,9 @@ from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.base.volume import CameraSource
 from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.core.views.frustum import frustum_of
 from usdsmoke.core.views.scene import crop_view, frame_views
-from usdsmoke.core.views.visibility import visible_part
+from usdsmoke.core.views.visibility import Visibility
 
 
 @pytest.mark.parametrize("matrix", [np.eye(4), affine(3), affine(5, mirrored=True)])
@@ -36,7 +37,8 @@ def test_a_cropped_view_holds_every_voxel_and_not_a_pixel_more(matrix):
 def views_from(camera: CameraSource, **views: Any) -> list[Any]:
     config = quick_config(views={"pool": 6, **views})
     scene = dataclasses.replace(scene_of([FRAME], config, "Y"), camera=camera)
-    smoke = visible_part(smoke_of(DENSITY), camera, config.views.camera_margin)
+    seen = Visibility(frustum_of(camera, config.views.camera_margin), 0.0)
+    smoke = seen.visible(smoke_of(DENSITY))
     return frame_views(smoke, config.views, scene, seed=3)
 
 

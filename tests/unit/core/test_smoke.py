@@ -7,7 +7,6 @@ import torch
 from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.active import (
-    LEAST_DENSITY,
     ActiveSmoke,
     activate,
     coarsen,
@@ -15,6 +14,7 @@ from usdsmoke.core.smoke.active import (
     make_octaves,
     sample_colours,
 )
+from usdsmoke.core.smoke.voxels import LEAST_DENSITY
 
 CPU = torch.device("cpu")
 

@@ -24,8 +24,9 @@ from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.controls import frame_config, without_network
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.transit import Transit, ride_between
-from usdsmoke.core.smoke.active import LEAST_DENSITY, ActiveSmoke, activate
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
+from usdsmoke.core.smoke.voxels import LEAST_DENSITY
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import max_displacement
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets

@@ -8,5 +8,6 @@
 - ``schedule``: iterations of each octave, number of views; without torch
 - ``spread``: colours for voxels of which too little is known, from those around them
 - ``srgb``: colour spaces
-- ``tasks``: work shared among threads, with the same bits for any number of them
+- ``tasks``: work shared among threads, with the same bits for any number of them; without torch
+- ``voxels``: the voxels that hold smoke, as numpy arrays
 """

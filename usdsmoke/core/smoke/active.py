@@ -13,13 +13,13 @@ from torch import Tensor
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
+from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 
-LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
 NEARLY = 0.02  # of a doubling: voxels that are nearly cubes have edges of slightly different length
 
 
 @dataclass(frozen=True)
-class ActiveSmoke:
+class ActiveSmoke(Placed):
     """Voxels that hold smoke: nothing in the core touches the empty rest of the box.
 
     ``ijk`` are absolute voxel indices of this resolution, so that neither noise nor octaves depend
@@ -35,31 +35,14 @@ class ActiveSmoke:
         return ActiveSmoke(self.ijk[chosen], self.density[chosen], self.index_to_stage)
 
     @property
-    def edges(self) -> np.ndarray:
-        """Of a voxel, [3 3] rows, stage units."""
-        return self.index_to_stage[:3, :3]
+    def is_empty(self) -> bool:
+        """Whether there is no voxel."""
+        return len(self.ijk) == 0
 
     @property
-    def voxel_volume(self) -> float:
-        """Stage unit^3."""
-        return float(abs(np.linalg.det(self.edges)))
-
-    @property
-    def thin_axis(self) -> int | None:
-        """The index axis along which the smoke is one voxel thick, or None when it is not 2-D."""
-        if len(self.ijk) == 0:
-            return None
-        low, high = self.box
-        thin = np.flatnonzero(high == low)
-        return int(thin[0]) if len(thin) == 1 else None
-
-    @property
-    def voxel_size(self) -> float:
-        """Edge of the cube of a voxel's volume (2-D: of the square of its face), stage units."""
-        if self.thin_axis is None:
-            return self.voxel_volume ** (1 / 3)
-        across, along = (self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis)
-        return float(np.linalg.norm(np.cross(across, along))) ** 0.5
+    def voxels(self) -> Voxels:
+        """The same as numpy arrays; on the CPU they share memory."""
+        return Voxels(self.ijk.cpu().numpy(), self.density.cpu().numpy(), self.index_to_stage)
 
     @property
     def positions(self) -> Tensor:
@@ -82,31 +65,16 @@ class ActiveSmoke:
         return self.take(begins | ends).positions.cpu().numpy()
 
     @property
-    def longest_side(self) -> float:
-        """Of the box of the active voxels, stage units."""
-        low, high = self.box
-        return float(max((high - low + 1) * np.linalg.norm(self.index_to_stage[:3, :3], axis=1)))
-
-    @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest active index, [3] each."""
         return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
 
 
 def activate(density: DenseField, to_stage: np.ndarray, device: torch.device) -> ActiveSmoke:
-    """The voxels of a dense field that hold smoke.
-
-    Voxels with a negative density, or one below ``LEAST_DENSITY``, are taken as empty.
-
-    Args:
-        density: [i j k].
-        to_stage: [4 4], the field's grid world to stage space.
-    """
-    chosen = np.argwhere(density.values > LEAST_DENSITY)
-    values = density.values[tuple(chosen.T)] if len(chosen) else np.zeros(0, np.float32)
-    ijk = torch.from_numpy(chosen + np.asarray(density.ijk_min, np.int64)).to(device)
-    matrix = np.asarray(density.index_to_world, float) @ np.asarray(to_stage, float)
-    return ActiveSmoke(ijk, torch.from_numpy(values.astype(np.float32)).to(device), matrix)
+    """``occupied`` on a device of torch's."""
+    found = occupied(density, to_stage)
+    ijk, values = (torch.from_numpy(part).to(device) for part in (found.ijk, found.density))
+    return ActiveSmoke(ijk, values, found.index_to_stage)
 
 
 def flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:

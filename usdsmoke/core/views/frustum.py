@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.smoke.voxels import Voxels
 from usdsmoke.core.views.cameras import APERTURE_UNIT, rigid_axes
 
 
@@ -134,3 +135,23 @@ def pixel_footprint(camera: CameraSource, depth: float, width: int) -> float:
     if camera.is_orthographic:
         return APERTURE_UNIT * camera.horizontal_aperture / width
     return depth * camera.horizontal_aperture / camera.focal_length / width
+
+
+def visible_part(smoke: Voxels, camera: CameraSource | None, margin: float) -> Voxels:
+    """The voxels in the camera's picture or its border; all of them without a camera."""
+    if camera is None or smoke.is_empty:
+        return smoke
+    shares = frustum_of(camera, margin).shares(smoke.positions)
+    return smoke.take(shares > 0)
+
+
+def nearest_footprint(visible: Voxels, camera: CameraSource | None, width: int) -> float:
+    """What a pixel of the shot covers at the nearest visible smoke, stage units; 0 without any.
+
+    Args:
+        width: pixels of the shot's pictures.
+    """
+    if camera is None or visible.is_empty:
+        return 0.0
+    depth = float(frustum_of(camera, 1.0).depths(visible.positions).min())
+    return pixel_footprint(camera, depth, width)

@@ -6,19 +6,22 @@ If they were measured for every frame, exposure and the style's size would jump.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
-from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
+from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
-from usdsmoke.core.views.project import column_map
-from usdsmoke.core.views.visibility import nearest_footprint, visible_part
+from usdsmoke.core.views.footprint import voxel_points
+from usdsmoke.core.views.frustum import nearest_footprint, visible_part
+
+if TYPE_CHECKING:
+    from usdsmoke.core.smoke.active import ActiveSmoke
 
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
@@ -51,7 +54,7 @@ class Scene:
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
 
 
-def _corners(smoke: ActiveSmoke) -> np.ndarray:
+def _corners(smoke: Placed) -> np.ndarray:
     """The eight corners of the active box, half a voxel padded, [8 3], stage space."""
     low, high = smoke.box
     choice = np.array([[n >> 2 & 1, n >> 1 & 1, n & 1] for n in range(8)])
@@ -59,7 +62,7 @@ def _corners(smoke: ActiveSmoke) -> np.ndarray:
     return ijk @ smoke.index_to_stage[:3, :3] + smoke.index_to_stage[3, :3]
 
 
-def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
+def fit_view(view: View, smoke: Placed, margin: int = PICTURE_MARGIN) -> View:
     """The same orthographic view, moved and sized so that its image just contains the smoke."""
     corners = _corners(smoke)
     across, up = (corners @ axis for axis in (view.right, view.up))
@@ -74,7 +77,7 @@ def fit_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> Vi
     )  # fmt: skip
 
 
-def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
+def crop_view(view: View, smoke: "ActiveSmoke", margin: int = PICTURE_MARGIN) -> View:
     """Like ``fit_view``, but around the voxels themselves: a cut leaves their box half empty."""
     axes = np.stack([view.right, view.up, view.forward])
     places = smoke.outline @ axes.T
@@ -87,7 +90,7 @@ def crop_view(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> V
     return replace(view, centre=(low + high) / 2 @ axes, height=height, width=width)
 
 
-def _trimmed(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> View:
+def _trimmed(view: View, smoke: "ActiveSmoke", margin: int = PICTURE_MARGIN) -> View:
     """The same pixels without those around the smoke, which a turned box leaves in its corners."""
     axes = np.stack([view.right, -view.up])
     half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
@@ -103,14 +106,11 @@ def _trimmed(view: View, smoke: ActiveSmoke, margin: int = PICTURE_MARGIN) -> Vi
     return replace(view, centre=view.centre + moved, height=height, width=width)
 
 
-def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
+def face_view(smoke: Placed, up_axis: str, pixel_size: float) -> View:
     """The view perpendicular to a slab one voxel thick: pixels are aligned with its axes."""
     axis = smoke.thin_axis
     if axis is None:
-        raise ShapeError(
-            f"the smoke ({len(smoke.ijk)} voxels) is not one voxel thick along exactly one axis. "
-            "Use orbit_view."
-        )
+        raise ShapeError("the smoke is not one voxel thick along exactly one axis. Use orbit_view.")
     sides = [smoke.index_to_stage[n, :3] for n in range(3) if n != axis]
     world_up = np.array([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0])
     sides.sort(key=lambda side: abs(side @ world_up) / np.linalg.norm(side))
@@ -125,7 +125,7 @@ def face_view(smoke: ActiveSmoke, up_axis: str, pixel_size: float) -> View:
 
 
 def frame_views(
-    smoke: ActiveSmoke, views: ViewsConfig, scene: Scene, seed: int, factor: int = 1
+    smoke: "ActiveSmoke", views: ViewsConfig, scene: Scene, seed: int, factor: int = 1
 ) -> list[View]:
     """The pool of views of one frame and octave, each just large enough for the smoke.
 
@@ -141,7 +141,7 @@ def frame_views(
         return [face_view(smoke, scene.up_axis, pixel_size)]
     angles = sample_angles(views, pool_size(views), seed)
     if scene.camera is not None:
-        target = _middle(smoke)
+        target = _middle(smoke.voxels)
         return [
             crop_view(camera_orbit(scene.camera, float(a), float(e), target, pixel_size), smoke)
             for a, e in angles
@@ -153,15 +153,15 @@ def frame_views(
     return [_trimmed(fit_view(view, smoke), smoke) for view in around]
 
 
-def _middle(smoke: ActiveSmoke) -> np.ndarray:
+def _middle(smoke: Voxels) -> np.ndarray:
     """Centre of mass [3]: unlike a box's centre, it does not jump when a wisp becomes visible."""
-    density = bounded(smoke).density.double()
-    weights = density / density.sum()
-    return (weights @ smoke.positions).cpu().numpy()
+    density = bounded(smoke).density.astype(np.float64)
+    found: np.ndarray = density @ smoke.positions / density.sum()
+    return found
 
 
 def _middle_view(
-    smoke: ActiveSmoke,
+    smoke: Voxels,
     views: ViewsConfig,
     up_axis: str,
     pixel_size: float,
@@ -177,17 +177,40 @@ def _middle_view(
     return fit_view(view, smoke)
 
 
-def _columns(smoke: ActiveSmoke, view: View) -> tuple[np.ndarray, int]:
+def _columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
     """Column integrals of density where there is smoke, [P], density x stage unit; and how many
     there are with those that are left out.
 
     Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
     densest one may be that of one voxel.
+
+    Args:
+        view: from ``fit_view``.
     """
-    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
-    columns = image.apply(bounded(smoke).density.double()[:, None])
+    columns = _splat(bounded(smoke), view)
     some = columns[columns > 0]
-    return some[some > FRINGE * ranked(some, DENSE_COLUMNS)].numpy(), len(some)
+    return some[some > FRINGE * ranked(some, DENSE_COLUMNS)], len(some)
+
+
+def _splat(smoke: Voxels, view: View) -> np.ndarray:
+    """``project.column_map`` of smoke that lies inside an orthographic view, [P] float64."""
+    to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
+    middle = np.array([(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]])
+    start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + middle
+    places = smoke.ijk @ (smoke.edges @ to_pixels)
+    offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels
+    mass = smoke.density.astype(np.float64)
+    mass *= smoke.voxel_volume / len(offsets) / view.pixel_size**2
+    total = np.zeros(view.height * view.width)
+    for offset in offsets + start:
+        place = places + offset
+        first = np.floor(place)
+        (x, y), (column, row) = (place - first).T, first.astype(np.int64).T
+        pixel = row * view.width + column
+        for down, across in np.ndindex(2, 2):
+            weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
+            total += np.bincount(pixel + (down * view.width + across), weight, len(total))
+    return total
 
 
 def measure_scene(
@@ -222,7 +245,7 @@ def measure_scene(
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
     parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
-    visible = [(part, camera) for part, camera in parts if len(part.ijk)]
+    visible = [(part, camera) for part, camera in parts if not part.is_empty]
     shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     coarse = max(pixel_size, voxel)
@@ -251,7 +274,9 @@ def measure_scene(
     )  # fmt: skip
 
 
-def thick_column(smoke: ActiveSmoke, views: ViewsConfig, scene: Scene, percentile: float) -> float:
+def thick_column(
+    smoke: "ActiveSmoke", views: ViewsConfig, scene: Scene, percentile: float
+) -> float:
     """This percentile of a frame's column integrals from the middle view, density x stage unit.
 
     Args:
@@ -259,8 +284,9 @@ def thick_column(smoke: ActiveSmoke, views: ViewsConfig, scene: Scene, percentil
         scene: its own, with its camera.
     """
     coarse = max(scene.pixel_size, scene.reference_voxel_size)
-    view = _middle_view(smoke, views, scene.up_axis, coarse, scene.camera)
-    return float(np.percentile(_columns(smoke, view)[0], percentile))
+    voxels = smoke.voxels
+    view = _middle_view(voxels, views, scene.up_axis, coarse, scene.camera)
+    return float(np.percentile(_columns(voxels, view)[0], percentile))
 
 
 def frame_scene(scene: Scene, gamma: float | None) -> Scene:
@@ -284,16 +310,13 @@ def _exposure(gamma_w: float, thick: float) -> float:
     return max(1.0, EXPOSED_OPACITY / max(-math.expm1(-gamma_w * thick), LEAST_OPACITY))
 
 
-def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[ActiveSmoke, CameraSource | None]]:
+def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[Voxels, CameraSource | None]]:
     """Every frame's smoke, where there is any, and its camera."""
-    device = torch.device("cpu")
-    pairs = [
-        (activate(frame.density, frame.density_to_stage, device), frame.camera) for frame in frames
-    ]
-    return [(smoke, camera) for smoke, camera in pairs if len(smoke.ijk)]
+    pairs = [(occupied(frame.density, frame.density_to_stage), frame.camera) for frame in frames]
+    return [(smoke, camera) for smoke, camera in pairs if not smoke.is_empty]
 
 
-def _shortest_edge(smoke: ActiveSmoke) -> float:
+def _shortest_edge(smoke: Voxels) -> float:
     """Of a voxel, stage units; of one that is nearly a cube the edge of the cube of its volume."""
     edges = np.linalg.norm(smoke.edges, axis=1)
     if smoke.thin_axis is not None:
@@ -305,7 +328,7 @@ def _shortest_edge(smoke: ActiveSmoke) -> float:
 def _pixel_size(
     longest: float,
     shortest: float,
-    visible: Sequence[tuple[ActiveSmoke, CameraSource | None]],
+    visible: Sequence[tuple[Voxels, CameraSource | None]],
     views: ViewsConfig,
     refine: int,
 ) -> float:
@@ -319,7 +342,7 @@ def _pixel_size(
 
 
 def _longest_side(
-    smoke: ActiveSmoke, views: ViewsConfig, up_axis: str, camera: CameraSource | None
+    smoke: Voxels, views: ViewsConfig, up_axis: str, camera: CameraSource | None
 ) -> float:
     """Of the pictures, stage units; views all round see smoke from the side as well."""
     shown = [_middle_view(smoke, views, up_axis, 1e-3 * smoke.voxel_size, camera)]

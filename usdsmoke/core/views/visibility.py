@@ -4,10 +4,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.views.frustum import Frustum, frustum_of, pixel_footprint
+from usdsmoke.core.views.frustum import Frustum, frustum_of
 
 VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines and filters read it
 STEEPEST_SHARE = 1.125  # at the fraction t of the border the share is at most this times t
@@ -67,26 +67,6 @@ def frame_visibility(
     border = frustum.border * (1.0 if frustum.is_orthographic else nearest)
     beyond = max(0.0, STEEPEST_SHARE * max_displacement - border)
     return Visibility(frustum, VISIBLE_PADDING * voxel + beyond)
-
-
-def visible_part(smoke: ActiveSmoke, camera: CameraSource | None, margin: float) -> ActiveSmoke:
-    """The voxels in the camera's picture or its border; all of them without a camera."""
-    if camera is None or len(smoke.ijk) == 0:
-        return smoke
-    shares = frustum_of(camera, margin).shares(smoke.positions.cpu().numpy())
-    return smoke.take(torch.from_numpy(shares > 0).to(smoke.ijk.device))
-
-
-def nearest_footprint(visible: ActiveSmoke, camera: CameraSource | None, width: int) -> float:
-    """What a pixel of the shot covers at the nearest visible smoke, stage units; 0 without any.
-
-    Args:
-        width: pixels of the shot's pictures.
-    """
-    if camera is None or len(visible.ijk) == 0:
-        return 0.0
-    depth = float(frustum_of(camera, 1.0).depths(visible.positions.cpu().numpy()).min())
-    return pixel_footprint(camera, depth, width)
 
 
 class EffectMask:

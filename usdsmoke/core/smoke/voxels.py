@@ -1,0 +1,104 @@
+"""Voxels that hold smoke, as numpy arrays: what can be measured without torch."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from usdsmoke.base.volume import DenseField
+
+LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
+
+
+class Placed:
+    """Lengths of voxels on the stage, whatever holds their numbers."""
+
+    index_to_stage: np.ndarray  # [4 4]
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest active index, [3] each; there is one voxel or more."""
+        raise NotImplementedError
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no voxel."""
+        raise NotImplementedError
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Of a voxel, [3 3] rows, stage units."""
+        return self.index_to_stage[:3, :3]
+
+    @property
+    def voxel_volume(self) -> float:
+        """Stage unit^3."""
+        return float(abs(np.linalg.det(self.edges)))
+
+    @property
+    def thin_axis(self) -> int | None:
+        """The index axis along which the smoke is one voxel thick, or None when it is not 2-D."""
+        if self.is_empty:
+            return None
+        low, high = self.box
+        thin = np.flatnonzero(high == low)
+        return int(thin[0]) if len(thin) == 1 else None
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge of the cube of a voxel's volume (2-D: of the square of its face), stage units."""
+        if self.thin_axis is None:
+            return self.voxel_volume ** (1 / 3)
+        across, along = (self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis)
+        return float(np.linalg.norm(np.cross(across, along))) ** 0.5
+
+    @property
+    def longest_side(self) -> float:
+        """Of the box of the active voxels, stage units."""
+        low, high = self.box
+        return float(max((high - low + 1) * np.linalg.norm(self.edges, axis=1)))
+
+
+@dataclass(frozen=True)
+class Voxels(Placed):
+    """See ``core.smoke.active.ActiveSmoke``, which is the same on torch's devices."""
+
+    ijk: np.ndarray  # [N 3] int64
+    density: np.ndarray  # [N] float32, > 0
+    index_to_stage: np.ndarray  # [4 4]
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest active index, [3] each."""
+        return self.ijk.min(axis=0), self.ijk.max(axis=0)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no voxel."""
+        return len(self.ijk) == 0
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Voxel centres, [N 3] float64, stage space."""
+        found: np.ndarray = self.ijk @ self.edges + self.index_to_stage[3, :3]
+        return found
+
+    def take(self, chosen: np.ndarray) -> "Voxels":
+        """Some of the voxels; chosen is [N] bool."""
+        return Voxels(self.ijk[chosen], self.density[chosen], self.index_to_stage)
+
+
+def occupied(density: DenseField, to_stage: np.ndarray) -> Voxels:
+    """The voxels of a dense field that hold smoke.
+
+    Voxels with a negative density, or one below ``LEAST_DENSITY``, are taken as empty.
+
+    Args:
+        density: [i j k].
+        to_stage: [4 4], the field's grid world to stage space.
+    """
+    chosen = np.argwhere(density.values > LEAST_DENSITY)
+    values = density.values[tuple(chosen.T)] if len(chosen) else np.zeros(0, np.float32)
+    matrix = np.asarray(density.index_to_world, float) @ np.asarray(to_stage, float)
+    ijk = chosen + np.asarray(density.ijk_min, np.int64)
+    return Voxels(ijk, values.astype(np.float32, copy=False), matrix)
