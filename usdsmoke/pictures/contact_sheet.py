@@ -3,12 +3,16 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.naming import DEFAULT_LOOK, look_suffix
+
+if TYPE_CHECKING:
+    from PIL import ImageDraw, ImageFont
 
 _STYLE = 256  # pixels of a style image along each side, at most
 _GAP = 8
@@ -52,6 +56,8 @@ def compose_sheet(
     Raises:
         ShapeError: one is no picture.
     """
+    from PIL import ImageDraw, ImageFont  # a single picture needs no text
+
     pictures = [picture for row in rows for _, picture in row]
     for picture in (*pictures, *styles):
         _check_picture(picture)
@@ -81,8 +87,8 @@ def compose_sheet(
 
 def _paste_styles(
     sheet: Image.Image,
-    draw: ImageDraw.ImageDraw,
-    font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
+    draw: "ImageDraw.ImageDraw",
+    font: "ImageFont.ImageFont | ImageFont.FreeTypeFont",
     styles: Sequence[np.ndarray],
     left: int,
     height: int,

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from usdsmoke.base.errors import ImageError
 from usdsmoke.base.sections import GridsConfig
@@ -45,6 +44,8 @@ def read_exr_channels(
 
 def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
     """The worker's side: leaves the channels in ``folder`` and answers with their names."""
+    import OpenEXR
+
     where = Path(request["file_path"])
     try:
         with OpenEXR.File(str(where), header_only=True) as image:

@@ -15,7 +15,6 @@ from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.march import Picture
 from usdsmoke.pictures.contact_sheet import compose_sheet
 from usdsmoke.pictures.drawing import BACKGROUND, display_picture
-from usdsmoke.pictures.exr import write_exr
 from usdsmoke.pictures.png import encode_srgb, write_png
 from usdsmoke.pictures.preview_request import PreviewRequest
 from usdsmoke.pictures.webp import write_webp
@@ -40,6 +39,8 @@ Drawn: TypeAlias = Iterator[tuple[str, PreviewShot, Picture]]
 
 def write_layers(request: PreviewRequest, codes: Sequence[float], drawn: Drawn) -> tuple[Path, ...]:
     """One OpenEXR file for each picture; their paths."""
+    from usdsmoke.pictures.exr import write_exr
+
     files = []
     for label, shot, picture in drawn:
         stem = request.output.stem + (f".{ORIGINAL}" if label == ORIGINAL else "")

@@ -54,8 +54,30 @@ def is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
         return False  # reported when the frame is drawn
 
 
-def read_density(volume: VolumeSource, frame: FrameSource, config: Config) -> VolumeFrame:
+def read_density(time_code: float, source: FieldSource, config: Config) -> VolumeFrame:
     """The density of a frame, read from its file."""
-    source = frame.fields[volume.density]
     (density,) = read_grids(source.file_path, [grid_request(source, 1)], config.grids)
-    return VolumeFrame(frame.time_code, density, source.field_to_stage)
+    return VolumeFrame(time_code, density, source.field_to_stage)
+
+
+def field_box(
+    source: FieldSource, config: Config | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """First and last voxel, and the way from indices to the stage; None without smoke.
+
+    Args:
+        config: to read a file whose header does not tell; None leaves such a file out.
+    """
+    grid = grid_of(source, 1)
+    if grid.active_voxels == 0:
+        return None
+    matrix = np.asarray(grid.index_to_world, float) @ source.field_to_stage
+    if grid.bbox_min is not None and grid.bbox_max is not None:
+        return np.array(grid.bbox_min), np.array(grid.bbox_max), matrix
+    if config is None:
+        return None
+    density = read_density(source.time_code, source, config).density
+    if density.is_empty:
+        return None
+    low = np.array(density.ijk_min)
+    return low, low + np.array(density.values.shape) - 1, matrix

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdVol
@@ -23,14 +23,18 @@ from usdsmoke.base.time_codes import format_time_code, name_time_codes, spread
 from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
+    FrameSource,
     StageSource,
+    VolumeFrame,
     VolumeSource,
 )
 from usdsmoke.core.smoke.tasks import computing_threads, n_sharing
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.media import Medium, make_media
+from usdsmoke.core.views.scene import Scene, measure_scene
 from usdsmoke.pictures.drawing import GREY, box_corners
 from usdsmoke.pictures.preview_grids import (
+    field_box,
     grid_of,
     grid_request,
     is_filled,
@@ -41,9 +45,6 @@ from usdsmoke.usd.schema import EMISSION_PER_DENSITY
 from usdsmoke.usd.stage import ComposedVolume, composed_volumes, find_volumes
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import read_grids
-
-if TYPE_CHECKING:
-    from usdsmoke.core.views.scene import Scene
 
 _BASE_GIB = 0.5  # of a process that draws; measured
 _BYTES = 60  # a voxel of the boxes, density and emission; measured
@@ -61,7 +62,8 @@ class Smoke:
     notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
     passed_over: tuple[type[UsdSmokeError], ...] = ()  # errors that leave a Volume out of a frame
     _unread: dict[str, dict[float, str]] = field(default_factory=dict)  # why, by Volume and time
-    _scenes: dict[str, "Scene"] = field(default_factory=dict)
+    _scenes: dict[str, Scene] = field(default_factory=dict)
+    _drawn: dict[tuple[object, ...], DenseField] = field(default_factory=dict)  # read last
 
     @property
     def time_codes(self) -> list[float]:
@@ -231,6 +233,7 @@ class Smoke:
             }
             fields = read_grids(file_path, list(wanted.values()), self.config.grids)
             found |= dict(zip(wanted, fields, strict=True))
+        self._drawn = {_grid_key(volume.density): found["density"]}
         return found["density"], found.get("emission"), found.get("colour")
 
     def _absolute(
@@ -281,15 +284,12 @@ class Smoke:
         self.extinctions[volume.prim_path] = gamma_w
         return gamma_w
 
-    def _scene(self, prim_path: str) -> "Scene":
-        from usdsmoke.core.views.scene import measure_scene
-
+    def _scene(self, prim_path: str) -> Scene:
         if prim_path not in self._scenes:
             volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)
             filled = [frame for frame in volume.frames if is_filled(volume, frame)]
-            frames = [read_density(volume, frame, self.config) for frame in spread(filled)]
             self._scenes[prim_path] = measure_scene(
-                frames,
+                [self._frame(volume, frame) for frame in spread(filled)],
                 self.config.views,
                 self.config.optics,
                 self.whole.up_axis,
@@ -297,34 +297,28 @@ class Smoke:
             )
         return self._scenes[prim_path]
 
+    def _frame(self, volume: VolumeSource, frame: FrameSource) -> VolumeFrame:
+        """The density of a frame, which is not read again if it is the one that is drawn."""
+        source = frame.fields[volume.density]
+        key = _grid_key(source)
+        if key not in self._drawn:
+            return read_density(frame.time_code, source, self.config)
+        return VolumeFrame(frame.time_code, self._drawn[key], source.field_to_stage)
+
     def _corners(self, volume: VolumeSource, time_code: float, may_read: bool) -> list[np.ndarray]:
         """Of a Volume's box at one timeCode, [8 3]."""
         shown = _composed(self.stage, self.whole, volume, time_code)
-        boxes = [self._box(item.density, may_read) for item in shown]
+        boxes = [field_box(item.density, self.config if may_read else None) for item in shown]
         return [box_corners(*box) for box in boxes if box is not None]
-
-    def _box(
-        self, source: FieldSource, may_read: bool
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """First and last voxel, and the way from indices to the stage; None without smoke."""
-        grid = grid_of(source, 1)
-        if grid.active_voxels == 0:
-            return None
-        matrix = np.asarray(grid.index_to_world, float) @ source.field_to_stage
-        if grid.bbox_min is not None and grid.bbox_max is not None:
-            return np.array(grid.bbox_min), np.array(grid.bbox_max), matrix
-        if not may_read:
-            return None
-        (density,) = read_grids(source.file_path, [grid_request(source, 1)], self.config.grids)
-        if density.is_empty:
-            return None
-        low = np.array(density.ijk_min)
-        return low, low + np.array(density.values.shape) - 1, matrix
 
 
 def is_uneven(shown: Iterable[ComposedVolume]) -> bool:
     """Whether some smoke looks different from another side, apart from what hides what."""
     return any(volume.scattering is not None and volume.scattering.is_uneven for volume in shown)
+
+
+def _grid_key(source: FieldSource) -> tuple[object, ...]:
+    return source.file_path, source.grid_name, source.grid_index
 
 
 def _composed(
