@@ -10,11 +10,12 @@ from PIL import Image
 from pxr import Sdf
 
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
-from tests.fixtures.usd_fixtures import write_vdb
+from tests.fixtures.usd_fixtures import needs_usd, write_vdb
 from usdsmoke.audit import Change, verify
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.pipeline import StylizeResult
+from usdsmoke.pipeline import StylizeResult, assemble
 from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.rules import validate
 from usdsmoke.vdb.binding import find_binding
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
@@ -59,6 +60,21 @@ def test_an_input_with_other_voxels_is_named(finished: Finished) -> None:
     change = only(finished)
     assert (change.kind, change.severity, change.file) == ("input-edited", "changed", str(file))
     assert change.expected.startswith("density ") and change.expected != f"density {change.found}"
+
+
+@needs_usd(26, 5)
+def test_another_shader_of_the_look_s_material_is_named(finished: Finished) -> None:
+    shot, result = finished
+    shader = shot.output / "look.glslfx"
+    assert not [item for item in validate(result.root_stage) if item.rule == "ResultChanged"]
+    shader.write_text(shader.read_text() + "// mine\n")
+    change = only(finished)
+    assert (change.kind, change.severity, change.file) == ("result-edited", "changed", str(shader))
+    (found,) = [item for item in validate(result.root_stage) if item.rule == "ResultChanged"]
+    assert found.severity == "error" and "look.glslfx" in found.message
+    shader.unlink()
+    assemble(shot.output)
+    assert verify(result.root_stage) == []
 
 
 def test_an_input_that_was_written_anew_with_the_same_grids_is_a_note(finished: Finished) -> None:

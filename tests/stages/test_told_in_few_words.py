@@ -1,5 +1,6 @@
 """What a person reads of a run, and small faults of stages that stay out of results."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,11 @@ from tests.fixtures.usd_fixtures import density_prim, sequence, volume_prim, wor
 from usdsmoke.pictures import compose_sheet
 from usdsmoke.pipeline import plan
 from usdsmoke.planning.plan import Plan
-from usdsmoke.runs.budget import Finding
+from usdsmoke.runs.budget import ErrorBudget, Finding
+from usdsmoke.runs.budget.error_budget import ErrorEstimate
+from usdsmoke.runs.budget.rows import ROWS
 from usdsmoke.ui.cli.budget_text import budget_text
+from usdsmoke.ui.cli.main import main
 from usdsmoke.ui.cli.plan_text import plan_text
 
 LIGHTS = """
@@ -98,17 +102,54 @@ def test_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> Non
     assert any("4 frames" in line and "fewer than 5 frames" in line for line in lines)
 
 
-@pytest.mark.usefixtures("core")
-def test_errors_that_are_fine_are_a_line_and_rows_on_request(shot: Shot) -> None:
-    budget = run(shot).error_budget
-    assert budget is not None
-    bad, *fine = (item.name for item in budget.estimates)
-    budget = replace(budget, findings=(Finding("smoke.0001.vdb", bad, "it is large", "Look"),))
+def full_budget() -> ErrorBudget:
+    estimates = (ErrorEstimate(row.name, 0.1, 0.1, row.relative_to, 1, 0.0, "") for row in ROWS)
+    return ErrorBudget(tuple(estimates), {}, {"shape": 1.0})
+
+
+def test_the_end_of_a_run_is_a_verdict_a_row_worst_first() -> None:
+    budget, bad, odd = full_budget(), "mass", "resolution"
+    names = {item.name for item in budget.estimates}
+    findings = (
+        Finding("smoke.0001.vdb", odd, "it is odd", "Look"),
+        Finding("smoke.0001.vdb", bad, "it is large", "Set it", "shape.reach"),
+    )
+    budget = replace(budget, findings=findings)
     few = budget_text(budget, everything=False).splitlines()
-    assert [line.split("  ")[0] for line in few[:2]] == ["error", bad]
-    assert few[1].endswith("look at it") and all(name in few[2] for name in fine)
-    rows = budget_text(budget).splitlines()
-    assert all(any(row.startswith(name) for row in rows) for name in (bad, *fine))
+    rows = few[1 : few.index(next(line for line in few if line.startswith("--verbose")))]
+    verdicts = [line.split("  ")[0] for line in rows]
+    assert verdicts[:2] == ["change shape.reach", "look at it"]
+    assert set(verdicts[2:]) == {"fine"} and len(rows) <= 8
+    assert "mass: " in rows[0] and "resolution: " in rows[1]
+    assert [(item.verdict, item.error) for item in budget.verdicts[:2]] == [
+        ("change shape.reach", bad), ("look at it", odd),
+    ]  # fmt: skip
+    whole = budget_text(budget).splitlines()
+    assert all(any(row.startswith(name) for row in whole) for name in names)
+    assert max(map(len, few[:-1])) <= 100
+
+
+@pytest.mark.usefixtures("core")
+def test_the_notes_of_a_run_stand_at_its_end(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = shot.arguments("--frames", "1-2")
+    assert main([*arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["warnings"] and found["verdicts"]
+    assert {"about", "verdict", "error", "largest"} <= found["verdicts"][0].keys()
+    assert main([*arguments, "--force"]) == 0
+    last = capsys.readouterr().out.splitlines()[-len(found["warnings"]) :]
+    assert last == [f"note: {text}" for text in found["warnings"]]
+
+
+def test_every_error_belongs_to_a_verdict() -> None:
+    budget = full_budget()
+    for row in ROWS:
+        one = replace(budget, findings=(Finding("a.vdb", row.name, "bad", "Look"),))
+        assert [item.error for item in one.verdicts if item.verdict != "fine"] == [row.name]
+    dark = replace(budget, findings=(Finding("a", "", "dark", "Set it", "optics.exposure"),))
+    assert dark.verdicts[0].verdict == "change optics.exposure"
 
 
 def test_the_title_of_a_narrow_sheet_is_whole() -> None:

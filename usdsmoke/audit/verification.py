@@ -15,6 +15,7 @@ from usdsmoke.audit.inputs import Change, check_inputs, recorded_config, shown
 from usdsmoke.audit.record import FoundRecord, find_records
 from usdsmoke.base.errors import BindingMissing, ConfigError, LayerError, UsdSmokeError
 from usdsmoke.base.machine import package_versions, platform_name
+from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
@@ -90,11 +91,14 @@ def _check_layer(item: FoundRecord) -> Iterator[Change]:
 
 
 def _check_shaders(item: FoundRecord) -> Iterator[Change]:
-    """Files of shaders that the look's material names; their content is not recorded."""
+    """Files of shaders that the look's material names."""
     for name in shader_files(item.layer) if item.layer is not None else ():
-        if not item.place(name).is_file():
+        file, recorded = item.place(name), item.record.shaders.get(os.path.normpath(name), "")
+        if not file.is_file():
             expected = "a shader of the look's material"
-            yield Change("result-missing", str(item.place(name)), expected, "no file")
+            yield Change("result-missing", str(file), expected, "no file")
+        elif recorded and (found := hash_file(file)) != recorded:
+            yield Change("result-edited", str(file), f"shader {shown(recorded)}", shown(found))
 
 
 def _check_results(item: FoundRecord) -> list[Change]:

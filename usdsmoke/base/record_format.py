@@ -110,7 +110,8 @@ class RunRecord(JsonRecord):
     variants: Mapping[str, str] = field(default_factory=dict)  # selected ones, by </prim>{set}
     source_files: Mapping[str, str] = field(default_factory=dict)  # SHA-256, by path from the stage
     frames: tuple[FrameRecord, ...] = ()
-    results: Mapping[str, str] = field(default_factory=dict)  # content hash by file written
+    results: Mapping[str, str] = field(default_factory=dict)  # content hash by VDB file written
+    shaders: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of the material's shaders
     extinction: Mapping[str, Extinction] = field(default_factory=dict)  # by Volume
     # What was measured of each Volume's shot, where files that it was measured on have been written
     # again since; none: a rerun measures it.

@@ -28,6 +28,7 @@ from usdsmoke.planning.frames import (
     find_frame_velocity,
     is_copied,
 )
+from usdsmoke.planning.materials import hidden_looks
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
@@ -83,6 +84,7 @@ def make_plan(
         omitted=list_omitted(source, config, volumes),
         estimate=add_estimates(costs),
         notes=list_remarks(volumes),
+        warnings=hidden_looks(volumes),
     )
 
 

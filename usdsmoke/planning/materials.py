@@ -7,7 +7,12 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import LightSource, StageSource
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
-from usdsmoke.usd.materials import binds_material, hiding_words
+from usdsmoke.usd.materials import (
+    ALL_RENDERERS,
+    binds_material,
+    hiding_advice,
+    hiding_words,
+)
 
 _SCATTERING = "scattering (optics.albedo)"
 
@@ -21,30 +26,30 @@ def materials_needed(volumes: Iterable[VolumePlan]) -> list[str]:
     ]
 
 
-def hidden_look(volume: VolumePlan) -> list[Omission]:
-    """The look, where a bound material does not read it; empty where it is seen."""
-    if not _has_colour(volume) or _binds(volume):
-        return []
-    colours = volume.config.colour_grids
-    hiding = [material for material in volume.source.materials if material.hidden_in(colours)]
-    if not hiding:
-        return []
-    path, material = volume.source.prim_path, hiding[0]
-    advice = "set layer.material=replace"
-    if not material.can_replace:
-        advice = "bind another material, because the binding is stronger than any on the Volume"
-    what, renderers = hiding_words(material, colours)
-    where = "" if renderers == "renderers" else f" in {renderers}"
-    return [Omission(f"the look of <{path}>{where}", f"<{material.prim_path}> {what}; {advice}")]
+def hidden_looks(volumes: Iterable[VolumePlan]) -> tuple[str, ...]:
+    """The looks that bound materials hide, with the remedy: a sentence for each kind."""
+    kinds: dict[tuple[str, str, bool], list[tuple[str, str]]] = {}
+    for volume in volumes:
+        colours = volume.config.colour_grids
+        hiding = [item for item in volume.source.materials if item.hidden_in(colours)]
+        if hiding and _has_colour(volume) and not _binds(volume):
+            kind = (*hiding_words(hiding[0], colours), hiding[0].can_replace)
+            places = (volume.source.prim_path, hiding[0].prim_path)
+            kinds.setdefault(kind, []).append(places)
+    return tuple(_hidden(*kind, places) for kind, places in kinds.items())
 
 
-def hidden_look_warnings(volumes: Iterable[VolumePlan]) -> list[str]:
-    """The same as warnings at the end of a run."""
-    return [
-        f"{omission.what} is not seen: {omission.reason}"
-        for volume in volumes
-        for omission in hidden_look(volume)
-    ]
+def _hidden(what: str, renderers: str, can_replace: bool, places: Sequence[tuple[str, str]]) -> str:
+    volumes, materials = (list(dict.fromkeys(paths)) for paths in zip(*places, strict=True))
+    where = "" if renderers == ALL_RENDERERS else f" in {renderers}"
+    return (
+        f"the look of {_first_of(volumes)} is not seen{where}: the material "
+        f"{_first_of(materials)} {what}. {hiding_advice(can_replace)}."
+    )
+
+
+def _first_of(paths: Sequence[str]) -> str:
+    return f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if paths[1:] else "")
 
 
 def _binds(volume: VolumePlan) -> bool:

@@ -13,12 +13,7 @@ from usdsmoke.core.smoke.schedule import has_one_view, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.features import start_needed
-from usdsmoke.planning.materials import (
-    hidden_look,
-    lights_needed,
-    lights_omitted,
-    materials_needed,
-)
+from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import pixel_sizes
 
@@ -88,7 +83,6 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
         ]
         omitted += [replace(item, what=f"{item.what}{where}") for item in found]
     for volume in volumes:
-        omitted += hidden_look(volume)
         omitted += _omitted_of_volume(volume)
     return tuple(omitted)
 

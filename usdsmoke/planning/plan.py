@@ -126,12 +126,15 @@ class Plan:
     omitted: tuple[Omission, ...]
     estimate: CostEstimate
     notes: tuple[str, ...] = ()  # what may surprise at the end, a sentence each
+    warnings: tuple[str, ...] = ()  # what keeps the result from being seen, with the remedy
 
     def __str__(self) -> str:
         paths = ", ".join(f"<{volume.source.prim_path}>" for volume in self.volumes)
         frames, windows = count_text(self.n_frames, "frame"), count_text(len(self.tasks), "window")
         cost = f"{self.estimate.seconds:.0f} s, {self.estimate.memory_gib:.1f} GiB of memory"
-        return "\n".join((f"{paths}: {frames} in {windows}, about {cost}", *self.notes))
+        return "\n".join(
+            (f"{paths}: {frames} in {windows}, about {cost}", *self.warnings, *self.notes)
+        )
 
     @property
     def n_frames(self) -> int:
@@ -196,6 +199,7 @@ class Plan:
             "needed": list(self.needed),
             "omitted": [asdict(omission) for omission in self.omitted],
             "notes": list(self.notes),
+            "warnings": list(self.warnings),
             "estimate": asdict(self.estimate),
         }
 

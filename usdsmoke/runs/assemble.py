@@ -13,7 +13,6 @@ from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
-from usdsmoke.planning.materials import hidden_look_warnings
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.remarks import measured_on_part
 from usdsmoke.runs.budget import (
@@ -38,7 +37,7 @@ from usdsmoke.runs.provenance_record import frame_metadata, keep_record, make_re
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
-from usdsmoke.usd.look import author_look, published_runs, result_hashes
+from usdsmoke.usd.look import author_look, published_runs, result_hashes, shader_hashes
 from usdsmoke.usd.schema import late_note
 from usdsmoke.vdb.blend import blend_fields, blend_frames, relative_difference, tail_weights
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -149,9 +148,10 @@ def _assemble(
         for volume, scene in zip(job.plan.volumes, run.scenes, strict=True)
     ]
     run.error_budget = run_budget(job.plan, run.reports, run.scenes).to_json()
-    record = make_record(job, run, windows, result_hashes(volumes, run.output))
-    keep_record(run, record)
     source, layer = job.plan.source, job.config.layer
+    results, shaders = result_hashes(volumes, run.output), shader_hashes(volumes, layer)
+    record = make_record(job, run, windows, results, shaders)
+    keep_record(run, record)
     delivered = deliver_frames(run, job.plan)
     files = author_look(job.stage, source, volumes, job.output, layer, record, job.earlier)
     failures = _draw_sheets(opened, tell)
@@ -189,6 +189,7 @@ def summarize_result(opened: OpenRun, more: Sequence[str] = ()) -> StylizeResult
         contact_sheets=tuple(sheet for sheet in job.sheets if sheet.is_file()),
         plan=job.plan,
         warnings=(
+            *job.plan.warnings,
             *job.earlier.notes,
             *_warnings(job.plan, run),
             *budget.warnings,
@@ -298,10 +299,10 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """The extinctions that a run of other frames of the shot would need for the same look."""
     voxel = scene["reference_voxel_size"]
     return (
-        f"<{volume.source.prim_path}>: for other parts of the shot in other folders, set "
+        f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
+        "frames of the shot alike in another folder, set "
         f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g} (per density and voxel of the "
-        "source)"
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}"
     )
 
 
@@ -356,7 +357,6 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if scene.get("misfit")
     ]
-    found += hidden_look_warnings(plan.volumes)
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):
         found.append("some timeCodes are not whole numbers, so Blender cannot import the sequence")

@@ -64,14 +64,19 @@ def frame_metadata(
 
 
 def make_record(
-    job: Job, run: Run, windows: Sequence[WindowRecord], results: Mapping[str, str]
+    job: Job,
+    run: Run,
+    windows: Sequence[WindowRecord],
+    results: Mapping[str, str],
+    shaders: Mapping[str, str],
 ) -> RunRecord:
     """The record of a run that has every frame of the result.
 
     Args:
         run: with its error budget.
         windows: the manifests of all windows.
-        results: content hash of every written file.
+        results: content hash of every written VDB file.
+        shaders: SHA-256 of every shader that goes with the look layer.
     """
     plan, config, output = job.plan, job.plan.config, run.output
     reports = list(run.reports.values())
@@ -110,6 +115,7 @@ def make_record(
             _frame_record(run, volume, frame) for volume in plan.volumes for frame in volume.frames
         ),
         results=results,
+        shaders=shaders,
         extinction={
             volume.source.prim_path: Extinction(scene["gamma_w"], scene["gamma_w_shape"])
             for volume, scene in zip(plan.volumes, run.scenes, strict=True)

@@ -2,7 +2,7 @@
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -77,20 +77,40 @@ def write_mends(stage_file: Path, target: Path) -> list[Finding]:
     return mended
 
 
-def junit_xml(name: str, findings: Sequence[Finding]) -> str:
+def fails(finding: Finding, strict: bool = False) -> bool:
+    """Whether a gate does not let a stage with this finding pass.
+
+    Args:
+        strict: warnings fail too.
+    """
+    return finding.severity == Severity.ERROR or (strict and finding.severity == Severity.WARN)
+
+
+def junit_xml(
+    name: str, findings: Sequence[Finding], strict: bool = False, ignored: Iterable[str] = ()
+) -> str:
     """Findings as JUnit XML, which CI servers show: one test case for each rule.
 
     Args:
         name: of the test suite, such as the stage's file name.
-        findings: errors are failures; others are output of a case that passes.
+        findings: those that fail are failures; others are output of a case that passes.
+        strict: see ``fails``.
+        ignored: rules whose findings were left out; their cases are skipped.
     """
-    rules = list(dict.fromkeys(finding.rule for finding in findings))
-    failed = {finding.rule for finding in findings if finding.severity == Severity.ERROR}
+    rules, skipped = list(dict.fromkeys(finding.rule for finding in findings)), set(ignored)
+    failed = {finding.rule for finding in findings if fails(finding, strict)}
     suite = ElementTree.Element(
-        "testsuite", name=name, tests=str(max(len(rules), 1)), failures=str(len(failed))
+        "testsuite",
+        name=name,
+        tests=str(max(len(rules) + len(skipped), 1)),
+        failures=str(len(failed)),
+        skipped=str(len(skipped)),
     )
-    for rule in rules or ["validate"]:
-        case = ElementTree.SubElement(suite, "testcase", classname="usdsmoke.validate", name=rule)
+    for rule in sorted(skipped):
+        case = _case(suite, rule)
+        ElementTree.SubElement(case, "skipped", message="left out by --ignore")
+    for rule in rules or ([] if skipped else ["validate"]):
+        case = _case(suite, rule)
         text = "\n".join(_line(finding) for finding in findings if finding.rule == rule)
         if rule in failed:
             ElementTree.SubElement(case, "failure", message=text.partition("\n")[0]).text = text
@@ -98,6 +118,10 @@ def junit_xml(name: str, findings: Sequence[Finding]) -> str:
             ElementTree.SubElement(case, "system-out").text = text
     ElementTree.indent(suite)
     return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _case(suite: ElementTree.Element, rule: str) -> ElementTree.Element:
+    return ElementTree.SubElement(suite, "testcase", classname="usdsmoke.validate", name=rule)
 
 
 def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:

@@ -24,6 +24,7 @@ _NAME = re.compile(r"[\w:]+")
 # emission_channel, RenderMan's varname, MoonRay's emission_grid.
 _NAMES_GRID = re.compile(r"field|channel|geomprop|primvar|varname|grid|attr", re.IGNORECASE)
 _INPUT = "inputs:"
+ALL_RENDERERS = "renderers"  # of ``hiding_words``
 _RENDERERS = {
     "": "renderers without a shader of their own",
     "glslfx": "Storm",
@@ -91,6 +92,8 @@ def hiding_material(volume: Usd.Prim, colours: Collection[str]) -> BoundMaterial
 def hiding_words(material: BoundMaterial, colours: Collection[str]) -> tuple[str, str]:
     """What a material that hides a look does, and the renderers that do not show it.
 
+    These are ``ALL_RENDERERS`` where the material has no shader that reads the look.
+
     >>> some = BoundMaterial("/m", {"glslfx": (), "arnold": ("emission",)}, True)
     >>> hiding_words(some, ["emission"])
     ('reads no emission in its shader for Storm (outputs:glslfx:volume)', 'Storm')
@@ -99,11 +102,22 @@ def hiding_words(material: BoundMaterial, colours: Collection[str]) -> tuple[str
     """
     contexts, text = material.hidden_in(colours), f"reads no {' or '.join(colours)}"
     if len(contexts) >= len(material.readers):
-        return text, "renderers"
+        return text, ALL_RENDERERS
     names = " and ".join(_RENDERERS.get(context, context) for context in contexts)
     outputs = ", ".join(":".join(filter(None, ("outputs", c, _VOLUME))) for c in contexts)
     shaders = "shader" if len(contexts) == 1 else "shaders"
     return f"{text} in its {shaders} for {names} ({outputs})", names
+
+
+def hiding_advice(can_replace: bool) -> str:
+    """What makes a hidden look seen, as a sentence without its full stop.
+
+    Args:
+        can_replace: see ``BoundMaterial``.
+    """
+    if can_replace:
+        return "Stylize with --set layer.material=replace, or let the material read it"
+    return "Bind another material there: this binding is stronger than any on the Volume"
 
 
 def _is_weaker(relationship: Usd.Relationship, volume: Usd.Prim) -> bool:

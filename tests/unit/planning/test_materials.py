@@ -5,10 +5,13 @@ from pathlib import Path
 import pytest
 from pxr import Sdf
 
-from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
+from tests.fixtures.usd_fixtures import density_prim, sequence, volume_prim, world
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.planning.make_plan import make_plan
 from usdsmoke.planning.plan import Plan
+from usdsmoke.ui.cli.main import main
+from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.usd.layer_record import read_record
 from usdsmoke.usd.stage import find_volumes, open_stage
 
@@ -41,10 +44,6 @@ def plan_of(stage: Path, *settings: str) -> Plan:
     return make_plan(find_volumes(opened, config.stage), config)
 
 
-def hidden(plan: Plan) -> list[str]:
-    return [item.reason for item in plan.omitted if item.what.startswith("the look of")]
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -54,21 +53,40 @@ def hidden(plan: Plan) -> list[str]:
         (["optimize.steps=[shape]"], ""),
     ],
 )
-def test_a_material_that_hides_the_look_is_unusual(
+def test_a_material_that_hides_the_look_is_a_warning_with_the_remedy(
     shot: Shot, settings: list[str], words: str
 ) -> None:
     bind(shot.stage)
-    plan = plan_of(shot.stage, *settings)
-    found = hidden(plan)
+    found = plan_of(shot.stage, *settings).warnings
     assert bool(found) == bool(words)
-    assert all(words in reason and "</World/theirs>" in reason for reason in found)
-    assert not any(item.expected for item in plan.omitted if item.what.startswith("the look of"))
+    assert all(words in text and "</World/theirs>" in text for text in found)
 
 
 def test_replacing_is_not_the_advice_where_it_cannot_work(shot: Shot) -> None:
     bind(shot.stage, "strongerThanDescendants")
-    (reason,) = hidden(plan_of(shot.stage, "layer.material=replace"))
-    assert "replace" not in reason and "stronger" in reason
+    (text,) = plan_of(shot.stage, "layer.material=replace").warnings
+    assert "replace" not in text and "stronger" in text
+
+
+def test_a_hidden_look_is_said_in_full_in_ten_lines_of_plan(shot: Shot) -> None:
+    bind(shot.stage)
+    plan = plan_of(shot.stage, "layer.contact_sheet=0", "optics.gamma=1", "windows.size=1")
+    (text,) = plan.warnings
+    lines = plan_text(plan).splitlines()
+    assert text in " ".join(line.strip() for line in lines)
+    assert len(lines) <= 10 and max(map(len, lines[1:])) <= 100
+    assert not any("look of" in line for line in lines if line.strip().startswith("left out"))
+    assert text in plan_text(plan, everything=True) and text in str(plan)
+    assert plan.to_dict()["warnings"] == [text]
+
+
+def test_many_volumes_with_one_kind_of_material_are_one_warning(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    body = "".join(volume_prim(density_prim(sequence((1,))), f"smoke_{n}") for n in range(5))
+    shot.stage.write_text(world(body))
+    bind(shot.stage)
+    (text,) = plan_of(shot.stage).warnings
+    assert "</World/smoke_0> and 4 more" in text and "</World/theirs> reads no" in text
 
 
 def test_the_plan_names_the_material_that_it_will_write(shot: Shot) -> None:
@@ -78,14 +96,23 @@ def test_the_plan_names_the_material_that_it_will_write(shot: Shot) -> None:
     assert "a material of </World/smoke> (glslfx, mtlx)" in needed()
     assert "(arnold)" in needed("layer.material_targets=[arnold]")
     assert "a material" not in needed("layer.material=none")
-    assert hidden(plan_of(shot.stage)) == []
+    assert plan_of(shot.stage).warnings == ()
 
 
-def test_a_run_ends_with_a_warning_where_the_look_is_not_seen(shot: Shot, core: FakeCore) -> None:
-    assert core and not any("not seen" in text for text in run(shot).warnings)
+@pytest.mark.usefixtures("core")
+def test_a_run_begins_its_end_with_the_hidden_look_and_the_remedy(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments()) == 0
+    assert "warning" not in capsys.readouterr().out
     bind(shot.stage)
-    (warning,) = [text for text in run(shot, force=True).warnings if "not seen" in text]
-    assert "</World/theirs>" in warning and "layer.material=replace" in warning
+    assert main(shot.arguments("--force")) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("warning: ") and "</World/theirs>" in first
+    assert "layer.material=replace" in first
+    result = run(shot, force=True)
+    assert f"warning: {result.plan.warnings[0]}" == first
+    assert result.warnings[0] == result.plan.warnings[0]
 
 
 def test_the_record_of_a_run_has_the_material_s_settings(shot: Shot, core: FakeCore) -> None:

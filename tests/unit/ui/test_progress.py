@@ -12,7 +12,7 @@ from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
-from usdsmoke.runs.budget import Finding, finding_texts
+from usdsmoke.runs.budget import Finding
 from usdsmoke.runs.progress import RunProgress, WorkMeter
 from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 from usdsmoke.ui.cli.text import format_seconds
@@ -117,13 +117,10 @@ def test_a_terminal_gets_a_bar() -> None:
 def test_a_finding_of_several_frames_is_told_once() -> None:
     stream = io.StringIO()
     rises = [Finding(f"smoke.{n}.vdb", "optimiser", "no fall", "Do more") for n in (1, 2)]
-    other = Finding("smoke.2.vdb", "mass", "mass is 9%", "Look at it")
     with ConsoleProgress(Console(file=stream, width=200)) as progress:
         for finding in rises:
             progress(RunProgress("found", 1.0, 0, 2, 0.5, findings=(finding,)))
     assert stream.getvalue().splitlines() == ["note: smoke.1.vdb: no fall. Do more."]
-    left = set(finding_texts([*rises, other])) - progress.repeated([*rises, other])
-    assert left == {"smoke.2.vdb: mass is 9%. Look at it."}
 
 
 def test_a_message_is_shown_as_it_is() -> None:

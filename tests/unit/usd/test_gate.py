@@ -81,6 +81,29 @@ def test_an_unknown_rule_cannot_be_ignored(tmp_path, capsys):
     assert main(["validate", str(file_path), "--ignore", "VolumeExtentMissing"]) == 0
 
 
+def test_warnings_fail_on_request(tmp_path, capsys):
+    body = volume_prim(density_prim(sequence([1])))
+    write_sequence(tmp_path, [1])
+    file_path = str(write_text(tmp_path / "shot.usda", world(body)))  # without an extent
+    report = tmp_path / "report.xml"
+    command = ["validate", file_path, "--json", "--junit", str(report)]
+
+    def ends(*options):
+        code = main([*command, *options])
+        suite = ElementTree.parse(report).getroot()
+        found = json.loads(capsys.readouterr().out)
+        return code, found, suite
+
+    code, found, suite = ends()
+    rules = {item["rule"] for item in found["findings"] if item["severity"] == "warn"}
+    assert (code, found["errors"], suite.attrib["failures"]) == (0, 0, "0") and rules
+    code, found, suite = ends("--strict")
+    assert code == 1 and int(suite.attrib["failures"]) == len(rules)
+    code, found, suite = ends("--strict", *(w for rule in rules for w in ("--ignore", rule)))
+    assert code == 0 and found["ignored"].keys() == rules
+    assert int(suite.attrib["skipped"]) == len(rules)
+
+
 def test_junit_passes_without_errors_and_survives_any_text():
     assert ElementTree.fromstring(junit_xml("a", [])).attrib["failures"] == "0"
     warning = Finding(Severity.WARN, "GridMissing", "/a", 1.0, "<&\x00\x1b \U0001f4a8")

@@ -311,6 +311,7 @@ def test_a_material_that_hides_the_look_is_found(tmp_path, theirs, settings, hid
     if hidden:
         assert "/World/theirs" in found[0].message
         assert "layer.material=replace" in found[0].message
+        assert found[0].severity == "error"  # nobody sees this look
 
 
 @needs_usd(26, 5)

@@ -1,7 +1,8 @@
 """The error budget and the time of a run, from the reports of its frames.
 
 ``rows`` declares every error once, ``planned`` says why one is absent, ``error_budget`` puts
-figures together, and ``findings`` says what deserves a look; ``watch`` says it during the run.
+together, ``findings`` says what deserves a look, ``watch`` says it during the run, and ``verdicts``
+says what to make of each part of a result.
 ``clock`` measures the parts of a run.
 """
 

@@ -13,6 +13,7 @@ from usdsmoke.runs.budget.clock import step_seconds
 from usdsmoke.runs.budget.findings import Finding, find_volume, finding_texts
 from usdsmoke.runs.budget.planned import PlannedVolume, temporal_note
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow
+from usdsmoke.runs.budget.verdicts import FINE, LOOK, Verdict, judge_parts, urgency
 
 
 def figures_of(report: FrameReport) -> dict[str, float]:
@@ -97,9 +98,19 @@ class ErrorBudget(JsonRecord):
         """What to make of a row: it is fine, deserves a look, or asks for another setting."""
         found = [finding for finding in self.findings if finding.row == name]
         if not found:
-            return "fine"
+            return FINE
         settings = [finding.setting for finding in found if finding.setting]
-        return f"change {settings[0]}" if settings else "look at it"
+        return f"change {settings[0]}" if settings else LOOK
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What to make of each part of the result, worst first."""
+        return judge_parts(self)
+
+    @property
+    def worst_first(self) -> list[ErrorEstimate]:
+        """The estimates by how urgent their verdicts are."""
+        return sorted(self.estimates, key=lambda item: urgency(self.verdict(item.name)))
 
 
 def run_budget(

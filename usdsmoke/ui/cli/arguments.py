@@ -176,6 +176,9 @@ def _add_validate(commands: Any) -> None:
         help="count only findings that the look causes; list those of its source separately",
     )
     parser.add_argument(
+        "--strict", action="store_true", help="fail for warnings as for errors, also in JUnit"
+    )
+    parser.add_argument(
         "--ignore",
         action="append",
         default=[],
@@ -186,8 +189,8 @@ def _add_validate(commands: Any) -> None:
     parser.add_argument(
         "--mend",
         metavar="NEW.usda",
-        help="write a layer over the stage that fixes missing extents, wrong field types and "
-        "absolute paths, and validate this layer",
+        help="write a layer over the stage that fixes missing extents, wrong field types, "
+        "relationships named unlike their grids, and absolute paths; validate this layer",
     )
 
 

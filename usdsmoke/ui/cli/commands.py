@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 import time
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,12 +20,11 @@ from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verificatio
 from usdsmoke.ui.cli.text import (
     inspection_text,
     print_json,
-    result_text,
     show,
     source_stage_text,
     validation_text,
 )
-from usdsmoke.ui.cli.work_commands import result_as_dict
+from usdsmoke.ui.cli.work_commands import end_text, result_as_dict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,9 +62,9 @@ def run_stage(arguments: argparse.Namespace) -> int:
 
 
 def run_validate(arguments: argparse.Namespace) -> int:
-    """``usdsmoke validate``; the exit code, 1 where there are errors that count."""
-    from usdsmoke.usd.gate import junit_xml, validate_look, write_mends
-    from usdsmoke.usd.rules import Severity, check_rules, validate
+    """``usdsmoke validate``; the exit code, 1 where a finding fails."""
+    from usdsmoke.usd.gate import fails, junit_xml, validate_look, write_mends
+    from usdsmoke.usd.rules import check_rules, validate
 
     check_rules(arguments.ignore)
     if arguments.mend:
@@ -76,20 +76,25 @@ def run_validate(arguments: argparse.Namespace) -> int:
         findings, of_source = validate_look(arguments.stage)
     else:
         findings = validate(arguments.stage)
+    ignored = Counter(item.rule for item in findings if item.rule in arguments.ignore)
     findings = [finding for finding in findings if finding.rule not in arguments.ignore]
     if arguments.junit:
-        text = junit_xml(Path(arguments.stage).name, findings)
+        text = junit_xml(Path(arguments.stage).name, findings, arguments.strict, ignored)
         publish_file(Path(arguments.junit), lambda path: path.write_text(text, encoding="utf-8"))
-    n_errors = sum(finding.severity == Severity.ERROR for finding in findings)
-    result = {"errors": n_errors, "findings": [asdict(finding) for finding in findings]}
+    n_failed = sum(fails(finding, arguments.strict) for finding in findings)
+    result = {
+        "errors": n_failed,
+        "findings": [asdict(finding) for finding in findings],
+        "ignored": dict(ignored),
+    }
     if arguments.look_only:
         result["of_source"] = [asdict(finding) for finding in of_source]
     show(
         arguments,
         lambda: result,
-        lambda: validation_text(arguments.stage, findings, of_source),
+        lambda: validation_text(arguments.stage, findings, of_source, ignored),
     )
-    return 1 if n_errors else 0
+    return 1 if n_failed else 0
 
 
 def run_plugin_path(arguments: argparse.Namespace) -> int:
@@ -235,12 +240,10 @@ def run_rerun(arguments: argparse.Namespace) -> int:
             progress,
             lambda plan: progress.say(plan_text(plan, arguments.verbose)),
         )
-        for warning in again.result.warnings:
-            progress.say(f"note: {warning}")
     same = {"as_recorded": not again.differences, "differences": list(again.differences)}
     show(
         arguments,
         lambda: result_as_dict(again.result) | {"record": str(again.record)} | same,
-        lambda: f"{result_text(again.result)}\n\n{rerun_text(again)}",
+        lambda: f"{end_text(again.result, arguments.verbose)}\n\n{rerun_text(again)}",
     )
     return 1 if again.differences else 0

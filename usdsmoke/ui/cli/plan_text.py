@@ -1,6 +1,7 @@
 """What the commands print of a plan: ten lines, or all of it."""
 
 import re
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -31,11 +32,12 @@ def plan_text(plan: "Plan", everything: bool = False) -> str:
 
 def _few_lines(plan: "Plan") -> list[str]:
     head = [f"plan for {plan.source.file_path}", *_volume_lines(plan.volumes)]
+    head += [line for text in plan.warnings for line in warning_lines(text)]
     items = [
         f"  {text}" if text.startswith(REFUSED) else _shorten(f"  {text}")
         for text in _unusual(plan)
     ]
-    room = _MOST_LINES - len(head) - 2
+    room = max(_MOST_LINES - len(head) - 2, 0)
     hidden = items[room:]
     more = f"{count_text(len(hidden), 'more remark')}, " if hidden else ""
     return [
@@ -57,6 +59,7 @@ def _all_lines(plan: "Plan") -> list[str]:
     lines = [
         f"plan for {plan.source.file_path}",
         *(f"  {_volume_line(volume)}, written to {_files(volume)}" for volume in plan.volumes),
+        *(f"  warning: {text}" for text in plan.warnings),
         *_window_lines(plan),
         *(f"  {volume.request_text}" for volume in plan.volumes if volume.request_text),
         "needed",
@@ -66,6 +69,18 @@ def _all_lines(plan: "Plan") -> list[str]:
         lines += ["left out", *(f"  {_omission(item)}" for item in plan.omitted)]
     lines += ["notes", *(f"  {note}" for note in plan.notes)] if plan.notes else []
     return [*lines, "estimate", f"  {_costs(plan)}"]
+
+
+def warning_lines(text: str) -> list[str]:
+    """A warning, never shortened."""
+    return textwrap.wrap(
+        f"warning: {text}",
+        _WIDTH,
+        initial_indent="  ",
+        subsequent_indent="    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _omission(item: "Omission") -> str:

@@ -73,10 +73,6 @@ class ConsoleProgress:
             self._last_line, self._last_step = now, report.step
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
-    def repeated(self, findings: Iterable[Finding]) -> frozenset[str]:
-        """The sentences of findings whose kinds were said when their first frame was written."""
-        return frozenset(finding_texts(item for item in findings if item.kind in self._told))
-
     def say(self, message: str) -> None:
         """Write a message above the bar."""
         self._console.print(message, markup=False, highlight=False, soft_wrap=True)

@@ -60,8 +60,6 @@ def result_text(result: "StylizeResult") -> str:
         (count_text(len(result.frames), "VDB file"), ", ".join(folders)),
         *(("contact sheet", str(file_path)) for file_path in result.contact_sheets),
         *_extinctions(result.extinction),
-        *_measured("temporal error", result.temporal_error),
-        *_measured("difference of windows", result.overlap_difference),
     ]
     checked = result.root_stage or result.look_layer
     only = "--look-only " if result.root_stage else ""  # what is wrong with the source is no news
@@ -70,12 +68,10 @@ def result_text(result: "StylizeResult") -> str:
 
 
 def _extinctions(extinctions: Mapping[str, float]) -> list[tuple[str, str]]:
-    """A row for each Volume; without its path where there is one."""
-    rows = [
-        (f"{value:.4g} per density and stage unit", path) for path, value in extinctions.items()
-    ]
+    """The factor that a material built by hand needs: a row for each Volume."""
     return [
-        ("extinction gamma_w", f"{text} <{path}>" if len(rows) > 1 else text) for text, path in rows
+        ("gamma_w", f"{value:.4g} of <{path}>: extinction = gamma_w * density, per stage unit")
+        for path, value in extinctions.items()
     ]
 
 
@@ -160,11 +156,20 @@ def source_stage_text(made: "SourceStage") -> str:
 
 
 def validation_text(
-    file_path: str, findings: Sequence["Finding"], of_source: Sequence["Finding"] = ()
+    file_path: str,
+    findings: Sequence["Finding"],
+    of_source: Sequence["Finding"] = (),
+    ignored: Mapping[str, int] | None = None,
 ) -> str:
-    """Findings, one line each, and their number; those of the source behind them."""
+    """Findings, one line each, and their number; those of the source behind them.
+
+    Args:
+        ignored: the number of those that were left out, by rule.
+    """
     counts = Counter(_SEVERITIES[str(finding.severity)] for finding in findings)
     summary = ", ".join(count_text(n, word) for word, n in counts.items()) or "no findings"
+    left_out = ", ".join(f"{rule} {number}" for rule, number in (ignored or {}).items())
+    summary += f"; ignored: {left_out}" if left_out else ""
     lines = [*map(_finding_line, findings), f"{file_path}: {summary}"]
     if of_source:
         lines += ["in the source too, and not counted:"]
@@ -188,12 +193,6 @@ def columns(rows: Sequence[Sequence[str]]) -> list[str]:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-
-
-def _measured(title: str, values: Mapping[str, float] | None) -> list[tuple[str, str]]:
-    """A row of shares by name, or none."""
-    shares = ", ".join(f"{name} {value:.2%}" for name, value in (values or {}).items())
-    return [(title, shares)] if shares else []
 
 
 def _inspected_volume(volume: Mapping[str, Any]) -> str:

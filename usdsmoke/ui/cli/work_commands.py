@@ -1,6 +1,7 @@
 """The commands of a job: ``stylize``, ``submit``, ``assemble``."""
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -44,6 +45,8 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         return 1 if any(note.startswith(REFUSED) for note in plan.notes) else 0
     if arguments.coarse or arguments.window is not None:
         task = _with_progress(_run_task, arguments)
+        for warning in task.warnings:
+            print(f"note: {warning}", file=sys.stderr)
         show(arguments, lambda: _task_as_dict(task), lambda: task_text(task))
         return 0
     _show_result(_with_progress(_run_whole, arguments), arguments)
@@ -98,8 +101,6 @@ def run_assemble(arguments: argparse.Namespace) -> int:
 
     with ConsoleProgress(Console(stderr=True)) as progress:
         result = assemble(arguments.output, progress, arguments.look, arguments.mode)
-        for warning in result.warnings:
-            progress.say(f"note: {warning}")
     _show_result(result, arguments)
     return 0
 
@@ -149,21 +150,29 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
         def say_plan(plan: "Plan") -> None:
             progress.say(plan_text(plan, arguments.verbose))
 
-        result = call(arguments, progress, say_plan)
-        budget = getattr(result, "error_budget", None)
-        repeated = progress.repeated(budget.findings) if budget is not None else ()
-        for warning in getattr(result, "warnings", ()):
-            if warning not in repeated:
-                progress.say(f"note: {warning}")
-    return result
+        return call(arguments, progress, say_plan)
 
 
 def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
-    texts = [result_text(result)]
-    if result.error_budget is not None:
-        omitted, everything = result.plan.omitted, arguments.verbose
-        texts.append(budget_text(result.error_budget, result.seconds, omitted, everything))
-    show(arguments, lambda: result_as_dict(result), lambda: "\n\n".join(texts))
+    show(arguments, lambda: result_as_dict(result), lambda: end_text(result, arguments.verbose))
+
+
+def end_text(result: "StylizeResult", everything: bool) -> str:
+    """The end of a run: what keeps it from being seen, its files, and what to make of it.
+
+    Args:
+        everything: see ``budget_text``.
+    """
+    warnings, budget = result.plan.warnings, result.error_budget
+    notes = [text for text in result.warnings if text not in warnings]
+    texts = ["\n".join(f"warning: {text}" for text in warnings)] if warnings else []
+    texts.append(result_text(result))
+    if budget is not None:
+        omitted = result.plan.omitted
+        texts.append(budget_text(budget, result.seconds, omitted, everything))
+    if notes:
+        texts.append("\n".join(f"note: {text}" for text in notes))
+    return "\n\n".join(texts)
 
 
 def _task_as_dict(task: "TaskResult") -> dict[str, Any]:
@@ -178,6 +187,7 @@ def _task_as_dict(task: "TaskResult") -> dict[str, Any]:
 
 def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
     """A result as plain values."""
+    budget = result.error_budget
     return {
         "root_stage": str(result.root_stage) if result.root_stage else None,
         "look_layer": str(result.look_layer),
@@ -186,7 +196,8 @@ def result_as_dict(result: "StylizeResult") -> dict[str, Any]:
         "warnings": list(result.warnings),
         "temporal_error": result.temporal_error,
         "overlap_difference": result.overlap_difference,
-        "error_budget": result.error_budget.to_json() if result.error_budget else None,
+        "verdicts": [asdict(item) for item in budget.verdicts] if budget else [],
+        "error_budget": budget.to_json() if budget else None,
         "seconds": result.seconds,
         "plan": result.plan.to_dict(),
     }

@@ -14,7 +14,7 @@ New layers are written through Sdf. The source's layers and the session layer ar
 """
 
 from usdsmoke.usd.look.attributes import result_hashes
-from usdsmoke.usd.look.look import author_look, published_runs
+from usdsmoke.usd.look.look import author_look, published_runs, shader_hashes
 from usdsmoke.usd.look.material import shader_files
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
 from usdsmoke.usd.look.root import check_asset, copy_stage_metadata
@@ -29,4 +29,5 @@ __all__ = [
     "published_runs",
     "result_hashes",
     "shader_files",
+    "shader_hashes",
 ]

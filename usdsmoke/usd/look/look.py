@@ -1,5 +1,6 @@
 """The way through: from finished VDB files to a look layer and a stage to open."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pxr import Sdf, Tf, Usd
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.naming import COLOUR_VECTORS, EMISSION, ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.record_format import RunRecord
+from usdsmoke.base.record_format import RunRecord, hash_stream
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
@@ -65,11 +66,9 @@ def author_look(
     _check_volumes(volumes)
     _check_targets(stage, files)
     look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())
-    if "glslfx" in config.material_targets and any(_binds(volume, config) for volume in volumes):
-        files = replace(files, shader=folder / shader_name(config))
-        emits = any(EMISSION in volume.grids for volume in volumes)
-        scatters = any(volume.scatter_field for volume in volumes)
-        publish_file(folder / shader_name(config), storm_shader(emits, scatters))
+    for name, text in _shaders(volumes, config).items():
+        files = replace(files, shader=folder / name)
+        publish_file(folder / name, text)
     _publish(look, files.look_layer)
     if files.root_stage is not None:
         if config.mode == "reference":
@@ -78,6 +77,24 @@ def author_look(
             root = author_root(stage, files.look_layer, folder)
         _publish(root, files.root_stage)
     return files
+
+
+def shader_hashes(volumes: Sequence[StylizedVolume], config: LayerConfig) -> dict[str, str]:
+    """SHA-256 of the shader that ``author_look`` writes, by its file name; empty for none."""
+    return {
+        name: hash_stream(io.BytesIO(text.encode()))
+        for name, text in _shaders(volumes, config).items()
+    }
+
+
+def _shaders(volumes: Sequence[StylizedVolume], config: LayerConfig) -> dict[str, str]:
+    """The text of the shader that a material of the look needs, by its file name."""
+    binds = any(_binds(volume, config) for volume in volumes)
+    if not binds or "glslfx" not in config.material_targets:
+        return {}
+    emits = any(EMISSION in volume.grids for volume in volumes)
+    scatters = any(volume.scatter_field for volume in volumes)
+    return {shader_name(config): storm_shader(emits, scatters)}
 
 
 def _author_look_layer(

@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Ar, Gf, Sdf, Usd
 
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
+from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
@@ -51,11 +52,26 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
         return [Problem(Severity.ERROR, "", text)]
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
         found = list(pool.map(_compare, results.keys(), results.values()))
-    return [
+    problems = [
         Problem(severity, "", f"{os.path.basename(file_path)} {trouble}")
         for file_path, (severity, trouble) in zip(results, found, strict=True)
         if trouble
     ]
+    return [*problems, *_changed_shaders(layer)]
+
+
+def _changed_shaders(layer: Sdf.Layer) -> list[Problem]:
+    """Shaders beside a look layer whose text is another one; one that is missing USD reports."""
+    problems = []
+    for name, recorded in read_record(layer).shaders.items() if record_values(layer) else ():
+        path = Sdf.ComputeAssetPathRelativeToLayer(layer, f"./{name}")
+        if os.path.isfile(path) and (found := hash_file(path)) != recorded:
+            text = (
+                f"{name} was changed after it was written: it hashes to {found[:_DIGITS]}, not to "
+                f"{recorded[:_DIGITS]}. Delete it and run 'usdsmoke assemble' to write it again."
+            )
+            problems.append(Problem(Severity.ERROR, "", text))
+    return problems
 
 
 def check_field_results(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:

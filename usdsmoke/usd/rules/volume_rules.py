@@ -7,7 +7,7 @@ from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.usd.field_samples import FieldSample, field_targets
-from usdsmoke.usd.materials import hiding_material, hiding_words
+from usdsmoke.usd.materials import ALL_RENDERERS, hiding_advice, hiding_material, hiding_words
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     Problem,
@@ -143,14 +143,12 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     if material is None:
         return []
     what, renderers = hiding_words(material, colours)
-    advice = "Stylize with --set layer.material=replace, or let the material read it."
-    if not material.can_replace:
-        advice = "Its binding is stronger than any on the Volume: bind another material there."
     message = (
         f"the material <{material.prim_path}> {what}, so the look is "
-        f"not seen in {renderers}. {advice}"
+        f"not seen in {renderers}. {hiding_advice(material.can_replace)}."
     )
-    return [Problem(Severity.WARN, str(volume.GetPath()), message)]
+    severity = Severity.ERROR if renderers == ALL_RENDERERS else Severity.WARN
+    return [Problem(severity, str(volume.GetPath()), message)]
 
 
 def check_look_units(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:

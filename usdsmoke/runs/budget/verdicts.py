@@ -1,0 +1,84 @@
+"""What to make of a result, part by part: a few rows in plain words, worst first."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from usdsmoke.runs.budget import rows
+
+if TYPE_CHECKING:
+    from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
+
+FINE, LOOK = "fine", "look at it"
+_LIGHT = "light and opacity"  # findings that belong to no error
+_PARTS = {
+    "detail of the pictures": (rows.QUADRATURE, rows.RESOLUTION, rows.PIXEL_FILTER),
+    "smoke that was moved": (
+        rows.TRANSPORT,
+        rows.LINEAR_TRANSPORT,
+        rows.MASS,
+        rows.FOLDED,
+        rows.UNREAD,
+        rows.READ_TWICE,
+        rows.MOTIONLESS,
+    ),
+    "end of the optimisation": (rows.SHAPE_OPTIMISER, rows.COLOUR_OPTIMISER),
+    "seen from other sides": (rows.VIEW_SAMPLING, rows.UNSEEN_VIEWS),
+    "steadiness over time": rows.TEMPORAL,
+    "borders of windows": (rows.OVERLAP_DENSITY, rows.OVERLAP_EMISSION),
+    "numbers in the files": (rows.STORAGE_DENSITY, rows.STORAGE_EMISSION),
+}
+_MOST = {row.name: row.most for part in _PARTS.values() for row in part}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One part of a result."""
+
+    about: str
+    verdict: str  # "fine", "look at it" or "change SETTING"
+    error: str  # its worst one; "" where findings alone decide
+    largest: float | None  # of that error over the frames; None likewise
+    relative_to: str
+
+
+def judge_parts(budget: "ErrorBudget") -> tuple[Verdict, ...]:
+    """A verdict for each part that has an error or a finding.
+
+    Worst first: those that ask for a setting, those that deserve a look, the others; and by how
+    near an error comes to the bound above which something is wrong.
+    """
+    return tuple(sorted(_all_parts(budget), key=_badness))
+
+
+def _all_parts(budget: "ErrorBudget") -> Iterator[Verdict]:
+    if any(not finding.row for finding in budget.findings):
+        yield Verdict(_LIGHT, budget.verdict(""), "", None, "")
+    found = {estimate.name: estimate for estimate in budget.estimates}
+    for about, part in _PARTS.items():
+        names = [row.name for row in part]
+        judged = sorted((budget.verdict(name) for name in names), key=urgency)
+        estimates = [found[name] for name in names if name in found]
+        worst = min(
+            estimates,
+            key=lambda item: (urgency(budget.verdict(item.name)), -_share(item)),
+            default=None,
+        )
+        if worst is not None:
+            yield Verdict(about, judged[0], worst.name, worst.largest, worst.relative_to)
+        elif judged[0] != FINE:
+            yield Verdict(about, judged[0], "", None, "")
+
+
+def urgency(verdict: str) -> int:
+    """0 where a setting should change, 1 where a look is due, 2 where all is fine."""
+    return 2 if verdict == FINE else 1 if verdict == LOOK else 0
+
+
+def _share(estimate: "ErrorEstimate") -> float:
+    return estimate.largest / _MOST[estimate.name]
+
+
+def _badness(item: Verdict) -> tuple[int, float]:
+    share = 0.0 if item.largest is None else item.largest / _MOST[item.error]
+    return urgency(item.verdict), -share
