@@ -171,14 +171,30 @@ def test_a_look_with_default_windows_grows_and_the_plan_names_what_stays(
 
 
 @pytest.mark.usefixtures("core")
-def test_the_plan_of_a_look_that_grows_inside_its_only_window_says_that_none_stays(
-    long_shot: Shot,
+@pytest.mark.parametrize(
+    ("first", "then", "settings", "kept", "why"),
+    [
+        ("1-2", "1-4", (), "", ["has other frames"]),
+        ("1-8", "1-11", (), "", ["has other frames"]),
+        ("1-8", "1-12", (), "", ["shares other frames"]),
+        ("1-12", "1-16", (), "", ["coarse step that they start from", "has other frames"]),
+        ("1-16", "1-20", (), "1-8", ["shares other frames"]),
+        ("1-24", "1-28", (), "1-16", ["shares other frames"]),
+        ("1-2", "1-4", ("windows.size=1",), "1,2", []),
+    ],
+)
+def test_the_plan_says_which_finished_frames_stay_and_why_others_change(
+    tmp_path: Path, first: str, then: str, settings: tuple[str, ...], kept: str, why: list[str]
 ) -> None:
-    run(long_shot, "stage.frames=1-2")
-    found = make_plan(long_shot.stage, long_shot.style, long_shot.output, "stage.frames=1-4")
-    notes = " ".join(found.notes)
-    assert "from the frames 1,2 to 1-4" in notes and "to do: timeCodes 1-4, as each" in notes
-    assert "kept: extinction and picture size" in notes and "measured" not in notes
+    shot, quick = make_shot(tmp_path / "shot", n_frames=28), ("layer.contact_sheet=0",)
+    run(shot, *settings, *quick, f"stage.frames={first}")
+    settings = (*settings, *quick, f"stage.frames={then}")
+    notes = make_plan(shot.stage, shot.style, shot.output, settings).notes
+    (stays,) = [note for note in notes if note.startswith("kept: ")]
+    assert stays == f"kept: {f'timeCodes {kept}, ' if kept else ''}extinction and picture size"
+    again = [note for note in notes if note.startswith("finished ")]
+    assert len(again) == len(why), again
+    assert all(text in note for text, note in zip(why, again, strict=True)), again
 
 
 def test_the_plan_of_a_run_that_goes_on_tells_the_time_that_is_left(

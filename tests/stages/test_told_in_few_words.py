@@ -89,6 +89,20 @@ def test_the_plan_of_a_look_that_grows_is_ten_lines_and_begins_with_that(tmp_pat
     assert "kept: timeCodes 1,2, extinction" in few[4] and "to do: timeCode 3" in few[5]
 
 
+def test_grids_without_a_relationship_are_named_where_the_result_is_without_them(
+    tmp_path: Path,
+) -> None:
+    shot = make_shot(tmp_path, n_frames=1, names=("density", "flame", "heat", "vel"))
+
+    def told(*settings: str) -> str:
+        return plan_text(plan(shot.stage, shot.style, shot.output, settings))
+
+    assert "left out: grids flame, heat of </World/smoke>" in told()
+    assert "left out: grid flame of" in told("layer.copy_fields=[heat]")
+    assert "grid heat" in told("stage.mask=flame")
+    assert "left out: grid" not in told("layer.copy_fields=[all]")
+
+
 @pytest.mark.usefixtures("core")
 def test_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> None:
     budget = run(shot).error_budget

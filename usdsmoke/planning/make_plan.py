@@ -34,6 +34,7 @@ from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import visible_share
 from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
+from usdsmoke.usd.inspect import grids_beside
 from usdsmoke.usd.volume_settings import VolumeSettings
 from usdsmoke.vdb.header import FileHeader, read_header
 
@@ -255,7 +256,7 @@ def _plan_volume(
         _with_copies(frame, grids, planned.moves_fields)
         for frame, grids in zip(frames, copies, strict=True)
     ]
-    return replace(planned, frames=tuple(frames))
+    return replace(planned, frames=tuple(frames), beside=_left_beside(volume, frames[0], headers))
 
 
 def _unnamed_velocities(
@@ -271,6 +272,22 @@ def _unnamed_velocities(
         for velocity in velocities
         if velocity is not None and velocity.field.relationship == volume.density
     }
+
+
+def _left_beside(
+    volume: VolumeSource, frame: FramePlan, headers: Mapping[str, FileHeader]
+) -> tuple[str, ...]:
+    """The grids of the density's file that no relationship leads to and that nothing uses.
+
+    Args:
+        frame: the first one, with the grids that are copied.
+    """
+    used = {grid.name for grid in frame.others}
+    for velocity in filter(None, (frame.velocity, frame.copied)):
+        used |= {grid.name for grid in velocity.grids}
+    used |= {frame.mask.grid.name} if frame.mask else set()
+    header = headers[frame.source.fields[volume.density].file_path]
+    return tuple(name for name in grids_beside(volume, header) if name not in used)
 
 
 def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:

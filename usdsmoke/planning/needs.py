@@ -364,6 +364,10 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         fields = "field" if len(volume.source.other_fields) == 1 else "fields"
         what = f"{fields} {', '.join(volume.source.other_fields)}"
         found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
+    if volume.beside:
+        what = f"{'grid' if len(volume.beside) == 1 else 'grids'} {', '.join(volume.beside)}"
+        reason = "no relationship leads there; not in the result (layer.copy_fields)"
+        found.append((what, reason))
     found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))

@@ -62,6 +62,7 @@ class VolumePlan:
     coarse_runs: tuple[tuple[float, ...], ...] = ()  # timeCodes that share a coarse step
     cuts: tuple[tuple[float, float], ...] = ()  # pairs of timeCodes with a cut between them
     not_copied: Mapping[str, str] = field(default_factory=dict)  # fields by name: why not
+    beside: tuple[str, ...] = ()  # grids of the density's file without a relationship, not used
     # By timeCode, selected or not: where a frame's file goes in the output folder (layer.files);
     # empty: files stay in the run's folder.
     places: Mapping[float, str] = field(default_factory=dict)

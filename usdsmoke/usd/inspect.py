@@ -59,7 +59,7 @@ def inspect(
             _describe_volume(volume, headers) | {"request": request}
             for volume, request in zip(lit.volumes, requests, strict=True)
         ],
-        "notes": [*_notes(lit), *_grids_beside(source, headers)],
+        "notes": [*_notes(lit), *_beside_notes(source, headers)],
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": [
             *(f"{sentence}." for sentence in source.unopened),
@@ -102,18 +102,22 @@ def _notes(source: StageSource) -> list[str]:
     return [*filter(None, [late_note()]), *missing, *ignored, *places, *lights]
 
 
-def _grids_beside(source: StageSource, headers: dict[str, FileHeader | str]) -> list[str]:
-    """The grids of a density's file, in the first frame, that no relationship leads to."""
+def grids_beside(volume: VolumeSource, header: FileHeader) -> list[str]:
+    """The grids of a density's file, in the first frame, that no relationship leads to.
+
+    A velocity of a usual name is not among them: it is found without one.
+    """
+    fields = volume.frames[0].fields
+    used = {"", *volume.other_fields, *(field.grid_name for field in fields.values())}
+    used |= {grid.name for grid in find_velocity(header)}
+    return list(dict.fromkeys(grid.name for grid in header.grids if grid.name not in used))
+
+
+def _beside_notes(source: StageSource, headers: dict[str, FileHeader | str]) -> list[str]:
     notes = []
     for volume in source.volumes:
-        fields = volume.frames[0].fields
-        header = _header_of(fields[volume.density].file_path, headers)
-        if isinstance(header, str):
-            continue
-        used = {field.grid_name for field in fields.values()}
-        used |= {grid.name for grid in find_velocity(header)} | set(volume.other_fields)
-        names = dict.fromkeys(grid.name for grid in header.grids if grid.name not in {"", *used})
-        if names:
+        header = _header_of(volume.frames[0].fields[volume.density].file_path, headers)
+        if names := [] if isinstance(header, str) else grids_beside(volume, header):
             notes.append(
                 f"no relationship of <{volume.prim_path}> leads to {', '.join(names)} "
                 "in its density's file: not in the result unless layer.copy_fields names it."

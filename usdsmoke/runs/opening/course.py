@@ -87,8 +87,12 @@ def _repeated(whole: Plan, numbers: Collection[int], part: Plan) -> Plan:
 
 def _grown(growth: Growth) -> Plan:
     plan, stay = growth.job.plan, [task for task, _ in growth.windows]
-    why = "" if stay else ", as each window has other frames, files or starts"
-    notes = [*growth.notes, *_kept_and_left(stay, growth.to_do, why), *_lasting_notes(plan)]
+    again = [
+        f"finished {name_time_codes(sorted(codes))} are computed again and change: {why}"
+        for why, codes in growth.finished_again.items()
+    ]
+    kept_and_left = _kept_and_left(stay, growth.to_do)
+    notes = [*growth.notes, *kept_and_left, *again, *_lasting_notes(plan)]
     started = {name for name in _frames(plan) if coarse_file_name(name) in growth.starts}
     estimate = estimate_part(plan, growth.to_do, started)
     return replace(plan, notes=tuple(notes), estimate=estimate)
@@ -114,11 +118,9 @@ def _lasting_notes(plan: Plan) -> list[str]:
     return [note for note in plan.notes if note not in measured]
 
 
-def _kept_and_left(
-    stay: Sequence[WindowTask], left: Sequence[WindowTask], why: str = ""
-) -> tuple[str, str]:
+def _kept_and_left(stay: Sequence[WindowTask], left: Sequence[WindowTask]) -> tuple[str, str]:
     kept = f"{_named(stay)}, " if stay else ""
-    return f"kept: {kept}extinction and picture size", f"to do: {_named(left)}{why}"
+    return f"kept: {kept}extinction and picture size", f"to do: {_named(left)}"
 
 
 def _named(tasks: Sequence[WindowTask]) -> str:

@@ -52,8 +52,7 @@ class Growth:
     @property
     def to_do(self) -> list[WindowTask]:
         """The windows that do not stay."""
-        stay = {task.number for task, _ in self.windows}
-        return [task for task in self.job.plan.tasks if task.number not in stay]
+        return [task for task, _, why in self._fates if why]
 
     @property
     def is_all_new(self) -> bool:
@@ -94,19 +93,48 @@ class Growth:
     @cached_property
     def windows(self) -> list[tuple[WindowTask, WindowTask]]:
         """The windows that stay the same, each with the earlier run's."""
+        return [(task, old) for task, old, why in self._fates if old is not None and not why]
+
+    @property
+    def finished_again(self) -> dict[str, set[float]]:
+        """The finished timeCodes that are computed again, by the reason."""
+        done = {
+            (volume.source.prim_path, frame.source.time_code)
+            for volume in self.before.volumes
+            for frame in volume.frames
+        }
+        found: dict[str, set[float]] = {}
+        for task, _, why in self._fates:
+            prim = task.volume.source.prim_path
+            codes = {code for code in task.window.time_codes if (prim, code) in done}
+            if why and codes:
+                found.setdefault(why, set()).update(codes)
+        return found
+
+    @cached_property
+    def _fates(self) -> list[tuple[WindowTask, WindowTask | None, str]]:
+        """Every window, the earlier run's of the same frames, and why it is computed again; ""
+        where it stays."""
         before = {
             (task.volume.source.prim_path, task.window.time_codes): task
             for task in self.before.tasks
         }
-        starts, found = self.starts, []
+        fates = []
         for task in self.job.plan.tasks:
             old = before.get((task.volume.source.prim_path, task.window.time_codes))
-            rewritten = any(self._is_rewritten(frame) for frame in task.frames)
-            if old is None or rewritten or not _is_same(task, old, starts):
-                continue
-            if self._is_there(old) and (not self.rewritten or self._has_copies(task)):
-                found.append((task, old))
-        return found
+            fates.append((task, old, self._why_again(task, old)))
+        return fates
+
+    def _why_again(self, task: WindowTask, old: WindowTask | None) -> str:
+        if any(self._is_rewritten(frame) for frame in task.frames):
+            return "files of their window have other content"
+        if old is None:
+            return "their window has other frames now"
+        if why := _difference(task, old, self.starts):
+            return why
+        if not self._is_there(old) or (self.rewritten and not self._has_copies(task)):
+            return "files of the earlier run are gone, or hold other grids"
+        return ""
 
     def _is_there(self, old: WindowTask) -> bool:
         names = [
@@ -216,25 +244,25 @@ def _take_over_starts(growth: Growth, run: Run) -> None:
         run.keep(CoarseRecord(run.run_id, record.frames, record.seconds, record.processor))
 
 
-def _is_same(task: WindowTask, old: WindowTask, starts: set[str]) -> bool:
-    """Whether a window gives the same result in both runs.
+def _difference(task: WindowTask, old: WindowTask, starts: set[str]) -> str:
+    """Why a window of the same frames gives another result than before; "" where it does not.
 
     Args:
         starts: the coarse starts that are the same.
     """
     if replace(task.window, index=old.number) != old.window:
-        return False
+        return "their window shares other frames with its neighbours now"
     for frame, other in zip(task.frames, old.frames, strict=True):
         if frame.file_name != other.file_name or frame.size.computed != other.size.computed:
-            return False
+            return "a neighbour has another strength, or files have other names"
         if task.is_part(frame) != old.is_part(other):
-            return False
+            return "their window shares other frames with its neighbours now"
         has_start = _has_start(task, frame.source.time_code)
         if has_start != _has_start(old, other.source.time_code):
-            return False
+            return "there are several windows now, which start from a coarse step"
         if has_start and coarse_file_name(frame.file_name) not in starts:
-            return False
-    return True
+            return "the coarse step that they start from goes on, or has other files"
+    return ""
 
 
 def _has_start(task: WindowTask, code: float) -> bool:
