@@ -77,6 +77,22 @@ def test_another_shader_of_the_look_s_material_is_named(finished: Finished) -> N
     assert verify(result.root_stage) == []
 
 
+def test_changes_are_told_in_words_and_hashes_on_request(
+    finished: Finished, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot, result = finished
+    write_vdb(shot.stage.parent / "cache/smoke.0002.vdb", value=0.125)
+    result.frames[2].unlink()
+    (edited, missing) = sorted(verify(shot.output), key=lambda change: change.kind)
+    hashes = [edited.expected.split()[-1], edited.found.split(",")[0], missing.expected.split()[-1]]
+    assert main(["verify", str(shot.output)]) == 1
+    few = capsys.readouterr().out
+    assert "smoke.0002.vdb: density changed, written 20" in few and "found no file" in few
+    assert main(["verify", str(shot.output), "--verbose"]) == 1
+    whole = capsys.readouterr().out
+    assert all(digest in whole and digest not in few for digest in hashes)
+
+
 def test_an_input_that_was_written_anew_with_the_same_grids_is_a_note(finished: Finished) -> None:
     file = finished[0].stage.parent / "cache/smoke.0002.vdb"
     before = file.read_bytes()

@@ -17,7 +17,7 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke import inspect
+from usdsmoke import inspect, preview
 from usdsmoke.base.errors import GridError, StageError, VolumeNotFound
 from usdsmoke.pipeline import plan as make_plan
 from usdsmoke.ui.cli.main import main
@@ -47,6 +47,8 @@ def test_a_field_prim_that_stands_elsewhere_is_named_in_plan_inspect_and_validat
     *_, note = make_plan(shot.stage, shot.style, shot.output).notes
     assert "</World/caches/density> stands elsewhere than its Volume </World/smoke>" in note
     assert any("stands elsewhere" in item for item in inspect(shot.stage)["notes"])
+    drawn = preview(shot.stage, tmp_path / "a.png", width=16, frames="1")
+    assert any("stands elsewhere" in item for item in drawn.notes)
     found = {finding.rule: finding for finding in validate(shot.stage)}
     assert found["FieldPlaceDiffers"].prim_path == "/World/smoke"
     assert "</World/caches/density>" in found["FieldPlaceDiffers"].message

@@ -104,6 +104,16 @@ def test_grids_without_a_relationship_are_named_where_the_result_is_without_them
 
 
 @pytest.mark.usefixtures("core")
+def test_the_plan_of_a_refused_repetition_speaks_of_no_measuring(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=3)
+    found = plan(shot.stage, shot.style, shot.output, ["stage.frames=1-2"])
+    assert any("measured" in note for note in found.notes)
+    run(shot, "stage.frames=1-2")
+    again = plan(shot.stage, shot.style, shot.output, ["stage.frames=1-2"])
+    assert not any("measured" in note for note in again.notes)
+
+
+@pytest.mark.usefixtures("core")
 def test_rows_without_a_figure_stand_together_by_their_reason(shot: Shot) -> None:
     budget = run(shot).error_budget
     assert budget is not None
@@ -134,7 +144,7 @@ def test_the_end_of_a_run_is_a_verdict_a_row_worst_first() -> None:
     verdicts = [line.split("  ")[0] for line in rows]
     assert verdicts[:2] == ["change shape.reach", "look at it"]
     assert set(verdicts[2:]) == {"fine"} and len(rows) <= 8
-    assert "mass: " in rows[0] and "resolution: " in rows[1]
+    assert "smoke that was moved" in rows[0] and "detail" in rows[1]
     assert [(item.verdict, item.error) for item in budget.verdicts[:2]] == [
         ("change shape.reach", bad), ("look at it", odd),
     ]  # fmt: skip
@@ -162,6 +172,7 @@ def test_every_error_belongs_to_a_verdict() -> None:
     for row in ROWS:
         one = replace(budget, findings=(Finding("a.vdb", row.name, "bad", "Look"),))
         assert [item.error for item in one.verdicts if item.verdict != "fine"] == [row.name]
+        assert all(item.meaning for item in one.verdicts)
     dark = replace(budget, findings=(Finding("a", "", "dark", "Set it", "optics.exposure"),))
     assert dark.verdicts[0].verdict == "change optics.exposure"
 

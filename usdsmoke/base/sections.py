@@ -351,7 +351,8 @@ class LayerConfig(Section):
         "bound (auto); one that shows the look in place of a bound one (replace); no change (none)")
     material_targets: list[Literal["glslfx", "mtlx", "arnold", "karma", "renderman"]] = setting(
         ["glslfx", "mtlx"], "what the material has a volume shader for: Hydra Storm (glslfx), "
-        "MaterialX (mtlx), Arnold (arnold), Karma (karma), RenderMan (renderman)",
+        "MaterialX (mtlx), Arnold (arnold), Karma (karma), RenderMan (renderman); all but Storm's "
+        "have not been rendered",
         min_length=1, distinct=True)
     digital_source_type: Literal[
         "algorithmicallyEnhanced",

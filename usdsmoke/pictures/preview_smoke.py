@@ -361,6 +361,7 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
     notes = [*selected.missing, *problems]
     smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
     smoke.notes |= dict.fromkeys(selected.unopened)
+    smoke.notes |= {note: None for volume in selected.volumes for note in volume.notes}
     return smoke
 
 

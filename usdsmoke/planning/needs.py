@@ -67,7 +67,7 @@ def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
 def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple[Omission, ...]:
     """What is left out, and why. Sentences name the Volumes if settings differ."""
     omitted = [Omission(f"Volume <{path}>", reason) for path, reason in source.omitted.items()]
-    omitted += [Omission("requested frames", sentence) for sentence in source.missing]
+    omitted += [Omission("frames", sentence) for sentence in source.missing]
     if config.layer.contact_sheet == 0:
         omitted.append(Omission("contact sheet", "layer.contact_sheet is 0"))
     omitted += lights_omitted(source, volumes)

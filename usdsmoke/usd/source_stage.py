@@ -14,7 +14,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdVol
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
-from usdsmoke.usd.field_tokens import data_type, field_class
+from usdsmoke.usd.field_tokens import GRID_CLASSES, data_type, field_class
 from usdsmoke.usd.values import FRAME_PATTERN, extent_value
 from usdsmoke.vdb.boxes import corners_extent, union_extent
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
@@ -30,6 +30,7 @@ class SourceStage:
         time_codes: of the files; empty for a single file.
         fields: names of the relationships.
         left_out: grids without a field, and why.
+        level_sets: names of fields that hold surfaces, which usdsmoke does not stylize.
     """
 
     file: Path
@@ -37,6 +38,7 @@ class SourceStage:
     time_codes: tuple[int, ...]
     fields: tuple[str, ...]
     left_out: tuple[str, ...]
+    level_sets: tuple[str, ...] = ()
 
 
 def write_source_stage(
@@ -87,7 +89,10 @@ def write_source_stage(
         _author_field(volume, name, grid, paths)
     _author_extent(volume, headers)
     publish_file(target, lambda path: layer.Export(str(path)))
-    return SourceStage(target, str(volume.GetPath()), codes, tuple(fields), left_out)
+    surfaces = tuple(
+        name for name, grid in fields.items() if grid.grid_class == GRID_CLASSES["levelSet"]
+    )
+    return SourceStage(target, str(volume.GetPath()), codes, tuple(fields), left_out, surfaces)
 
 
 def find_sequence(pattern: str) -> dict[int | None, Path]:

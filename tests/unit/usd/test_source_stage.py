@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdVol
 
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.usd_fixtures import (
     density_prim,
     needs_usd,
@@ -59,6 +60,15 @@ def test_the_extent_encloses_whole_voxels(tmp_path):
 @needs_usd(26, 5)
 def test_nothing_is_wrong_with_it(tmp_path):
     assert validate(make(tmp_path).file) == []
+
+
+def test_a_surface_is_named(tmp_path):
+    assert make(tmp_path).level_sets == ()
+    surface = raw_grid(np.ones((3, 3, 3)), "surface", grid_class="level set")
+    write_raw(tmp_path / "ball.vdb", surface)
+    made = write_source_stage(str(tmp_path / "ball.vdb"), tmp_path / "b.usda", 1)
+    assert made.level_sets == ("surface",)
+    assert "surface is a level set" in source_stage_text(made)
 
 
 def test_a_missing_file_is_named(tmp_path):

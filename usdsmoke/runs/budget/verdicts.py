@@ -29,6 +29,24 @@ _PARTS = {
     "numbers in the files": (rows.STORAGE_DENSITY, rows.STORAGE_EMISSION),
 }
 _MOST = {row.name: row.most for part in _PARTS.values() for row in part}
+_MEANINGS = {  # of a figure, by the beginning of the error's name
+    "quadrature": "off exact rays through the smoke",
+    "resolution": "off infinitely fine voxels and pixels",
+    "pixel filter": "off the mean over each pixel",
+    "transport": "off exact interpolation",
+    "optimiser's transport": "off, as the optimiser interpolates",
+    "mass, unread": "of the smoke is lost",
+    "mass, read twice": "of the smoke appears twice",
+    "mass": "of the mass, before it is corrected",
+    "folded smoke": "of the voxels are turned inside out",
+    "motionless mass": "of the smoke cannot be moved",
+    "optimiser": "off four times as many iterations",
+    "view sampling": "off other views of the kind",
+    "unseen views": "off on views outside the pool",
+    "temporal": "of the pattern does not follow the smoke",
+    "windows": "between the versions of two windows",
+    "storage": "lost by half floats and pruning",
+}
 
 
 @dataclass(frozen=True)
@@ -37,9 +55,9 @@ class Verdict:
 
     about: str
     verdict: str  # "fine", "look at it" or "change SETTING"
-    error: str  # its worst one; "" where findings alone decide
-    largest: float | None  # of that error over the frames; None likewise
-    relative_to: str
+    error: str = ""  # its worst one; "" where findings alone decide
+    largest: float | None = None  # of that error over the frames; None likewise
+    meaning: str = ""  # of the figure, in plain words
 
 
 def judge_parts(budget: "ErrorBudget") -> tuple[Verdict, ...]:
@@ -53,7 +71,7 @@ def judge_parts(budget: "ErrorBudget") -> tuple[Verdict, ...]:
 
 def _all_parts(budget: "ErrorBudget") -> Iterator[Verdict]:
     if any(not finding.row for finding in budget.findings):
-        yield Verdict(_LIGHT, budget.verdict(""), "", None, "")
+        yield Verdict(_LIGHT, budget.verdict(""))
     found = {estimate.name: estimate for estimate in budget.estimates}
     for about, part in _PARTS.items():
         names = [row.name for row in part]
@@ -65,9 +83,13 @@ def _all_parts(budget: "ErrorBudget") -> Iterator[Verdict]:
             default=None,
         )
         if worst is not None:
-            yield Verdict(about, judged[0], worst.name, worst.largest, worst.relative_to)
+            yield Verdict(about, judged[0], worst.name, worst.largest, _meaning(worst.name))
         elif judged[0] != FINE:
-            yield Verdict(about, judged[0], "", None, "")
+            yield Verdict(about, judged[0])
+
+
+def _meaning(name: str) -> str:
+    return next((text for start, text in _MEANINGS.items() if name.startswith(start)), "")
 
 
 def urgency(verdict: str) -> int:

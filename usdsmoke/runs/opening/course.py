@@ -40,6 +40,8 @@ class Course:
         plan = growth.job.plan if growth else self._job.plan
         if unfinished is not None:
             return _resumed(unfinished, plan)
+        if growth is None and self.refusal:  # nothing is measured
+            return replace(plan, notes=tuple(_lasting_notes(plan)))
         return _grown(growth) if growth else plan
 
     @property

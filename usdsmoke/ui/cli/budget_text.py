@@ -42,8 +42,7 @@ def _verdict_rows(budget: "ErrorBudget") -> list[tuple[str, ...]]:
         (
             item.verdict,
             item.about,
-            "" if item.largest is None
-            else f"{item.error}: {item.largest:.2%} of {item.relative_to}",
+            "" if item.largest is None else f"{item.largest:.2%} {item.meaning}",
         )
         for item in budget.verdicts
     ]  # fmt: skip

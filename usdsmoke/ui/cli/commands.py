@@ -220,7 +220,7 @@ def run_verify(arguments: argparse.Namespace) -> int:
     show(
         arguments,
         lambda: {"as_recorded": is_same, "changes": [asdict(change) for change in changes]},
-        lambda: verification_text(arguments.file, changes),
+        lambda: verification_text(arguments.file, changes, arguments.verbose),
     )
     return 0 if is_same else 1
 

@@ -1,5 +1,6 @@
 """What the command line prints about records: how a result was made, and what has changed since."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from usdsmoke.audit import Change, FoundRecord, Rerun
 
 _SHOWN = 12  # digits of a hash that people compare
+_HASH = re.compile(rf"(sha256 )?\b[0-9a-f]{{{_SHOWN}}}\b")
 _MOST_LINES = 4  # of a long list of files
 
 
@@ -58,12 +60,16 @@ def provenance_text(item: "FoundRecord") -> str:
     return "\n".join(columns(_once([(name, text) for name, text in rows if text])))
 
 
-def verification_text(file: str, changes: Sequence["Change"]) -> str:
-    """Changes, a line each, and what they come to."""
+def verification_text(file: str, changes: Sequence["Change"], everything: bool = True) -> str:
+    """Changes, a line each, and what they come to.
+
+    Args:
+        everything: with hashes.
+    """
     rows = [(change.severity, change.kind, change.file) for change in changes]
     heads = columns(rows) if rows else []
     lines = [
-        f"{head}: expected {change.expected}, found {change.found}"
+        f"{head}: {_difference(change, everything)}"
         for head, change in zip(heads, changes, strict=True)
     ]
     n_changed = sum(change.severity != "note" for change in changes)
@@ -71,6 +77,17 @@ def verification_text(file: str, changes: Sequence["Change"]) -> str:
     notes = f", {count_text(n_notes, 'note')}" if n_notes else ""
     what = count_text(n_changed, "change") if n_changed else "as recorded"
     return "\n".join([*lines, f"{file}: {what}{notes}"])
+
+
+def _difference(change: "Change", everything: bool) -> str:
+    """What was expected and found; without hashes what has changed, in words."""
+    expected, found = (_HASH.sub("", text).strip() for text in (change.expected, change.found))
+    if everything or (expected, found) == (change.expected, change.found):
+        return f"expected {change.expected}, found {change.found}"
+    if expected == change.expected or found == change.found:  # no file, or one that is not ours
+        return f"expected {expected}, found {found}"
+    later = found.removeprefix(expected).strip(" ,")
+    return f"{expected or 'the file'} changed" + (f", {later}" if later else "")
 
 
 def rerun_text(again: "Rerun") -> str:

@@ -70,7 +70,7 @@ def result_text(result: "StylizeResult") -> str:
 def _extinctions(extinctions: Mapping[str, float]) -> list[tuple[str, str]]:
     """The factor that a material built by hand needs: a row for each Volume."""
     return [
-        ("gamma_w", f"{value:.4g} of <{path}>: extinction = gamma_w * density, per stage unit")
+        ("gamma_w", f"{value:.4g} of <{path}>: extinction = gamma_w * density")
         for path, value in extinctions.items()
     ]
 
@@ -150,6 +150,11 @@ def source_stage_text(made: "SourceStage") -> str:
                 for before, after in find_holes(made.time_codes)
             ),
             *(f"  left out: {item}" for item in made.left_out),
+            *(
+                f"  {name} is a level set, which holds a surface: convert it to a fog volume to "
+                "stylize it"
+                for name in made.level_sets
+            ),
             f"next: usdsmoke inspect {shlex.quote(str(made.file))}",
         ]
     )

@@ -52,7 +52,8 @@ def _why_not_chosen(prim: Usd.Prim) -> str:
         return f"its purpose is {purpose}, which is not rendered. Name it with --prim to use it."
     hidden = [part for part in ancestors(prim) if _is_hidden(UsdGeom.Imageable(part))]
     if hidden:
-        return f"<{hidden[0].GetPath()}> is invisible. Name the Volume with --prim to use it."
+        which = "it" if hidden[0] == prim else f"<{hidden[0].GetPath()}>"
+        return f"{which} is invisible. Name the Volume with --prim to use it."
     return ""
 
 

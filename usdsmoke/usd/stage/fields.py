@@ -75,7 +75,7 @@ def find_fields(
     if density not in relationships:
         raise FieldNotFound(
             f'Volume <{volume.GetPath()}> has no relationship "{FIELD_PREFIX}{density}" '
-            f"(found: {_listed(relationships)}). {_density_advice(relationships)}"
+            f"(found: {_listed(relationships)}). {_density_advice(volume, relationships)}"
         )
     prims = {density: _density_prim(volume, density, relationships[density])}
     mask = mask if mask in relationships else ""
@@ -166,13 +166,15 @@ def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
     return f"leads to <{targets[0]}>, which is of type {prim.GetTypeName() or 'none'}"
 
 
-def _density_advice(names: dict[str, list[Sdf.Path]]) -> str:
+def _density_advice(volume: Usd.Prim, names: dict[str, list[Sdf.Path]]) -> str:
     """What to do about a Volume without a field of the density's name."""
     if not names:
         return "Give it a field of density."
     others = [name for name in names if name not in (*COLOUR_VECTORS, *COLOUR_CHANNELS)]
     name = others[0] if len(others) == 1 else "NAME"
-    return f"Say which one is the density: --set stage.density={name}."
+    others = [prim for prim in volume.GetStage().Traverse() if prim.IsA(UsdVol.Volume)]
+    alone = f" --prim {volume.GetPath()}, as it holds for all Volumes" if len(others) > 1 else ""
+    return f"Say which one is the density: --set stage.density={name}{alone}."
 
 
 def _listed(names: dict[str, list[Sdf.Path]]) -> str:

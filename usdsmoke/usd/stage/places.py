@@ -33,8 +33,8 @@ def place_notes(
         if any(volume.GetPath().HasPrefix(path) for path in (*targets, instancer.GetPath())):
             notes.append(
                 f"<{volume.GetPath()}> is a prototype of the PointInstancer "
-                f"<{instancer.GetPath()}>: it is stylized as it stands, and every instance shows "
-                "the same look"
+                f"<{instancer.GetPath()}>: the look is made for the place of the prototype itself, "
+                "and every instance shows it"
             )
     return tuple(notes)
 

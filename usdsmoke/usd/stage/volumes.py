@@ -303,7 +303,8 @@ def _split_by_file(
         sample = samples.at(absent[0])
         path = density.GetAttribute("filePath")
         reason = vdb_problem(sample.authored_path, sample.file_path, path).rstrip(".")
-        sentence += f", such as @{sample.authored_path}@: {reason}"
+        which = ", such as" if len(absent) > 1 else ":"
+        sentence += f"{which} @{sample.authored_path}@: {reason}"
     return tuple(code for code in selected if code not in absent), [sentence] if absent else []
 
 
