@@ -81,7 +81,7 @@ def test_a_note_is_made_of_fractional_timecodes(
 ) -> None:
     shot.stage.write_text(shot.stage.read_text().replace("{ 1: @", "{ 0.5: @"))
     assert main(shot.arguments()) == 0
-    assert "timeCodes" in capsys.readouterr().err
+    assert "timeCodes" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from usdsmoke.base.record_format import (
 )
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.planning.job import Job, describe_request
-from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import step_seconds, summarize_figures
 from usdsmoke.runs.delivery import result_file
@@ -75,14 +75,12 @@ def make_record(
     Args:
         run: with its error budget.
         windows: the manifests of all windows.
-        results: content hash of every written VDB file.
-        shaders: SHA-256 of every shader that goes with the look layer.
+        results, shaders: content hash of each VDB file, SHA-256 of each shader that is written.
     """
     plan, config, output = job.plan, job.plan.config, run.output
     reports = list(run.reports.values())
     coarse = run.coarse().seconds
     work = sum(window.seconds for window in windows)
-    networks = dict.fromkeys(volume.config.features.network for volume in plan.volumes)
     request = describe_request(job)
     return RunRecord(
         format=RECORD_FORMAT,
@@ -104,7 +102,7 @@ def make_record(
             StyleRecord(relative_asset_path(style.file_path, output), style.sha256)
             for style in job.styles
         ),
-        features=", ".join(networks),
+        features=_networks(plan),
         features_hash=run.description["features_hash"],
         start_hash=run.description.get("start_hash", ""),
         scenes=tuple(run.description.get("scenes", ())),
@@ -125,6 +123,10 @@ def make_record(
         figures=summarize_figures(reports),
         error_budget=run.error_budget,
     )
+
+
+def _networks(plan: Plan) -> str:
+    return ", ".join(dict.fromkeys(volume.config.features.network for volume in plan.volumes))
 
 
 def keep_record(run: Run, record: RunRecord) -> None:

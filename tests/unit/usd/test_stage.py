@@ -310,7 +310,7 @@ def test_volumes_that_nobody_sees_are_left_out_unless_they_are_named(tmp_path):
     stage = open_stage(write_text(tmp_path / "shot.usda", world("".join([*prims, group]))))
     source = find_volumes(stage, StageConfig())
     assert [item.prim_path for item in source.volumes] == ["/World/seen", "/World/blinking"]
-    assert "</World/hidden>" in source.omitted["/World/hidden"]
+    assert "invisible" in source.omitted["/World/hidden"]
     assert "guide" in source.omitted["/World/guide"]
     assert "</World/off>" in source.omitted["/World/off/inside"]
     named = find_volumes(stage, StageConfig(prims=["/World/hidden", "/World/guide"]))

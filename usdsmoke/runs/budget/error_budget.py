@@ -105,7 +105,8 @@ class ErrorBudget(JsonRecord):
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What to make of each part of the result, worst first."""
-        return judge_parts(self)
+        largest = {estimate.name: estimate.largest for estimate in self.estimates}
+        return judge_parts(largest, self.verdict, all(finding.row for finding in self.findings))
 
     @property
     def worst_first(self) -> list[ErrorEstimate]:

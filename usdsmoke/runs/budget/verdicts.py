@@ -1,13 +1,9 @@
 """What to make of a result, part by part: a few rows in plain words, worst first."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from usdsmoke.runs.budget import rows
-
-if TYPE_CHECKING:
-    from usdsmoke.runs.budget.error_budget import ErrorBudget, ErrorEstimate
 
 FINE, LOOK = "fine", "look at it"
 _LIGHT = "light and opacity"  # findings that belong to no error
@@ -60,32 +56,34 @@ class Verdict:
     meaning: str = ""  # of the figure, in plain words
 
 
-def judge_parts(budget: "ErrorBudget") -> tuple[Verdict, ...]:
+def judge_parts(
+    largest: Mapping[str, float], verdict_of: Callable[[str], str], is_lit_well: bool
+) -> tuple[Verdict, ...]:
     """A verdict for each part that has an error or a finding.
 
     Worst first: those that ask for a setting, those that deserve a look, the others; and by how
     near an error comes to the bound above which something is wrong.
+
+    Args:
+        largest: of each error over the frames, by name.
+        verdict_of: an error's verdict by its name; of "" that on findings of no error.
+        is_lit_well: whether there are no such findings.
     """
-    return tuple(sorted(_all_parts(budget), key=_badness))
-
-
-def _all_parts(budget: "ErrorBudget") -> Iterator[Verdict]:
-    if any(not finding.row for finding in budget.findings):
-        yield Verdict(_LIGHT, budget.verdict(""))
-    found = {estimate.name: estimate for estimate in budget.estimates}
+    found = [] if is_lit_well else [Verdict(_LIGHT, verdict_of(""))]
     for about, part in _PARTS.items():
-        names = [row.name for row in part]
-        judged = sorted((budget.verdict(name) for name in names), key=urgency)
-        estimates = [found[name] for name in names if name in found]
+        names = sorted((row.name for row in part), key=lambda name: urgency(verdict_of(name)))
+        there = [name for name in names if name in largest]
         worst = min(
-            estimates,
-            key=lambda item: (urgency(budget.verdict(item.name)), -_share(item)),
-            default=None,
+            there,
+            key=lambda name: (urgency(verdict_of(name)), -largest[name] / _MOST[name]),
+            default="",
         )
-        if worst is not None:
-            yield Verdict(about, judged[0], worst.name, worst.largest, _meaning(worst.name))
-        elif judged[0] != FINE:
-            yield Verdict(about, judged[0])
+        if worst:
+            verdict = Verdict(about, verdict_of(names[0]), worst, largest[worst], _meaning(worst))
+            found.append(verdict)
+        elif verdict_of(names[0]) != FINE:
+            found.append(Verdict(about, verdict_of(names[0])))
+    return tuple(sorted(found, key=_badness))
 
 
 def _meaning(name: str) -> str:
@@ -95,10 +93,6 @@ def _meaning(name: str) -> str:
 def urgency(verdict: str) -> int:
     """0 where a setting should change, 1 where a look is due, 2 where all is fine."""
     return 2 if verdict == FINE else 1 if verdict == LOOK else 0
-
-
-def _share(estimate: "ErrorEstimate") -> float:
-    return estimate.largest / _MOST[estimate.name]
 
 
 def _badness(item: Verdict) -> tuple[int, float]:
