@@ -141,7 +141,7 @@ def _train(
     found = train_on_frames(
         ordered, [style], _measure(frames, config), config, n_iterations, lambda state: None
     )
-    return found, time.process_time() - begin
+    return found.trained, time.process_time() - begin
 
 
 def _curves(

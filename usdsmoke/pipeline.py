@@ -13,11 +13,12 @@ from usdsmoke.planning.output_folder import resolve_output
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
-from usdsmoke.runs.coarse import record_scenes, run_coarse_step
+from usdsmoke.runs.coarse import run_coarse_step
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import Course, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
+from usdsmoke.runs.train import record_scenes
 from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
 from usdsmoke.usd.stage import StageOrFile
 
@@ -155,7 +156,9 @@ def stylize_job(
             hashes = hash_frames(opened, to_do, tell)
         opened.begin()
         # What all windows share, then the windows; these keep their own time.
-        record_scenes(opened)
+        trains = any(volume.config.optimize.trains for volume in opened.plan.volumes)
+        with clock.part("training" if trains else "preparing"):
+            record_scenes(opened, tell)
         check_storage(opened, to_do)
         with clock.part(ELSEWHERE):
             run_coarse_step(opened, tell)
@@ -188,7 +191,7 @@ def run_coarse(
         had_scenes = bool(opened.run.scenes)
         if not had_scenes:
             hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used
-            record_scenes(opened)
+            record_scenes(opened, tell)
         was_done = not run_coarse_step(opened, tell) and had_scenes
     return _task_result(opened, None, was_done)
 
@@ -230,7 +233,7 @@ def run_window(
             task = opened.plan.task(window)
             opened.check_disk([task])
             hashes = hash_frames(opened, [task], tell)
-            record_scenes(opened)
+            record_scenes(opened, tell)
             check_storage(opened, [task])
             run_coarse_step(opened, tell, task.frames)
             stylize_windows(opened, [task], hashes, tell, redo)

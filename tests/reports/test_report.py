@@ -188,6 +188,24 @@ def test_estimated_motion_serves_as_a_velocity(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick_grids")
+def test_starts_from_noise_the_neighbour_and_a_network_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one_pass = next(sweep for sweep in SWEEPS if sweep.name == "one_pass")
+    case = case_of(make_scene(tmp_path, n_frames=3), "optimize.start=network")
+    assert one_pass.applies(case) == ""
+    monkeypatch.setattr("usdsmoke.work_precision.one_pass.N_ITERATIONS", 20)
+    errors = {
+        task.label: task.error(task.work(0))
+        for task in one_pass.plan(case).tasks
+        if task.curve != "noise"
+    }
+    assert {"network", "network + 64"} < errors.keys()
+    assert any(label.startswith("neighbour") for label in errors)
+    assert 0 < errors["network + 64"] <= errors["network"] < 1
+
+
+@pytest.mark.usefixtures("quick_grids")
 def test_with_its_weights_vgg19_stands_beside_the_embedded_features(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

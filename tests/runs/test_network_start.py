@@ -75,6 +75,42 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     assert [change.kind for change in verify(result.look_layer)] == ["start-missing"]
 
 
+def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    own = {"optimize__start": "network", "optimize__iterations": 0}
+    told = plan(shot.stage, shot.style, shot.output, {**QUICK, "optimize.start": "network"})
+    assert any("trained" in sentence for sentence in told.needed)
+    result = run(shot, "out", **own)
+    assert not any("cold" in text or "iterations" in text for text in result.warnings)
+    (found,) = provenance(result.look_layer)
+    (network,) = found.record.networks
+    file_path = found.place(network.file)
+    assert hash_file(file_path) == network.sha256 and not found.record.start_hash
+    assert found.record.settings["optimize"]["start"] == "network"
+    assert any(network.sha256 in e.values() for e in prov_document([found])["entity"].values())
+    again = rerun(result.look_layer, shot.folder / "again")
+    assert again.differences == ()
+
+    # the same as with the file, taken from the run's folder
+    from_file = run(shot, "file", optimize__start=str(file_path), optimize__iterations=0)
+    assert contents(from_file.root_stage) == contents(result.root_stage)
+    file_path.write_bytes(b"")
+    assert [change.kind for change in verify(result.look_layer)] == ["start-edited"]
+
+
+def test_a_look_grows_with_the_network_that_it_has(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    own = {"optimize__start": "network", "optimize__iterations": 0, "windows__size": 1}
+    first = provenance(run(shot, "out", stage__frames="1-2", **own).look_layer)
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 1)
+    grown = run(shot, "out", **own)
+    (network,) = first[0].record.networks
+    assert provenance(grown.look_layer)[0].record.networks[0].sha256 == network.sha256
+    assert verify(grown.look_layer) == [] and len(grown.frames) == 3
+
+
 def test_frames_start_cold_where_the_network_does_not_suit_them(shot: Shot) -> None:
     network = shot.folder / "other.safetensors"
     network.write_bytes(Generator.new(torch.tensor([0.0, 1.0, 0.0]), 0).to_bytes({}))

@@ -72,7 +72,7 @@ def check_inputs(item: FoundRecord) -> list[Change]:
     changes = [
         *_check_styles(item),
         *_check_features(item.record, config, job),
-        *_check_start(item.record, config),
+        *_check_start(item, config),
     ]
     if not stage.is_file():
         return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
@@ -118,14 +118,18 @@ def _check_features(record: RunRecord, config: Config, job: Job | None) -> Itera
         yield Change("features-edited", file, expected, shown(found))
 
 
-def _check_start(record: RunRecord, config: Config) -> Iterator[Change]:
-    if not record.start_hash:
-        return
-    file, expected = Path(config.optimize.start), f"sha256 {shown(record.start_hash)}"
-    if not file.is_file():
-        yield Change("start-missing", str(file), expected, "no file")
-    elif (found := hash_file(file)) != record.start_hash:
-        yield Change("start-edited", str(file), expected, f"sha256 {shown(found)}")
+def _check_start(item: FoundRecord, config: Config) -> Iterator[Change]:
+    """Of a network that was there before the run, and of those that it trained."""
+    record, files = item.record, dict[Path, str]()
+    if record.start_hash:
+        files[Path(config.optimize.start)] = record.start_hash
+    files |= {item.place(network.file): network.sha256 for network in record.networks}
+    for file, digest in files.items():
+        expected = f"sha256 {shown(digest)}"
+        if not file.is_file():
+            yield Change("start-missing", str(file), expected, "no file")
+        elif (found := hash_file(file)) != digest:
+            yield Change("start-edited", str(file), expected, f"sha256 {shown(found)}")
 
 
 def _check_stage(

@@ -72,6 +72,9 @@ class _Run:
             self.document.usage(self.activity, entity)
         look = self._entity("look", "LookLayer", self.file.name, file=self.file.name)
         self._generated(look)
+        for number, network in enumerate(record.networks, 1):
+            label = network.file.rpartition("/")[2]
+            self._generated(self._entity(f"trained{number}", "Network", label, **asdict(network)))
         if record.stage:
             self.document.derivation(look, f"{self.prefix}:stage", self.activity)
         self._add_results(sources, styles)

@@ -56,6 +56,15 @@ class StyleRecord:
 
 
 @dataclass(frozen=True)
+class NetworkRecord:
+    """A network that the run has trained for the colours of a Volume."""
+
+    prim: str  # path of the Volume
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class MachineRecord:
     """What the run was begun with."""
 
@@ -106,6 +115,7 @@ class RunRecord(JsonRecord):
     features: str = ""  # the feature networks
     features_hash: str = ""
     start_hash: str = ""  # SHA-256 of the network in optimize.start; "": frames start without one
+    networks: tuple[NetworkRecord, ...] = ()  # that the run trained (optimize.start=network)
     stage_values: Mapping[str, str] = field(default_factory=dict)  # see ``stage_values``
     variants: Mapping[str, str] = field(default_factory=dict)  # selected ones, by </prim>{set}
     source_files: Mapping[str, str] = field(default_factory=dict)  # SHA-256, by path from the stage

@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.base.sections import OWN_NETWORK
 from usdsmoke.base.setting_model import allowed_values, extra_of, range_text, type_text
 from usdsmoke.base.settings import SECTIONS, Config, declared_settings, flatten_settings
 
@@ -142,7 +143,8 @@ def settings_record(config: Config, folder: Path) -> dict[str, Any]:
     """
     sections = config.model_dump()
     for section, _, key in (name.partition(".") for name in PATH_SETTINGS):
-        if file := sections[section][key]:
+        file = sections[section][key]
+        if file and file != OWN_NETWORK:
             place = relative_asset_path(file, folder) if Path(file).is_file() else Path(file).name
             sections[section][key] = place
     return {"config": sections, "explicit": sorted(config.explicit)}

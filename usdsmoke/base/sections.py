@@ -12,6 +12,7 @@ from usdsmoke.base.setting_model import Section, setting
 
 Weights = list[Annotated[float, Field(ge=0)]]
 Iterations = list[Annotated[int, Field(ge=0)]]
+OWN_NETWORK = "network"  # optimize.start of a run that trains one itself
 MOST_STOPS = 40.0  # of optics.exposure, either way
 _PER_VOXEL = "1/(voxel of the source grid) per unit of density"
 
@@ -285,8 +286,9 @@ class OptimizeConfig(Section):
         "lists as they are; 0 with optimize.start: the result is what the network paints", ge=0,
         unit="iterations", request="iterations")
     start: str = setting(
-        "", "network that 'usdsmoke train' wrote; a frame that starts from no neighbour takes its "
-        "colours, and only its finest octave is optimised; default: such frames start from noise")
+        "", "network that frames without a neighbour start from: a file that 'usdsmoke train' "
+        "wrote, or network for one that the run trains first; only their finest octave is "
+        "optimised; default: such frames start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "
@@ -304,6 +306,16 @@ class OptimizeConfig(Section):
         "divided among the processes of --jobs", ge=0)
     memory_limit_gib: float | None = setting(
         None, "memory that a run may need; unset: the machine's memory", gt=0, unit="GiB")
+
+    @property
+    def trains(self) -> bool:
+        """Whether the run trains the network that its frames start from."""
+        return self.start == OWN_NETWORK and "colour" in self.steps
+
+    @property
+    def start_file(self) -> str:
+        """The file of a network that is trained already; "" without one."""
+        return "" if self.start == OWN_NETWORK else self.start
 
 
 class LayerConfig(Section):

@@ -281,7 +281,7 @@ def _with_absolute_files(config: Config) -> Config:
     features, optimize = config.features, config.optimize
     if file := features.vgg19_file:
         features = features.replace(vgg19_file=str(Path(file).absolute()))
-    if file := optimize.start:
+    if file := optimize.start_file:
         optimize = optimize.replace(start=str(Path(file).absolute()))
     return config.replace(features=features, optimize=optimize)
 

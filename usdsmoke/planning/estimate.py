@@ -13,11 +13,15 @@ and blocks of voxels count as one where a pixel holds them:
     seconds = START + sum over frames of
                   (FRAME + FILE_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm) +
                    work / threads^GAIN)
+    training = 1200 (ITERATION + 2 (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
 start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
+
+Training is that of a network in the run (``optimize.start``), on crops of C voxels whose pictures
+have P' pixels; it paints a frame that starts from no neighbour in PAINT_TIME N.
 
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
 on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
@@ -37,7 +41,13 @@ from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.core.sequence.controls import coarse_factor, step_iterations
+from usdsmoke.core.generator.definition import MOST_VOXELS, N_ITERATIONS, N_VIEWS
+from usdsmoke.core.sequence.controls import (
+    by_themselves,
+    coarse_factor,
+    network_alone,
+    step_iterations,
+)
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, pool_size, warm_iterations
 from usdsmoke.vdb.header import GridHeader
 
@@ -62,6 +72,8 @@ VOXEL_TIME = 2.5e-7
 BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 7.0e-7
+PAINT_TIME = 2.0e-6
+LEARN_TIME = 5.0e-6
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
 GAIN = 0.65  # n threads are n ** GAIN times as fast; a process for each window is faster
 
@@ -120,7 +132,7 @@ def estimate_run(
     is_shared = has_starts or bool(coarse)
     finest = 1.0 / coarse_factor(config) if is_shared else 1.0
     above = (finest if is_shared else 0.0, 1.0)
-    speed = (threads or config.optimize.threads or usable_cpus()) ** GAIN
+    speed = _speed(config, threads)
     return CostEstimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
         seconds=START
@@ -128,6 +140,19 @@ def estimate_run(
         + sum(_frame_seconds(frame, config, n_styles, speed, (0, finest)) for frame in coarse),
         bytes_written=written_bytes(config, frames, (*twice, *twice), coarse),
     )
+
+
+def training_seconds(frames: Sequence[FrameSize], config: Config, n_styles: int = 1) -> float:
+    """What a run takes to train a network on frames; 0 where it trains none."""
+    sizes = [frame for frame in frames if _is_optimized(frame, config)]
+    if not (config.optimize.trains and sizes):
+        return 0.0
+    frame = max(sizes, key=lambda size: size.active_voxels)
+    active, _ = _refined(frame, config)
+    kept = min(active, MOST_VOXELS)
+    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * (kept / active) ** (2 / 3)
+    iteration = ITERATION + N_VIEWS * (pixels + VOXEL_TIME * kept) + LEARN_TIME * kept
+    return N_ITERATIONS * iteration / _speed(config)
 
 
 def written_bytes(
@@ -166,6 +191,11 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
         side = round(active ** (1 / 3)) + 1
         box = (side, side, side)
     return active, box or (0, 0, 0)
+
+
+def _speed(config: Config, threads: int | None = None) -> float:
+    """Times that of one thread."""
+    return float((threads or config.optimize.threads or usable_cpus()) ** GAIN)
 
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
@@ -211,6 +241,11 @@ def _frame_seconds(
     active, _ = _refined(frame, config)
     seconds = FRAME + FILE_TIME * active
     if not _is_optimized(frame, config):
+        return seconds
+    is_painted = bool(config.optimize.start) and "colour" in config.optimize.steps
+    if is_painted and octaves[1] == 1.0 and (frame.window_start or network_alone(config)):
+        seconds += PAINT_TIME * active / speed
+    if by_themselves(config):
         return seconds
     if not frame.window_start:
         seconds += NEIGHBOUR + NEIGHBOUR_TIME * active * octaves[1] ** 3

@@ -31,6 +31,10 @@ def start_needed(config: Config) -> list[str]:
     """The network that frames start from, as what a run needs."""
     if not (config.optimize.start and "colour" in config.optimize.steps):
         return []
+    if config.optimize.trains:
+        return [
+            "a network trained on the shot, whose colours frames without a neighbour start from"
+        ]
     name = Path(config.optimize.start).name
     return [f"the network {name}, whose colours frames without a neighbour start from"]
 

@@ -230,13 +230,13 @@ def _sheets(plan: Plan, output: Path) -> list[Path]:
 
 def _check_start(config: Config, fits: bool) -> None:
     """Refuse a network that cannot be read, and a run without iterations that has none."""
-    start, iterations = config.optimize.start, config.optimize.iterations
-    if start and fits:
-        read_weights(Path(start))
-    if iterations == 0 and not start:
+    optimize = config.optimize
+    if optimize.start_file and fits:
+        read_weights(Path(optimize.start_file))
+    if optimize.iterations == 0 and not optimize.start:
         raise ConfigError(
             "optimize.iterations is 0, but optimize.start names no network to paint the "
-            "smoke alone. Train one with 'usdsmoke train', or give at least 1 iteration."
+            "smoke alone. Pass --start network, or give at least 1 iteration."
         )
 
 
@@ -301,5 +301,7 @@ def _read_files(
     """Every file that a run reads: layers, VDB files, style images; absolute, each once."""
     networks = [own.config.features.vgg19_file for own in resolved.volumes]
     files: list[str | Path] = [*layers, *source.grid_files, *resolved.style_files]
-    files += filter(None, [*networks, *(own.config.optimize.start for own in resolved.volumes)])
+    files += filter(
+        None, [*networks, *(own.config.optimize.start_file for own in resolved.volumes)]
+    )
     return tuple(dict.fromkeys(Path(file_path).absolute() for file_path in files))

@@ -8,12 +8,19 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from usdsmoke.base.errors import ConfigError, GridError, PlanError, others_advice
+from usdsmoke.base.errors import ConfigError, GridError, PlanError, count_text, others_advice
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, frame_places, volume_stems
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
-from usdsmoke.core.sequence.controls import check_controls, coarse_factor, in_effect, is_computed
+from usdsmoke.core.sequence.controls import (
+    by_themselves,
+    check_controls,
+    coarse_factor,
+    in_effect,
+    is_computed,
+    without_network,
+)
 from usdsmoke.planning.copied import CopiedGrid, find_copies
 from usdsmoke.planning.estimate import (
     CostEstimate,
@@ -21,6 +28,7 @@ from usdsmoke.planning.estimate import (
     add_estimates,
     estimate_run,
     grid_size,
+    training_seconds,
 )
 from usdsmoke.planning.frames import (
     find_density,
@@ -77,15 +85,36 @@ def make_plan(
         raise kind(f"{text}{others}")
     volumes = _with_places(volumes, volume_stems(paths), config)
     costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
+    training = [training_seconds([f.size for f in v.frames], v.config) for v in volumes]
+    estimate = add_estimates(costs)
     return Plan(
         source=source,
         config=config,
         volumes=tuple(volumes),
         needed=list_needed(config, volumes),
         omitted=list_omitted(source, config, volumes),
-        estimate=add_estimates(costs),
-        notes=list_remarks(volumes),
+        estimate=replace(estimate, seconds=estimate.seconds + sum(training)),
+        notes=(*list_remarks(volumes), *filter(None, map(_pays, volumes, costs, training))),
         warnings=hidden_looks(volumes),
+    )
+
+
+def _pays(volume: VolumePlan, cost: CostEstimate, training: float) -> str:
+    """From how many frames on a network is worth its training; "" where none is trained.
+
+    Args:
+        cost: of the frames, without the training.
+    """
+    if not training:
+        return ""
+    without = replace(volume, config=without_network(volume.config))
+    usual = _estimate(without, volume.frames, volume.overlap_frames, volume.coarse_frames)
+    saved, n = (usual.seconds - cost.seconds) / len(volume.frames), len(volume.frames)
+    if saved <= 0:
+        return f"training the network takes about {training:.0f} s and saves no time here"
+    return (
+        f"training the network takes about {training:.0f} s, as much as it saves over "
+        f"{count_text(math.ceil(training / saved), 'frame')}; <{volume.source.prim_path}> has {n}"
     )
 
 
@@ -235,12 +264,13 @@ def _plan_volume(
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows, first_index, frame_length)
     computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
-    if not any(computed):  # the result is the source: there is nothing to carry or to blend
+    alone = by_themselves(config) or not any(computed)  # then the result is the source
+    if alone:  # there is nothing to carry or to blend
         windows = tuple(replace(window, overlap=(), continues=False) for window in windows)
     names = result_file_names(volume, stem)
-    runs = coarse_runs(windows) if any(computed) and coarse_factor(config) > 1 else ()
+    runs = coarse_runs(windows) if not alone and coarse_factor(config) > 1 else ()
     starts = {window.time_codes[0] for window in windows}
-    followed = followed_codes(windows, runs)
+    followed = frozenset() if by_themselves(config) else followed_codes(windows, runs)
     frames = []
     for frame in volume.frames:
         _read_headers(frame, headers)

@@ -15,7 +15,7 @@ The files are imported by name, because most of them load OpenUSD.
 - ``assemble``: frames of two windows are blended, the look layer is written
 - ``delivery``: finished frames under the paths of ``layer.files``
 - ``provenance_record``: the record of a finished run, and the metadata of a frame's file
-- ``train``: a network for ``optimize.start``, from a stage to a file
+- ``train``: networks that frames start from, trained for a file or in a run, and tried
 - ``sheet``: contact sheets
 - ``progress``: how far a run is, as a record
 - ``budget``: the error budget (a folder)

@@ -333,6 +333,11 @@ def _exposed(stops: float) -> str:
     return f"its light is too {'dim' if stops > 0 else 'bright'} even {at}. Change its brightness"
 
 
+def _network_text(volume: VolumePlan) -> str:
+    file = volume.config.optimize.start_file
+    return f"the network {Path(file).name}" if file else "the network that was trained on them"
+
+
 def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     frames: dict[str, list[str]] = {}  # by warning
     for name, report in run.reports.items():
@@ -351,9 +356,8 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         if volume.config.optics.exposure is None and scene.get("stops")
     ]
     found += [
-        f"the frames of <{volume.source.prim_path}> start cold: the network "
-        f"{Path(volume.config.optimize.start).name} does not suit them. On a part of one, "
-        f"{scene['misfit']}"
+        f"the frames of <{volume.source.prim_path}> start cold: {_network_text(volume)} does not "
+        f"suit them. On a part of one, {scene['misfit']}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if scene.get("misfit")
     ]

@@ -6,7 +6,7 @@ the run's folder, so that every window starts from the same bits, whichever mach
 
 import dataclasses
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +15,11 @@ from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name
+from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run import Run
@@ -63,10 +64,15 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
 def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
     none of this Volume's."""
+    named = dataclasses.replace(volume, frames=tuple(named_frames(volume)))
+    return sample_frames(named) or sample_frames(volume)
+
+
+def named_frames(volume: VolumePlan) -> list[FramePlan]:
+    """The frames that ``optics.frames`` names; none where it names none of this Volume's."""
     ranges = parse_frames(volume.config.optics.frames)
     codes, _ = select_frames(ranges, (frame.source.time_code for frame in volume.frames))
-    named = [frame for frame in volume.frames if frame.source.time_code in codes]
-    return sample_frames(dataclasses.replace(volume, frames=tuple(named))) or sample_frames(volume)
+    return [frame for frame in volume.frames if frame.source.time_code in codes]
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":
@@ -76,34 +82,22 @@ def read_scene(run: Run, volume_number: int) -> "Scene":
     return Scene(**run.scenes[volume_number])
 
 
-def record_scenes(opened: OpenRun) -> None:
-    """Measure the scenes of a run that has begun, if no process has.
+def settle_start(run: Run, volume_number: int, config: Config) -> Config:
+    """The settings of a Volume, with the file of the network that the run has trained for it.
 
     Raises:
-        GridError, NonFiniteError: see ``FrameReader.read``.
-        WriteFailed: the operating system refused.
+        FileUnreadable: the file has vanished or changed since it was written.
     """
-    if not opened.run.scenes:
-        if known := opened.job.scenes:
-            opened.run.keep_scenes(known)
-            return
-        scenes = measure_scenes(opened.reader, opened.plan)
-        for volume, scene in zip(opened.plan.volumes, scenes, strict=True):
-            if words := _try_network(opened, volume, scene):
-                scene["misfit"] = words
-        opened.run.keep_scenes(scenes)
-
-
-def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
-    """Why the network that frames should start from does not suit a Volume; "" where it does."""
-    config, frames = volume.config, measured_frames(volume)
-    if not (config.optimize.start and "colour" in config.optimize.steps and frames):
-        return ""
-    from usdsmoke.core.training.frames import find_misfit
-    from usdsmoke.core.views.scene import Scene
-
-    frame = opened.reader.read(volume, frames[len(frames) // 2])
-    return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config)
+    if not config.optimize.trains:
+        return config
+    digest, name = run.scenes[volume_number]["network"], network_file_name(volume_number)
+    if digest and not run.is_unchanged(name, digest):
+        raise FileUnreadable(
+            f"the network {run.folder / name} is missing or was changed. Restore it, or run the "
+            "command again with --force."
+        )
+    start = str(run.folder / name) if digest else ""
+    return config.replace(optimize=config.optimize.replace(start=start))
 
 
 def run_coarse_step(
@@ -199,7 +193,7 @@ def _run_chain(
         (opened.reader.read(volume, frame) for frame in frames[first:]),
         job.pictures(volume),
         read_scene(run, number),
-        volume.config,
+        settle_start(run, number, volume.config),
         report,
         job.plan.source.time_codes_per_second,
         known,

@@ -15,6 +15,7 @@ from typing import Any
 from usdsmoke import __version__
 from usdsmoke.base.errors import GridError, NonFiniteError
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.sections import OWN_NETWORK, OptimizeConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.pictures import StyleImage
@@ -130,7 +131,7 @@ def describe_run(
     source = job.plan.source
     folder = Path(source.file_path).parent
     requests = requested_values(job.plan, job.styles)
-    start = job.config.optimize.start
+    optimize = job.config.optimize
     known = {} if earlier is None else earlier.description.get("files", {})
     stamps = {} if earlier is None else earlier.stamps
     files = {}
@@ -151,9 +152,14 @@ def describe_run(
         "files": files,
         "styles": [f"{style.name} {style.sha256}" for style in job.styles],
         "features_hash": features_hash,
-        **({"start_hash": _file_digest(job, start)} if start else {}),
+        **({"start_hash": _start_digest(job, optimize)} if optimize.start else {}),
         **({"scenes": [dict(scene) for scene in job.scenes]} if job.scenes else {}),
     }
+
+
+def _start_digest(job: Job, optimize: OptimizeConfig) -> str:
+    """SHA-256 of the network that frames start from; of one that the run trains, only that."""
+    return _file_digest(job, optimize.start_file) if optimize.start_file else OWN_NETWORK
 
 
 def _file_digest(

@@ -48,3 +48,8 @@ def part_file_name(window: int, file_name: str) -> str:
 def coarse_file_name(file_name: str) -> str:
     """Where the coarse start of a frame belongs, by the name of the frame's file."""
     return f"coarse/{file_name.removesuffix('.vdb')}.npz"
+
+
+def network_file_name(volume_number: int) -> str:
+    """Where the network belongs that a run trains for a Volume."""
+    return f"networks/{volume_number:02d}.safetensors"

@@ -15,6 +15,7 @@ from usdsmoke.base.record_format import (
     RECORD_FORMAT,
     Extinction,
     FrameRecord,
+    NetworkRecord,
     RunRecord,
     SourceGrid,
     StyleRecord,
@@ -26,7 +27,7 @@ from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values
 from usdsmoke.runs.budget import step_seconds, summarize_figures
 from usdsmoke.runs.delivery import result_file
-from usdsmoke.runs.manifests import WindowRecord
+from usdsmoke.runs.manifests import WindowRecord, network_file_name
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import machine_record
 from usdsmoke.vdb.header import read_header
@@ -79,8 +80,7 @@ def make_record(
     """
     plan, config, output = job.plan, job.plan.config, run.output
     reports = list(run.reports.values())
-    coarse = run.coarse().seconds
-    work = sum(window.seconds for window in windows)
+    coarse, work = run.coarse().seconds, sum(window.seconds for window in windows)
     request = describe_request(job)
     return RunRecord(
         format=RECORD_FORMAT,
@@ -102,9 +102,10 @@ def make_record(
             StyleRecord(relative_asset_path(style.file_path, output), style.sha256)
             for style in job.styles
         ),
-        features=_networks(plan),
+        features=_feature_networks(plan),
         features_hash=run.description["features_hash"],
-        start_hash=run.description.get("start_hash", ""),
+        start_hash=run.description.get("start_hash", "") if config.optimize.start_file else "",
+        networks=tuple(_networks(run, plan)),
         scenes=tuple(run.description.get("scenes", ())),
         stage_values=stage_values(plan.source),
         variants=request["variants"],
@@ -125,8 +126,16 @@ def make_record(
     )
 
 
-def _networks(plan: Plan) -> str:
+def _feature_networks(plan: Plan) -> str:
     return ", ".join(dict.fromkeys(volume.config.features.network for volume in plan.volumes))
+
+
+def _networks(run: Run, plan: Plan) -> Iterator[NetworkRecord]:
+    """Those that the run has trained."""
+    for number, (volume, scene) in enumerate(zip(plan.volumes, run.scenes, strict=True)):
+        if digest := scene.get("network"):
+            place = relative_asset_path(run.folder / network_file_name(number), run.output)
+            yield NetworkRecord(volume.source.prim_path, place, digest)
 
 
 def keep_record(run: Run, record: RunRecord) -> None:

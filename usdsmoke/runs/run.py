@@ -7,6 +7,7 @@
     OUT/vdb/<key>/checkpoints/KKKK.npz what an unfinished window goes on with
     OUT/vdb/<key>/parts/KKKK/          one window's versions of frames that two windows compute
     OUT/vdb/<key>/coarse/, coarse.json what windows start from, where there are several
+    OUT/vdb/<key>/networks/            what the run has trained (optimize.start=network)
     *.lock                             held by the process that computes a task
 
 ``<key>`` is a digest of settings and inputs, so a run that was stopped is found again by the same

@@ -1,28 +1,36 @@
-"""``usdsmoke train``: a network for the colours of a shot, from its stage to a file."""
+"""Networks that frames start from: trained for a file, or in a run, and tried before one.
+
+A run trains its networks beside measuring the scenes, before the first window: they are a part of
+what all windows share.
+"""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from usdsmoke import __version__
-from usdsmoke.base.errors import ConfigError, Interrupted, count_text
+from usdsmoke.base.errors import ConfigError, Interrupted, PlanError, count_text
 from usdsmoke.base.machine import prepare_torch_environment
-from usdsmoke.base.publish import publish_file
+from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.runs.coarse import measure_scenes
+from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.runs.coarse import measure_scenes, measured_frames, named_frames
+from usdsmoke.runs.manifests import network_file_name
+from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
 from usdsmoke.usd.stage import StageOrFile
 
 if TYPE_CHECKING:
-    from usdsmoke.core.training.train import Trained, TrainState
+    from usdsmoke.core.training.frames import TrainedOnFrames
+    from usdsmoke.core.training.train import TrainState
 
-N_ITERATIONS = 1200
 _N_FRAMES = 7  # that are read; one of them is held out
 
 
@@ -80,54 +88,139 @@ def train(
     # the folder is not made; only the checks of a run's inputs are wanted
     request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
     job = prepare_job(request, fits=False)
-    volume, trained_on, held_out = _choose(job.plan)
-    try:
-        found = _train(job, volume, [*trained_on, held_out], iterations or N_ITERATIONS, tell)
-    except KeyboardInterrupt:
-        raise Interrupted(f"stopped. {target} is unchanged.") from None
-    codes = [frame.source.time_code for frame in trained_on]
-    notes = {
-        "version": __version__,
-        "styles": ", ".join(job.styles[place].name for place in volume.styles),
-        "frames": format_time_codes(codes),
-        "loss": f"{found.loss:.6g}",
-        "cold_loss": f"{found.cold_loss:.6g}",
-        "iterations": str(found.n_iterations),
-    }
-    publish_file(target, found.generator.to_bytes(notes))
-    return TrainResult(
-        target, volume.source.prim_path, tuple(codes), held_out.source.time_code, found.loss,
-        found.cold_loss, found.n_cold, found.n_iterations, time.monotonic() - started,
-    )  # fmt: skip
-
-
-def _train(
-    job: Job,
-    volume: VolumePlan,
-    frames: Sequence[FramePlan],
-    n_iterations: int,
-    tell: RunProgressCallback,
-) -> "Trained":
-    """On frames of a Volume, of which the last one is held out."""
-    from usdsmoke.core.training.frames import train_on_frames
-    from usdsmoke.core.views.scene import Scene
+    volume, filled = job.plan.largest_volume()
+    frames, n_iterations = _choose(filled), iterations or N_ITERATIONS
 
     def report(state: "TrainState") -> None:
         share = (state.iteration + 1) / n_iterations
         tell(RunProgress("train", 0.0, state.iteration, n_iterations, share, loss=state.loss))
 
     reader = FrameReader(job.plan)
-    scene = measure_scenes(reader, job.plan)[job.plan.volumes.index(volume)]
+    try:
+        scene = measure_scenes(reader, job.plan)[job.plan.volumes.index(volume)]
+        found = _train(job, reader, (volume, frames, scene), n_iterations, report)
+    except KeyboardInterrupt:
+        raise Interrupted(f"stopped. {target} is unchanged.") from None
+    publish_file(target, _to_bytes(job, volume, found))
+    trained = found.trained
+    return TrainResult(
+        target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
+        trained.cold_loss, trained.n_cold, trained.n_iterations, time.monotonic() - started,
+    )  # fmt: skip
+
+
+def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
+    """Measure the scenes of a run that has begun, and train or try the networks that its frames
+    start from, if no process has.
+
+    A second process waits for the first one's networks.
+
+    Args:
+        tell: called after every iteration of a training.
+
+    Raises:
+        GridError, NonFiniteError: see ``FrameReader.read``.
+        WriteFailed: the operating system refused.
+    """
+    run = opened.run
+    if run.scenes:
+        return
+    if not any(volume.config.optimize.trains for volume in opened.plan.volumes):
+        run.keep_scenes(_find_scenes(opened, tell))
+        return
+    with run.claim():
+        run.adopt()
+        if not run.scenes:
+            run.keep_scenes(_find_scenes(opened, tell))
+
+
+def _find_scenes(opened: OpenRun, tell: RunProgressCallback) -> list[dict[str, Any]]:
+    known = [dict(scene) for scene in opened.job.scenes]
+    scenes = known or measure_scenes(opened.reader, opened.plan)
+    for number, (volume, scene) in enumerate(zip(opened.plan.volumes, scenes, strict=True)):
+        if volume.config.optimize.trains:
+            scene |= _train_own(opened, number, scene, tell)
+        elif not known and (words := _try_network(opened, volume, scene)):
+            scene["misfit"] = words
+    return scenes
+
+
+def _train_own(
+    opened: OpenRun, number: int, scene: Mapping[str, Any], tell: RunProgressCallback
+) -> dict[str, str]:
+    """The network of a Volume, in the run's folder: what its scene says of it."""
+    volume, run = opened.plan.volumes[number], opened.run
+    filled = [frame for frame in named_frames(volume) or volume.frames if not frame.is_empty]
+    none = {"misfit": "", "network": ""}
+    if not filled:
+        return none
+
+    def report(state: "TrainState") -> None:
+        tell(RunProgress("train", 0.0, state.iteration, N_ITERATIONS, 0.0, loss=state.loss))
+
+    work = volume, _choose(filled), {**scene, **none}
+    try:
+        found = _train(opened.job, opened.reader, work, N_ITERATIONS, report)
+    except PlanError:  # there is nothing to paint in any frame
+        return none
+    if found.trained.misfit:
+        return {**none, "misfit": found.trained.misfit}
+    target = run.folder / network_file_name(number)
+    make_folders(target.parent)
+    publish_file(target, _to_bytes(opened.job, volume, found))
+    return {**none, "network": hash_file(target)}
+
+
+def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
+    """Why the network that frames should start from does not suit a Volume; "" where it does."""
+    config, frames = volume.config, measured_frames(volume)
+    if not (config.optimize.start and "colour" in config.optimize.steps and frames):
+        return ""
+    from usdsmoke.core.training.frames import find_misfit
+    from usdsmoke.core.views.scene import Scene
+
+    frame = opened.reader.read(volume, frames[len(frames) // 2])
+    return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config)
+
+
+def _train(
+    job: Job,
+    reader: FrameReader,
+    work: tuple[VolumePlan, Sequence[FramePlan], Mapping[str, Any]],
+    n_iterations: int,
+    report: Callable[["TrainState"], None],
+) -> "TrainedOnFrames":
+    """A network for a Volume.
+
+    Args:
+        work: the Volume, the frames to train on, of which the last one is held out, and its scene.
+    """
+    from usdsmoke.core.training.frames import train_on_frames
+    from usdsmoke.core.views.scene import Scene
+
+    volume, frames, scene = work
     read = [reader.read(volume, frame) for frame in frames]
     pictures = job.pictures(volume)
     return train_on_frames(read, pictures, Scene(**scene), volume.config, n_iterations, report)
 
 
-def _choose(plan: Plan) -> tuple[VolumePlan, Sequence[FramePlan], FramePlan]:
-    """The largest Volume, frames spread over it, and one between them that is held out; with a
-    single frame that one itself."""
-    volume, frames = plan.largest_volume()
+def _choose(frames: Sequence[FramePlan]) -> Sequence[FramePlan]:
+    """Frames spread over those of a Volume, one from between them at the end: it is held out."""
     n, last = min(_N_FRAMES, len(frames)), len(frames) - 1
     spread = [frames[round(place * last / max(n - 1, 1))] for place in range(n)]
     held_out = spread[n // 2]
-    return volume, [frame for frame in spread if frame is not held_out] or [held_out], held_out
+    return [*(frame for frame in spread if frame is not held_out), held_out]
+
+
+def _to_bytes(job: Job, volume: VolumePlan, found: "TrainedOnFrames") -> bytes:
+    """The file of a network, with what people want to know of it."""
+    trained = found.trained
+    notes = {
+        "version": __version__,
+        "styles": ", ".join(job.styles[place].name for place in volume.styles),
+        "frames": format_time_codes(found.time_codes),
+        "loss": f"{trained.loss:.6g}",
+        "cold_loss": f"{trained.cold_loss:.6g}",
+        "iterations": str(trained.n_iterations),
+    }
+    return trained.generator.to_bytes(notes)

@@ -2,19 +2,20 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.machine import give_back_memory
+from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
-from usdsmoke.core.sequence.controls import frame_config
+from usdsmoke.core.sequence.controls import by_themselves, frame_config
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
-from usdsmoke.runs.coarse import coarse_starts, read_scene
+from usdsmoke.runs.coarse import coarse_starts, read_scene, settle_start
 from usdsmoke.runs.manifests import WindowRecord
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.outputs import write_result
@@ -25,6 +26,9 @@ from usdsmoke.runs.sheet import sample_frames
 if TYPE_CHECKING:
     from usdsmoke.base.frame_report import Progress
     from usdsmoke.core.sequence.start import Carried
+
+
+_READERS = 2  # frames that are read at once: one is decoded while another is hashed
 
 
 def hash_frames(
@@ -43,10 +47,16 @@ def hash_frames(
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     to_do = {frame.file_name: (task.volume, frame) for task in tasks for frame in task.frames}
-    hashes = {}
-    for number, (name, (volume, frame)) in enumerate(to_do.items()):
-        tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
-        hashes[name] = opened.reader.hash_sources(volume, frame)
+    hashes, pool = {}, ThreadPoolExecutor(min(_READERS, usable_cpus()))
+    try:
+        found = {
+            name: pool.submit(opened.reader.hash_sources, *item) for name, item in to_do.items()
+        }
+        for number, (name, (_, frame)) in enumerate(to_do.items()):
+            tell(RunProgress("check", frame.source.time_code, number, len(to_do), 0.0))
+            hashes[name] = found[name].result()
+    finally:
+        pool.shutdown(cancel_futures=True)
     return hashes
 
 
@@ -177,9 +187,10 @@ def _stylize_window(
 ) -> None:
     """One window, from its first frame or from behind the last one that is finished."""
     from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
+    from usdsmoke.core.smoke.tasks import made_ahead
 
     job, run = opened.job, opened.run
-    config, clock = task.volume.config, PartClock()
+    config, clock = settle_start(run, task.volume_number, task.volume.config), PartClock()
     record, carried = _begun(opened, task, progress)
     reports = {Path(name).name: report for name, report in record.reports.items()}
     watch = WindowFindings(task.volume, run.scenes[task.volume_number], reports)
@@ -196,6 +207,8 @@ def _stylize_window(
         job.plan.source.time_codes_per_second,
         WindowStart(coarse_starts(run, task.volume, task.frames), carried),
     )
+    if by_themselves(task.volume.config):  # a frame takes no longer than writing the one before
+        results = made_ahead(results)
     for place, (frame, stylized) in enumerate(zip(to_do, results, strict=True)):
         progress.writing(frame.source.time_code)
         with clock.part("writing"):

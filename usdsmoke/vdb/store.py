@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import tempfile
+import threading
 import weakref
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -56,6 +57,7 @@ class GridStore:
         self._spare = spare_bytes + _RESERVE
         self._files: list[IO[bytes]] = []  # grids are added to the last one
         self._kept: dict[_Key, list[_Kept]] = {}
+        self._turn = threading.Lock()
         weakref.finalize(self, _close, self._files)
 
     def read(
@@ -64,21 +66,22 @@ class GridStore:
         requests: Sequence[GridRequest],
         config: GridsConfig,
     ) -> list[DenseField]:
-        """What ``read_grids`` returns; memory-mapped from the second time on.
+        """What ``read_grids`` returns; memory-mapped from the second time on. Threads take turns.
 
         A file that has changed since is read again. Changes to the arrays are not kept.
 
         Raises:
             GridError, NonFiniteError: see ``read_grids``.
         """
-        key = _key(file_path, requests, config)
-        kept = self._kept.get(key, []) if key is not None else []
-        if kept and all(map(_fits, kept, requests)):
-            return [field.mapped() for field in kept]
-        fields = read_grids(file_path, requests, config)
-        if key is not None and _key(file_path, requests, config) == key:  # not changed meanwhile
-            self._keep(key, fields)
-        return fields
+        with self._turn:
+            key = _key(file_path, requests, config)
+            kept = self._kept.get(key, []) if key is not None else []
+            if kept and all(map(_fits, kept, requests)):
+                return [field.mapped() for field in kept]
+            fields = read_grids(file_path, requests, config)
+            if key is not None and _key(file_path, requests, config) == key:  # not changed since
+                self._keep(key, fields)
+            return fields
 
     def release(self, file_paths: Collection[str]) -> None:
         """Forget the grids of files; disk space becomes free in pieces of about 256 MiB.

@@ -2,7 +2,7 @@
 
 - ``report``: the way through, from the arguments to the files
 - ``case``: the scene: one frame and a smaller copy of it for trials
-- ``sweeps``, ``windows``, ``files``: the questions, each a sweep over some settings
+- ``sweeps``, ``windows``, ``one_pass``, ``files``: the questions, each a sweep over some settings
 - ``trial``, ``unseen_loss``: one step on the small copy, and its error
 - ``engine``: takes points while there is time
 - ``final``, ``path_tracer``: a look under its lights with many bounces, drawn by Mitsuba

@@ -24,6 +24,7 @@ from usdsmoke.usd.stage import StageOrFile
 from usdsmoke.work_precision.case import Case, open_case
 from usdsmoke.work_precision.engine import Budget, Clock, Sweep, Tell, run_sweeps, too_long
 from usdsmoke.work_precision.files import FILES
+from usdsmoke.work_precision.one_pass import ONE_PASS
 from usdsmoke.work_precision.page import draw_sweep, make_page
 from usdsmoke.work_precision.records import Report, SweepResult
 from usdsmoke.work_precision.sweeps import (
@@ -39,7 +40,9 @@ from usdsmoke.work_precision.windows import WINDOWS
 PAGE, DATA = "report.html", "report.json"
 
 # The most useful first: what decides a run's time and look.
-SWEEPS: tuple[Sweep, ...] = (*ITERATIONS, VIEWS, *WINDOWS, OCTAVES, VIEWS_COUNT, NETWORK, FILES)
+SWEEPS: tuple[Sweep, ...] = (
+    *ITERATIONS, VIEWS, *WINDOWS, ONE_PASS, OCTAVES, VIEWS_COUNT, NETWORK, FILES,
+)  # fmt: skip
 _LONGEST, _LONGEST_PATIENT = 64, 128  # voxels along the longest side of the small copy
 _PATIENT = 1800.0  # seconds from which on the larger copy is used
 _NEVER = (

@@ -75,19 +75,6 @@ class _Shot:
     reference: Reference
     shown: dict[int, Sequence[Fields]] = field(default_factory=dict)  # first runs by window size
 
-    @property
-    def rate(self) -> float:
-        return self.case.job.plan.source.time_codes_per_second
-
-    def transit(self, before: VolumeFrame, frame: VolumeFrame) -> "Transit":
-        """From a frame to the next."""
-        from usdsmoke.core.sequence.transit import Transit, ride_between
-
-        seconds = (frame.time_code - before.time_code) / self.rate
-        if self.case.config.stage.motion == "estimate":  # the Volume's motion is in it
-            return Transit(before, seconds)
-        return Transit(before, seconds, ride_between(before, frame))
-
     @cached_property
     def smokes(self) -> list["ActiveSmoke"]:
         """The source's."""
@@ -109,11 +96,12 @@ class _Shot:
         from usdsmoke.core.sequence.stylize import stylize_window
 
         case, seed = self.case, self.config.optimize.seed + run
+        rate = case.job.plan.source.time_codes_per_second
         config = self.config.replace(optimize=self.config.optimize.replace(seed=seed))
         found: list[StylizedFrame] = []
         for first in range(0, len(self.frames), size):
             window = self.frames[first : first + size]
-            found += stylize_window(window, case.styles, case.small_scene, config, None, self.rate)
+            found += stylize_window(window, case.styles, case.small_scene, config, None, rate)
         self.shown.setdefault(size, [(frame.density, _light(frame)) for frame in found])
         return found
 
@@ -190,7 +178,7 @@ def _shot(case: Case) -> _Shot:
         n = n or min(most, _LEAST_FRAMES)
         need_seconds(case, f"three points of {n} frames and the references", needed(n))
         reference = reference_of(case, step)
-        case.cache["shot"] = _Shot(case, _frames(case, n), _main_step_config(case), reference)
+        case.cache["shot"] = _Shot(case, small_frames(case, n), _main_step_config(case), reference)
     shot: _Shot = case.cache["shot"]
     return shot
 
@@ -229,8 +217,20 @@ def _cut_text(configured: int, n: int) -> str:
     )
 
 
-def _frames(case: Case, n_frames: int) -> list[VolumeFrame]:
-    """The neighbouring frames, small, with the velocity that carries each to the next."""
+def transit_between(case: Case, before: VolumeFrame, frame: VolumeFrame) -> "Transit":
+    """From one of ``small_frames`` to the next."""
+    from usdsmoke.core.sequence.transit import Transit, ride_between
+
+    rate = case.job.plan.source.time_codes_per_second
+    seconds = (frame.time_code - before.time_code) / rate
+    if case.config.stage.motion == "estimate":  # the Volume's motion is in it
+        return Transit(before, seconds)
+    return Transit(before, seconds, ride_between(before, frame))
+
+
+def small_frames(case: Case, n_frames: int) -> list[VolumeFrame]:
+    """The measured frame and its neighbours, small, with the velocity that carries each to the
+    next; see ``Case.neighbours``."""
     from usdsmoke.core.sequence.motion import estimate_velocity
 
     plans = case.neighbours(n_frames)
@@ -262,7 +262,7 @@ def _temporal_error(shot: _Shot, results: Sequence["StylizedFrame"]) -> float:
     steadiness, errors = Steadiness(shot.config.optimize.seed), []
     before: VolumeFrame | None = None
     for frame, result in zip(shot.frames, results, strict=True):
-        transit = None if before is None else shot.transit(before, frame)
+        transit = None if before is None else transit_between(shot.case, before, frame)
         errors.append(steadiness.compare(*_painted(shot.case, frame, result), transit).get(1))
         before = frame
     found = [error for error in errors if error is not None]

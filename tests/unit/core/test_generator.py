@@ -35,7 +35,7 @@ SCENE = scene_of(FRAMES, CONFIG)
 @pytest.fixture(scope="module")
 def trained() -> Trained:
     """On two puffs, judged by a third."""
-    return train_on_frames(FRAMES, [STYLE], SCENE, CONFIG, 50, lambda state: None)
+    return train_on_frames(FRAMES, [STYLE], SCENE, CONFIG, 50, lambda state: None).trained
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_training_has_the_same_bits_with_any_number_of_threads() -> None:
         values = {"optimize.threads": n_threads}
         config = CONFIG.with_values(values)
         found = train_on_frames(FRAMES[:2], [STYLE], SCENE, config, 4, lambda state: None)
-        files.append(found.generator.to_bytes({}))
+        files.append(found.trained.generator.to_bytes({}))
     assert files[0] == files[1]
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from usdsmoke.core.smoke.memory import accumulate
-from usdsmoke.core.smoke.tasks import n_sharing, run_tasks, share_among
+from usdsmoke.core.smoke.tasks import made_ahead, n_sharing, run_tasks, share_among
 
 
 @pytest.fixture(autouse=True)
@@ -83,3 +83,26 @@ def test_a_fork_has_threads_of_its_own():
     if child == 0:
         os._exit(0 if run_tasks([lambda: 1, lambda: 2]) == [1, 2] else 1)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_the_next_item_is_made_while_one_is_used():
+    begun = [threading.Event() for _ in range(3)]
+
+    def items() -> Iterator[int]:
+        for number, event in enumerate(begun):
+            event.set()
+            yield number
+
+    for number in made_ahead(items()):
+        assert begun[min(number + 1, 2)].wait(30)
+
+
+def test_an_error_of_the_next_item_comes_behind_the_items_before_it():
+    def items() -> Iterator[int]:
+        yield 1
+        raise ValueError("the second")
+
+    ahead = made_ahead(items())
+    assert next(ahead) == 1
+    with pytest.raises(ValueError, match="second"):
+        next(ahead)

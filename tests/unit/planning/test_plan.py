@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -213,3 +214,20 @@ def test_too_little_disk_is_refused_with_both_numbers(
         match=r"about 0\.2 MB .* 67 MB, .* disk of .* 1\.0 MB free",
     ):
         check_plan(plan_of(shot.stage), shot.output)
+
+
+def test_frames_that_a_network_paints_by_themselves_share_nothing(shot: Shot) -> None:
+    settings = ["windows.size=2", "optimize.start=network", "optimize.steps=[colour]"]
+    (volume,) = plan_of(shot.stage, *settings, "optimize.iterations=0").volumes
+    assert all(window.overlap == () and not window.continues for window in volume.windows)
+    assert not volume.coarse_runs
+    (volume,) = plan_of(shot.stage, *settings).volumes
+    assert volume.windows[0].overlap
+
+
+def test_the_plan_says_over_how_many_frames_a_network_saves_its_training(shot: Shot) -> None:
+    alone = ["optimize.start=network", "optimize.steps=[colour]", "optimize.iterations=0"]
+    (told,) = [note for note in plan_of(shot.stage, *alone).notes if "training" in note]
+    pays, has = (int(text) for text in re.findall(r"(\d+)(?: frames?; <|$)", told))
+    assert pays > has == 3
+    assert not any("training" in note for note in plan_of(shot.stage).notes)

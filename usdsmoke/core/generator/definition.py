@@ -1,10 +1,15 @@
-"""The form of the generator: its octaves, channels and parameters; without torch."""
+"""The form of the generator: its octaves, channels and parameters, and how long it is trained;
+without torch."""
 
 FORMAT = "1"  # rises with every change after which older parameters paint something else
 N_LEVELS = 5  # octaves; a colour depends on smoke at most 62 voxels away
 N_NOISE = 3  # channels of noise in each octave
 WIDTH = 12  # channels of features
 N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle
+
+N_ITERATIONS = 1200  # of a training, at most
+N_VIEWS = 2  # of an iteration
+MOST_VOXELS = 24_000  # of a crop, which keeps an iteration cheap whatever the frame
 
 
 def parameter_shapes() -> dict[str, tuple[int, ...]]:

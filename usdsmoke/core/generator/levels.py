@@ -15,6 +15,7 @@ from torch import Tensor
 from usdsmoke.core.generator.definition import N_NEIGHBOURS
 from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, flat_key
 from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
 
 
 @dataclass(frozen=True)
@@ -44,24 +45,18 @@ def make_levels(smoke: ActiveSmoke, n: int) -> Sequence[Level]:
 
 
 def _neighbours(ijk: Tensor) -> Tensor:
-    """See ``Level``; for voxels [N 3] in C order.
-
-    The keys ascend: the place of a voxel's column neighbour is searched, and those before and
-    behind it along k are next to that place.
-    """
-    low = ijk.amin(0) - 1
+    """See ``Level``; for voxels [N 3]. Their rows are looked up in the box around them."""
+    low, n = ijk.amin(0) - 1, len(ijk)
     shape = ijk.amax(0) - low + 2
-    keys, n = flat_key(ijk, low, shape), len(ijk)
-    # none before the first and behind the last
-    padded = torch.cat(
-        [keys.new_full((1,), -2), keys, keys.new_full((2,), torch.iinfo(keys.dtype).max)]
-    )
+    keys = flat_key(ijk, low, shape)
+    rows = torch.full((int(shape.prod()),), n, dtype=torch.int32, device=ijk.device)
+    rows[keys] = torch.arange(n, dtype=torch.int32, device=ijk.device)
+    around = torch.tensor(list(product((-1, 0, 1), repeat=3)), device=ijk.device)
+    steps = (around[:, 0] * shape[1] + around[:, 1]) * shape[2] + around[:, 2]
     found = torch.empty(n, N_NEIGHBOURS, dtype=torch.int32, device=ijk.device)
-    for number, (i, j) in enumerate(product((-1, 0, 1), repeat=2)):
-        middle = keys + (i * shape[1] + j) * shape[2]
-        place = torch.searchsorted(keys, middle)
-        is_there = padded[place + 1] == middle
-        for k, at in ((-1, place - 1), (0, place), (1, place + is_there)):
-            row = torch.where(padded[at + 1] == middle + k, at, n)
-            found[:, 3 * number + k + 1] = row
+
+    def look_up(part: slice) -> None:
+        torch.index_select(rows, 0, (keys[part, None] + steps).view(-1), out=found[part].view(-1))
+
+    share_rows(look_up, n, CHUNK_ROWS, ijk.device)
     return found

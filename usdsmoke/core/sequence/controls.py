@@ -135,6 +135,11 @@ def network_alone(config: Config) -> bool:
     return bool(config.optimize.start) and not any(step_iterations(config, "colour"))
 
 
+def by_themselves(config: Config) -> bool:
+    """Whether no frame has anything from another one: nothing is carried, shared or blended."""
+    return network_alone(config) and "shape" not in config.optimize.steps
+
+
 def coarse_factor(config: Config) -> int:
     """How many times larger the voxels of the shared coarse step are; 1 when there is none.
 

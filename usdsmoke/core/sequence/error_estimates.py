@@ -43,14 +43,15 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     """Errors of a finished frame: quadrature, resolution, pixel filter, unseen views.
 
     Without colours there is no quadrature error: opacity is exact. If all views are the same, none
-    is unseen. There is no error at all for a frame that is left out, and without
+    is unseen. There is no error at all for a frame that is left out or not optimised, and without
     ``optimize.error_budget``.
 
     Args:
         frame: at the end of its chain.
     """
     optimize = frame.config.optimize
-    if not (frame.in_effect and optimize.error_budget) or len(frame.smoke.ijk) == 0:
+    is_wanted = frame.in_effect and optimize.error_budget and not frame.alone
+    if not is_wanted or len(frame.smoke.ijk) == 0:
         return FrameErrors()
     quadrature = unseen = None
     view = fit_blocks(_views(frame, 1, optimize.seed)[0])
@@ -79,7 +80,7 @@ def thick_depth(frame: PaintedFrame) -> float | None:
     gamma, gamma_w = optics.gamma, frame.scene.gamma_w
     if frame.paint is None:
         gamma, gamma_w = optics.gamma_shape, frame.scene.gamma_w_shape
-    if not (frame.in_effect and optimize.error_budget) or gamma is not None:
+    if not (frame.in_effect and optimize.error_budget) or gamma is not None or frame.alone:
         return None
     if len(frame.smoke.ijk) == 0:
         return None

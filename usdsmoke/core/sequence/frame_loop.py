@@ -83,6 +83,8 @@ def run_frames(
         moved = (advance(frame, MovedFrame) for frame in opened)
 
     # paint: find each frame's colours, starting from the frame before
+    if context.alone:
+        return (_paint_alone(context, frame) for frame in moved)
     if "colour" in steps:
         painted = _chain(moved, PaintedFrame, partial(_paint, context))
     else:
@@ -144,9 +146,7 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         rate_share = 1.0 if before is None else config.shape.warm_rate
         problem = frame.problem(frame.source)
         steadiness = 0.0 if before is None else config.windows.steadiness
-        unclamped, ends = run_shape_step(
-            problem, iterations, start, watch, rate_share, steadiness
-        )  # fmt: skip
+        unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share, steadiness)
         report = replace(report, shape=_step_report(ends, frame, started))
     kept = Carried(frame.time_code, unclamped)
     return advance(
@@ -216,10 +216,8 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         start = _colour_start(context, frame, paint, transit, painted)
         iterations = _iterations("colour", frame, paint is not None)
         watch = context.watch(frame.time_code)("colour", iterations)
-        problem, is_warm = (
-            frame.colour_problem(),
-            paint is not None or context.generator is not None,
-        )
+        problem = frame.colour_problem()
+        is_warm = paint is not None or context.generator is not None
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, light=light_report(problem, painted, colours))
         report = replace(report, colour=_step_report(ends, frame, started))
@@ -228,6 +226,13 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
         is_cold=is_cold,
     )  # fmt: skip
+
+
+def _paint_alone(context: WindowContext, frame: MovedFrame) -> PaintedFrame:
+    """The frame with colours that owe nothing to other frames."""
+    if frame.left_out:
+        return advance(frame, PaintedFrame)
+    return replace(_paint(context, frame, None), alone=True)
 
 
 def _colour_start(

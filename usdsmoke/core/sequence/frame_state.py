@@ -21,7 +21,7 @@ from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.generator.network import Generator
-from usdsmoke.core.sequence.controls import frame_config, without_network
+from usdsmoke.core.sequence.controls import by_themselves, frame_config, without_network
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -54,6 +54,7 @@ class WindowContext:
     watch: Callable[[float], Watch]  # by timeCode
     known: Carried | None = None  # of a frame that is not optimised again
     generator: Generator | None = None  # paints what colours start from, without a neighbour
+    alone: bool = False  # frames have nothing from each other, see ``controls.by_themselves``
 
     def transit(self, earlier: "OpenedFrame", later: "OpenedFrame") -> Transit:
         """From a frame to a later one.
@@ -173,6 +174,7 @@ class PaintedFrame(MovedFrame):
 
     painted: ActiveSmoke | None = None
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
+    alone: bool = False  # the next frame takes nothing from this one
 
     @property
     def is_start(self) -> bool:
@@ -192,6 +194,8 @@ class PaintedFrame(MovedFrame):
         steps, carried = self.config.optimize.steps, self.carried
         if carried is None or not self.in_effect:
             return None
+        if self.alone:
+            return Carried(self.time_code)
         is_whole = "shape" not in steps or carried.unclamped is not None
         return carried if is_whole and ("colour" not in steps or self.paint is not None) else None
 
@@ -218,7 +222,7 @@ def make_context(
     Raises:
         FeatureError: see ``Generator.from_file``.
     """
-    device, generator = choose_device(config.optimize), None
+    device, generator, alone = choose_device(config.optimize), None, by_themselves(config)
     if config.optimize.start and scene.misfit:
         config = without_network(config)
     if config.optimize.start and "colour" in config.optimize.steps:
@@ -227,7 +231,15 @@ def make_context(
     watch = partial(_watcher, progress, n_frames, [])
     starts = starts or (lambda time_code: None)
     return WindowContext(
-        targets, scene, config, device, time_codes_per_second, starts, watch, generator=generator
+        targets,
+        scene,
+        config,
+        device,
+        time_codes_per_second,
+        starts,
+        watch,
+        generator=generator,
+        alone=alone,
     )
 
 

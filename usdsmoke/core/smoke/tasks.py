@@ -99,6 +99,15 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     return [results[number] for number in range(len(tasks))]
 
 
+def made_ahead(items: Iterator[Result]) -> Iterator[Result]:
+    """The same items, none of which is None. Another thread makes the next one meanwhile."""
+    with ThreadPoolExecutor(1, "usdsmoke", _switch_off_torchs_own) as ahead:
+        waiting = ahead.submit(next, items, None)
+        while (item := waiting.result()) is not None:
+            waiting = ahead.submit(next, items, None)
+            yield item
+
+
 def _executor() -> ThreadPoolExecutor:
     global _helpers, _helpers_know_torch
     if _helpers is not None and _loaded_torch() is not None and not _helpers_know_torch:

@@ -5,14 +5,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.generator.definition import N_LEVELS
+from usdsmoke.core.generator.definition import MOST_VOXELS, N_LEVELS
 from usdsmoke.core.generator.levels import make_levels
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.steps.colour import colour_pool, painted_part, pictures_loss, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem
 
-MOST_VOXELS = 24_000  # of a crop, which keeps what is measured on it cheap whatever the frame
 HELD_OUT = 0x5EED_0000  # between a run's seed and that of views and noise which judge
 N_JUDGES = 4  # views that judge
 COLD = 15  # iterations of each octave, see ``cold_iterations``
@@ -90,6 +89,18 @@ def misfit(generator: Generator, problem: StepProblem) -> str:
     with torch.no_grad():
         found = float(canvas.loss(canvas.paint(generator, problem.config.optimize.seed), 0))
     cold, n = cold_loss(part, canvas), sum(cold_iterations(part))
-    if found <= cold:
+    return misfit_text(found, cold, n)
+
+
+def misfit_text(loss: float, cold: float, n_iterations: int) -> str:
+    """See ``misfit``.
+
+    Args:
+        loss: of what a generator paints.
+        cold: after that many iterations from noise.
+    """
+    if loss <= cold:
         return ""
-    return f"its style loss is {found:.3g}, and {n} iterations from noise reach {cold:.3g}"
+    return (
+        f"its style loss is {loss:.3g}, and {n_iterations} iterations from noise reach {cold:.3g}"
+    )

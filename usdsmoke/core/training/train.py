@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from usdsmoke.core.generator.definition import N_VIEWS
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.optimize import Descent, minimize
@@ -21,10 +22,10 @@ from usdsmoke.core.training.canvas import (
     cold_loss,
     crop,
     judge,
+    misfit_text,
 )
 
 RATE = 3e-3  # of Adam, in units of parameters
-N_VIEWS = 2  # of an iteration
 N_CROPS = 4  # of a frame that is too large
 CHECK_EVERY = 50  # iterations between two looks at the held-out frame
 PATIENCE = 0.4  # share of the iterations without a better look after which training ends
@@ -49,6 +50,11 @@ class Trained:
     cold_loss: float  # of a few cold iterations, see ``canvas.cold_loss``
     n_cold: int  # how many
     n_iterations: int  # that were done
+
+    @property
+    def misfit(self) -> str:
+        """Why frames should start without it, as a part of a sentence; "" where they should not."""
+        return misfit_text(self.loss, self.cold_loss, self.n_cold)
 
 
 def train_generator(

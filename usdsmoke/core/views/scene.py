@@ -52,6 +52,7 @@ class Scene:
     thick_share: float = 1.0  # share of all columns with smoke that are as thick
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
+    network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
 
 
 def _corners(smoke: Placed) -> np.ndarray:

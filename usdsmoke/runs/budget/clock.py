@@ -81,13 +81,14 @@ def run_seconds(
         windows: all windows of the run.
         reports: of all frames of the windows; a frame of two windows has two.
         coarse: seconds of the coarse step.
-        clock: of this call, with ``preparing``, ``reading`` and ``assembling``.
+        clock: of this call, with ``preparing``, ``reading``, ``training`` and ``assembling``.
     """
     reports, own = list(reports), clock.parts
     storage = math.fsum(report.storage_seconds for report in reports)
     parts = {
         "preparing": own.get("preparing", 0.0),
         "reading": own.get("reading", 0.0) + _of(windows, "reading"),
+        "training": own.get("training", 0.0),
         "coarse step": coarse,
         **step_seconds(reports),
         "transport": math.fsum(report.transport_seconds for report in reports),

@@ -248,7 +248,7 @@ def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[F
                 "Check what the camera sees of the smoke, or unset views.camera",
                 "views.camera",
             )
-        elif not found.loss:
+        elif not found.loss and not (step == "colour" and config.optimize.start):
             yield Finding(
                 name,
                 _OPTIMISERS[step],

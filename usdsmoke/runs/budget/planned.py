@@ -7,10 +7,12 @@ from itertools import pairwise
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.core.sequence.controls import by_themselves
 from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 
 _MOST_NAMED = 6
+_NO_ITERATIONS = "optimize.iterations is 0: a network paints each frame by itself"
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,10 @@ class PlannedVolume:
     @property
     def no_estimates(self) -> str:
         """Why nothing is estimated of the finished frames."""
-        on = self.plan.config.optimize.error_budget
-        return self.idle or ("" if on else "optimize.error_budget is off")
+        config = self.plan.config
+        if by_themselves(config):
+            return _NO_ITERATIONS
+        return self.idle or ("" if config.optimize.error_budget else "optimize.error_budget is off")
 
     @property
     def one_view(self) -> str:
@@ -69,6 +73,8 @@ class PlannedVolume:
     def no_chain(self, n: int) -> str:
         """Why no frame is compared with the n-th before it."""
         windows = self.plan.windows
+        if by_themselves(self.plan.config):
+            return _NO_ITERATIONS
         if n > 1 and len(self.plan.frames) <= n:
             return f"there are fewer than {n + 1} frames"
         if len(self.plan.frames) == 1:
@@ -90,6 +96,8 @@ class PlannedVolume:
     def no_overlap(self) -> str:
         """Why no frame is computed twice."""
         windows = self.plan.config.windows
+        if by_themselves(self.plan.config):
+            return _NO_ITERATIONS
         if len(self.plan.windows) == 1:
             return "there is one window only"
         if windows.size == 1:

@@ -22,7 +22,12 @@ from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.runs.coarse import measured_frames
 from usdsmoke.runs.identity import Identity
-from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, part_file_name
+from usdsmoke.runs.manifests import (
+    CoarseRecord,
+    coarse_file_name,
+    network_file_name,
+    part_file_name,
+)
 from usdsmoke.runs.run import Run, find_runs
 from usdsmoke.usd.look import published_runs
 from usdsmoke.vdb.header import read_header
@@ -221,6 +226,10 @@ def find_growth(job: Job) -> Growth | None:
 
 def take_over(growth: Growth, run: Run) -> None:
     """Bring what stays the same from the earlier run's folder into that of a run that has begun."""
+    for number, scene in enumerate(growth.earlier.scenes):
+        if scene.get("network"):
+            name = network_file_name(number)
+            share_file(growth.earlier.folder / name, run.folder / name)
     run.keep_scenes(growth.earlier.scenes)
     _take_over_starts(growth, run)
     for task, old in growth.windows:

@@ -38,6 +38,7 @@ def provenance_text(item: "FoundRecord") -> str:
         *_listed("style", {style.file: style.sha256 for style in record.styles}),
         ("features", _with_hash(record.features, record.features_hash)),
         ("network", _with_hash(record.start_file, record.start_hash)),
+        *_listed("trained", {network.file: network.sha256 for network in record.networks}),
         ("seed", str(record.seed) if record.settings else ""),
         *(("setting", text) for text in _other_settings(record.settings)),
         *_listed("input", inputs),
