@@ -144,7 +144,7 @@ def test_the_end_of_a_run_is_a_verdict_a_row_worst_first() -> None:
     verdicts = [line.split("  ")[0] for line in rows]
     assert verdicts[:2] == ["change shape.reach", "look at it"]
     assert set(verdicts[2:]) == {"fine"} and len(rows) <= 8
-    assert "smoke that was moved" in rows[0] and "detail" in rows[1]
+    assert "it is large" in rows[0] and "it is odd" in rows[1]
     assert [(item.verdict, item.error) for item in budget.verdicts[:2]] == [
         ("change shape.reach", bad), ("look at it", odd),
     ]  # fmt: skip
@@ -161,7 +161,7 @@ def test_the_notes_of_a_run_stand_at_its_end(
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["warnings"] and found["verdicts"]
-    assert {"about", "verdict", "error", "largest"} <= found["verdicts"][0].keys()
+    assert {"about", "verdict", "why", "error", "largest"} == found["verdicts"][0].keys()
     assert main([*arguments, "--force"]) == 0
     last = capsys.readouterr().out.splitlines()[-len(found["warnings"]) :]
     assert last == [f"note: {text}" for text in found["warnings"]]
@@ -172,7 +172,7 @@ def test_every_error_belongs_to_a_verdict() -> None:
     for row in ROWS:
         one = replace(budget, findings=(Finding("a.vdb", row.name, "bad", "Look"),))
         assert [item.error for item in one.verdicts if item.verdict != "fine"] == [row.name]
-        assert all(item.meaning for item in one.verdicts)
+        assert all(item.why for item in one.verdicts)
     dark = replace(budget, findings=(Finding("a", "", "dark", "Set it", "optics.exposure"),))
     assert dark.verdicts[0].verdict == "change optics.exposure"
 

@@ -366,7 +366,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
     if volume.beside:
         what = f"{'grid' if len(volume.beside) == 1 else 'grids'} {', '.join(volume.beside)}"
-        reason = "no relationship leads there; not in the result (layer.copy_fields)"
+        reason = "layer.copy_fields=[all] copies them; no relationship leads there"
         found.append((what, reason))
     found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:

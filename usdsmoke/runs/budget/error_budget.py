@@ -106,7 +106,8 @@ class ErrorBudget(JsonRecord):
     def verdicts(self) -> tuple[Verdict, ...]:
         """What to make of each part of the result, worst first."""
         largest = {estimate.name: estimate.largest for estimate in self.estimates}
-        return judge_parts(largest, self.verdict, all(finding.row for finding in self.findings))
+        causes = {finding.row: finding.cause for finding in reversed(self.findings)}
+        return judge_parts(largest, self.verdict, causes)
 
     @property
     def worst_first(self) -> list[ErrorEstimate]:

@@ -51,13 +51,13 @@ class Verdict:
 
     about: str
     verdict: str  # "fine", "look at it" or "change SETTING"
-    error: str = ""  # its worst one; "" where findings alone decide
+    why: str  # the cause of its worst finding; or what its worst figure says
+    error: str = ""  # its worst one; "" where it has no figure
     largest: float | None = None  # of that error over the frames; None likewise
-    meaning: str = ""  # of the figure, in plain words
 
 
 def judge_parts(
-    largest: Mapping[str, float], verdict_of: Callable[[str], str], is_lit_well: bool
+    largest: Mapping[str, float], verdict_of: Callable[[str], str], causes: Mapping[str, str]
 ) -> tuple[Verdict, ...]:
     """A verdict for each part that has an error or a finding.
 
@@ -67,23 +67,24 @@ def judge_parts(
     Args:
         largest: of each error over the frames, by name.
         verdict_of: an error's verdict by its name; of "" that on findings of no error.
-        is_lit_well: whether there are no such findings.
+        causes: of the first finding of each error, by its name or "".
     """
-    found = [] if is_lit_well else [Verdict(_LIGHT, verdict_of(""))]
-    for about, part in _PARTS.items():
-        names = sorted((row.name for row in part), key=lambda name: urgency(verdict_of(name)))
-        there = [name for name in names if name in largest]
-        worst = min(
-            there,
-            key=lambda name: (urgency(verdict_of(name)), -largest[name] / _MOST[name]),
-            default="",
-        )
-        if worst:
-            verdict = Verdict(about, verdict_of(names[0]), worst, largest[worst], _meaning(worst))
-            found.append(verdict)
-        elif verdict_of(names[0]) != FINE:
-            found.append(Verdict(about, verdict_of(names[0])))
-    return tuple(sorted(found, key=_badness))
+    parts = {_LIGHT: [""]} | {about: [row.name for row in part] for about, part in _PARTS.items()}
+    found = []
+    for about, names in parts.items():
+        names = [name for name in names if name in largest or name in causes]
+        if not names:
+            continue
+        worst = min(names, key=lambda name: (urgency(verdict_of(name)), -_share(name, largest)))
+        figure = largest.get(worst)
+        why = causes.get(worst) or f"{figure:.2%} {_meaning(worst)}"
+        found.append(Verdict(about, verdict_of(worst), why, worst, figure))
+    return tuple(sorted(found, key=lambda v: (urgency(v.verdict), -_share(v.error, largest))))
+
+
+def _share(name: str, largest: Mapping[str, float]) -> float:
+    """Of the bound above which something is wrong."""
+    return largest[name] / _MOST[name] if name in largest else 0.0
 
 
 def _meaning(name: str) -> str:
@@ -93,8 +94,3 @@ def _meaning(name: str) -> str:
 def urgency(verdict: str) -> int:
     """0 where a setting should change, 1 where a look is due, 2 where all is fine."""
     return 2 if verdict == FINE else 1 if verdict == LOOK else 0
-
-
-def _badness(item: Verdict) -> tuple[int, float]:
-    share = 0.0 if item.largest is None else item.largest / _MOST[item.error]
-    return urgency(item.verdict), -share

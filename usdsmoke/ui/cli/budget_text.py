@@ -37,15 +37,8 @@ def budget_text(
 
 def _verdict_rows(budget: "ErrorBudget") -> list[tuple[str, ...]]:
     """A row for each part of the result, worst first."""
-    header = ("verdict", "on", "largest error")
-    rows = [
-        (
-            item.verdict,
-            item.about,
-            "" if item.largest is None else f"{item.largest:.2%} {item.meaning}",
-        )
-        for item in budget.verdicts
-    ]  # fmt: skip
+    header = ("verdict", "on", "why")
+    rows = [(item.verdict, item.about, item.why) for item in budget.verdicts]
     return [header, *rows] if rows else []
 
 

@@ -143,11 +143,13 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     if material is None:
         return []
     what, renderers = hiding_words(material, colours)
+    is_everywhere = renderers == ALL_RENDERERS
+    where = "" if is_everywhere else f" in {renderers}"
     message = (
-        f"the material <{material.prim_path}> {what}, so the look is "
-        f"not seen in {renderers}. {hiding_advice(material.can_replace)}."
+        f"the material <{material.prim_path}> {what}, so the look is not seen{where}. "
+        f"{hiding_advice(material.can_replace)}."
     )
-    severity = Severity.ERROR if renderers == ALL_RENDERERS else Severity.WARN
+    severity = Severity.ERROR if is_everywhere else Severity.WARN
     return [Problem(severity, str(volume.GetPath()), message)]
 
 
