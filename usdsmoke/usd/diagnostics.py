@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -11,6 +12,7 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.usd.crates import check_crates
 
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
+_NUMBER = re.compile(r"\d+(?=\.vdb$)", re.IGNORECASE)
 _LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
 _GRAMMAR = re.compile(r" matching .*pxrInternal.* at '", re.DOTALL)  # a rule's C++ type
 _FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
@@ -117,8 +119,8 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
         return f"{file_path} cannot be read: {error.strerror or error}. Check the disk."
     if file_path.lower().endswith(".vdb"):
         return (
-            f"{file_path} is a VDB file, not a stage. Make a stage with: "
-            "usdsmoke stage FILES -o STAGE.usda --meters-per-unit 1"
+            f"{file_path} is a VDB file, not a stage. Make a stage with: usdsmoke stage "
+            f"{shlex.quote(_sequence(file_path))} -o STAGE.usda --meters-per-unit 1"
         )
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
@@ -126,6 +128,15 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     line = _line(refusal)
     advice = "Correct that line, or export the file again." if line else "Export it again."
     return f"cannot open {file_path}: it is not a valid .{suffix} file{line}. {advice}"
+
+
+def _sequence(file_path: str) -> str:
+    """The pattern of a numbered file and its neighbours; any other name as it is.
+
+    >>> _sequence("cache/plume.0012.vdb")
+    'cache/plume.####.vdb'
+    """
+    return _NUMBER.sub(lambda match: "#" * len(match[0]), file_path)
 
 
 def _text(item: object) -> str:

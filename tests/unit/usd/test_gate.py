@@ -17,6 +17,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke.base.errors import StageError
 from usdsmoke.ui.cli.main import main
+from usdsmoke.ui.cli.text import validation_text
 from usdsmoke.usd.gate import junit_xml, validate_look
 from usdsmoke.usd.rules import Finding, Severity, validate
 
@@ -102,6 +103,15 @@ def test_warnings_fail_on_request(tmp_path, capsys):
     code, found, suite = ends("--strict", *(w for rule in rules for w in ("--ignore", rule)))
     assert code == 0 and found["ignored"].keys() == rules
     assert int(suite.attrib["skipped"]) == len(rules)
+
+
+def test_many_findings_of_one_rule_are_a_few_lines():
+    many = [Finding(Severity.ERROR, "Many", f"/v{n}", None, f"it is {n}") for n in range(30)]
+    one = Finding(Severity.ERROR, "One", "/v0", None, "alone")
+    few = validation_text("a.usda", [*many, one], everything=False).splitlines()
+    assert len(few) < 8 and "27 more" in few[3] and "alone" in few[4]
+    assert few[-1] == "a.usda: 31 errors"
+    assert len(validation_text("a.usda", [*many, one]).splitlines()) == 32
 
 
 def test_junit_passes_without_errors_and_survives_any_text():

@@ -109,7 +109,10 @@ def test_what_cannot_be_made_is_refused_and_nothing_is_written(tmp_path):
 def test_the_command_leads_from_a_file_to_a_plan(tmp_path, capsys):
     write_vdb(tmp_path / "puff.vdb")
     assert main(["inspect", str(tmp_path / "puff.vdb")]) == 1
-    assert "usdsmoke stage" in capsys.readouterr().err
+    assert f"usdsmoke stage {tmp_path / 'puff.vdb'} -o" in capsys.readouterr().err
+    write_vdb(tmp_path / "puff.0001.vdb")
+    assert main(["inspect", str(tmp_path / "puff.0001.vdb")]) == 1
+    assert f"usdsmoke stage '{tmp_path / 'puff.####.vdb'}' -o" in capsys.readouterr().err
     stage_file = tmp_path / "puff.usda"
     command = ["stage", str(tmp_path / "puff.vdb"), "-o", str(stage_file)]
     assert main([*command, "--meters-per-unit", "1"]) == 0

@@ -92,7 +92,7 @@ def run_validate(arguments: argparse.Namespace) -> int:
     show(
         arguments,
         lambda: result,
-        lambda: validation_text(arguments.stage, findings, of_source, ignored),
+        lambda: validation_text(arguments.stage, findings, of_source, ignored, arguments.verbose),
     )
     return 1 if n_failed else 0
 

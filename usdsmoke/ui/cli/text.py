@@ -165,23 +165,41 @@ def validation_text(
     findings: Sequence["Finding"],
     of_source: Sequence["Finding"] = (),
     ignored: Mapping[str, int] | None = None,
+    everything: bool = True,
 ) -> str:
     """Findings, one line each, and their number; those of the source behind them.
 
     Args:
         ignored: the number of those that were left out, by rule.
+        everything: False: of many findings of one rule the first ones.
     """
     counts = Counter(_SEVERITIES[str(finding.severity)] for finding in findings)
     summary = ", ".join(count_text(n, word) for word, n in counts.items()) or "no findings"
     left_out = ", ".join(f"{rule} {number}" for rule, number in (ignored or {}).items())
     summary += f"; ignored: {left_out}" if left_out else ""
-    lines = [*map(_finding_line, findings), f"{file_path}: {summary}"]
+    lines = [*_finding_lines(findings, everything), f"{file_path}: {summary}"]
     if of_source:
         lines += ["in the source too, and not counted:"]
-        lines += [f"  {_finding_line(finding)}" for finding in of_source]
+        lines += [f"  {line}" for line in _finding_lines(of_source, everything)]
     return "\n".join(lines)
 
 
+def _finding_lines(findings: Sequence["Finding"], everything: bool) -> list[str]:
+    """A line each; those of one rule together, and their number where they are many."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for item in findings:
+        kinds.setdefault((str(item.severity), item.rule), []).append(_finding_line(item))
+    found = []
+    for (severity, rule), lines in kinds.items():
+        is_long = len(lines) > _MOST_FINDINGS and not everything
+        found += lines[: _MOST_FINDINGS - 1] if is_long else lines
+        if is_long:
+            n_more = len(lines) - _MOST_FINDINGS + 1
+            found.append(f"{severity:<5} {rule}: {n_more} more (--verbose)")
+    return found
+
+
+_MOST_FINDINGS = 4  # of one rule
 _SEVERITIES = {"error": "error", "warn": "warning", "info": "note"}
 
 
