@@ -72,7 +72,8 @@ def _composition_hint(stage: Usd.Stage) -> str:
     errors = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
     if not errors:
         return "; usdsmoke does not turn meshes or particles into smoke"
-    return f", or repair the stage, of which a part is missing: {' '.join(str(errors[0]).split())}"
+    first = " ".join(str(errors[0]).split()).rstrip(".")
+    return f", or repair the stage, of which a part is missing: {first}"
 
 
 def _named_volumes(
