@@ -64,7 +64,7 @@ def has_one_view(views: ViewsConfig, is_thin: bool = False) -> bool:
     """True if smoke is seen from one side only, whatever ``views.pool`` is.
 
     Args:
-        is_thin: the smoke is one voxel thick, see ``ActiveSmoke.thin_axis``.
+        is_thin: the smoke is one voxel thick, see ``Placed.thin_axis``.
     """
     return is_thin or view_ranges(views) == (0, 0)
 
