@@ -37,7 +37,7 @@ from benchmarks.coherence_study import (
     same_smoke,
 )
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.pictures.webp import write_webp
+from usdsmoke.pictures.animations import write_webp
 
 __all__ = ["main", "render_report"]
 

@@ -29,6 +29,7 @@ _INSTALL = {  # module: what to do if it is missing
     "torch": "pip install torch",
     "PIL": "pip install pillow",
     "OpenEXR": "pip install OpenEXR",
+    "av": "pip install av",
     "matplotlib": "pip install matplotlib jinja2",
     "jinja2": "pip install matplotlib jinja2",
     "distributed": "pip install distributed",

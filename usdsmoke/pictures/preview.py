@@ -1,4 +1,4 @@
-"""Pictures of a stage's smoke, as PNG, WebP or OpenEXR; the stage does not change.
+"""Pictures of a stage's smoke, as PNG, OpenEXR or animations; the stage does not change.
 
 docs/look.md explains what is drawn and what is not.
 """
@@ -50,7 +50,7 @@ _NARROW = 1 / 32  # shorter over longer side of a picture in which little is see
 class PreviewResult:
     """What was drawn."""
 
-    files: tuple[Path, ...]  # one PNG or WebP, or one OpenEXR file a frame
+    files: tuple[Path, ...]  # one file, or one OpenEXR file a frame
     time_codes: tuple[float, ...]
     width: int  # of one picture
     height: int
@@ -77,30 +77,31 @@ def preview(
     Args:
         stage: a USD file, or an open stage, which is drawn with its unsaved edits; for a look its
             root layer, ``NAME_look.usda``.
-        output: ``.png`` for a screen, one picture or a contact sheet of several; ``.webp`` for an
-            animation; ``.exr`` for scene-linear parts, one file a frame. An old file is replaced.
-            The folder must exist.
+        output: ``.png`` for a screen, one picture or a contact sheet of several; ``.webp``,
+            ``.gif`` or ``.mp4`` (needs PyAV) for an animation; ``.exr`` for scene-linear parts, one
+            file a frame. An old file is replaced. The folder must exist.
         progress: called with the number of pictures done and of all.
         options: see ``PreviewRequest``.
 
             - camera: prim path of a Camera; empty takes a front view that just holds the smoke of
               all frames.
             - frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last,
-              for an animation all, and for a turn the middle.
+              for an animation all, and for a turntable the middle.
             - allow_missing: leave out requested timeCodes that do not exist.
             - compare: draw the stage without its looks as well.
             - prims: Volume prim paths; None means all.
             - width: pixels; the height follows from the camera's film or the smoke.
             - size: width and height, pixels.
-            - background: of PNG and WebP: ``grey`` (dark), ``black`` or ``none`` (transparent; one
-              PNG only and nothing to compare).
-            - turn: pictures of one frame, evenly around the up axis.
+            - background: of all but OpenEXR: ``grey`` (dark), ``black`` or ``none`` (transparent;
+              one PNG only and nothing to compare).
+            - turntable: pictures of one frame, evenly around the up axis.
             - threads: CPU threads. One picture gains little from more.
             - settings: of ``stage``, as in ``stylize``, such as ``stage.density=fog``.
 
     Raises:
         ConfigError: an option is wrong, or two contradict each other.
         StageError, GridError, NonFiniteError, ShapeError: stage or files cannot be used.
+        MissingPackage: PyAV is not installed, and the output is an MP4.
         PlanError: a frame does not fit the machine's memory.
         WriteFailed: the output could not be written.
     """
@@ -146,13 +147,13 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
 def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
     """The frames to draw, all of them or a few."""
     codes = look.time_codes if request.frames else look.readable(look.time_codes)
-    if request.turn is not None:
+    if request.turntable is not None:
         if not request.frames:
             few = spread(codes)
             return [few[len(few) // 2]]
         if len(codes) > 1:
             raise ConfigError(
-                f"--turn shows one frame, and --frames selects {len(codes)}. Select one."
+                f"--turntable shows one frame, and --frames selects {len(codes)}. Select one."
             )
     return codes if request.frames or request.is_animation else spread(codes)
 

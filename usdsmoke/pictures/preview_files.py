@@ -13,11 +13,11 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import StageSource
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.march import Picture
+from usdsmoke.pictures.animations import WRITERS
 from usdsmoke.pictures.contact_sheet import compose_sheet
 from usdsmoke.pictures.drawing import BACKGROUND, display_picture
 from usdsmoke.pictures.png import encode_srgb, write_png
 from usdsmoke.pictures.preview_request import PreviewRequest
-from usdsmoke.pictures.webp import write_webp
 
 LOOK, ORIGINAL = "look", "original"
 _MOST_COLUMNS = 6  # of a contact sheet
@@ -85,7 +85,7 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
                 ]
             )
     title = f"{request.stage_name}, {request.camera or 'front view'}"
-    if request.turn:
+    if request.turntable:
         code = format_time_code(by_label[LOOK][0][0].time_code)
         title = f"{request.stage_name}, timeCode {code}, around the up axis"
     write_png(request.output, compose_sheet(title, rows))
@@ -95,7 +95,7 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
 def write_animation(
     request: PreviewRequest, milliseconds: Sequence[int], drawn: Drawn
 ) -> tuple[Path, ...]:
-    """One WebP, with the original at the left of the look where both are drawn; its path.
+    """One animation, with the original at the left of the look where both are drawn; its path.
 
     Args:
         request: its background is not transparent.
@@ -104,18 +104,18 @@ def write_animation(
     """
     columns = [[picture for _, picture in shown] for shown in _displayed(request, drawn).values()]
     pictures = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
-    write_webp(request.output, pictures, milliseconds)
+    WRITERS[request.output.suffix.lower()](request.output, pictures, milliseconds)
     return (request.output,)
 
 
 def durations(request: PreviewRequest, codes: Sequence[float], source: StageSource) -> list[int]:
     """How long each picture of an animation stays, milliseconds.
 
-    A frame stays until the next one's timeCode; a picture of a turn stays for one frame.
+    A frame stays until the next one's timeCode; a picture of a turntable stays for one frame.
     """
     per_second = source.time_codes_per_second if source.time_codes_per_second > 0 else 24.0
-    if request.turn:
-        gaps = [source.frame_length] * request.turn
+    if request.turntable:
+        gaps = [source.frame_length] * request.turntable
     else:
         gaps = [after - before for before, after in pairwise(codes)]
         gaps.append(gaps[-1] if gaps else source.frame_length)
@@ -135,7 +135,7 @@ def _displayed(
 
 
 def _caption(request: PreviewRequest, shot: PreviewShot) -> str:
-    if request.turn:
+    if request.turntable:
         return f"{shot.angle:g} degrees"
     return f"timeCode {format_time_code(shot.time_code)}"
 

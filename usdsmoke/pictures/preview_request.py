@@ -9,16 +9,18 @@ from typing import TypedDict
 from pxr import Usd
 
 from usdsmoke.base.errors import ConfigError, WriteFailed
+from usdsmoke.base.machine import check_packages
 from usdsmoke.base.resolve import Settings, resolve_settings
 from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import parse_frames
+from usdsmoke.pictures.animations import WRITERS
 from usdsmoke.usd.stage import StageOrFile
 
 BACKGROUNDS = ("grey", "black", "none")
 MOST_PIXELS = 16_000_000  # of a picture: a minute or two of drawing
 _MOST_SHEET_PIXELS = 64_000_000  # of all pictures of a contact sheet or an animation
 _LONGEST_SIDE = 512  # if no size is given
-_SUFFIXES = (".png", ".exr", ".webp")
+_SUFFIXES = (".png", ".exr", *WRITERS)
 
 
 class PreviewOptions(TypedDict, total=False):
@@ -32,7 +34,7 @@ class PreviewOptions(TypedDict, total=False):
     width: int | None
     size: tuple[int, int] | None
     background: str
-    turn: int | None
+    turntable: int | None
     threads: int
     settings: Settings
 
@@ -42,23 +44,26 @@ class PreviewRequest:
     """What to draw; checked as far as possible before anything is opened.
 
     Raises:
+        MissingPackage: PyAV, for an MP4.
         ConfigError: the file type, the background, the size or the selection of frames is wrong.
         WriteFailed: the output is a folder, or its folder does not exist.
     """
 
     stage: StageOrFile  # for a look its root layer, NAME_look.usda
-    output: Path  # .png, .exr or .webp
+    output: Path  # .png, .exr, .webp, .gif or .mp4
     camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
     # timeCodes such as 1-24; "" takes the first, the middle and the last, for an animation all, and
-    # for a turn the middle
+    # for a turntable the middle
     frames: str = ""
     allow_missing: bool = False  # leave out requested timeCodes that do not exist
     compare: bool = False  # draw the stage without its looks as well
     prims: Sequence[str] | None = None  # Volume prim paths; None means all
     width: int | None = None  # pixels; the height follows from the camera's film or the smoke
     size: tuple[int, int] | None = None  # width and height, pixels
-    background: str = BACKGROUNDS[0]  # of PNG and WebP; none is transparent, for one PNG only
-    turn: int | None = None  # pictures of one frame around the up axis; None: one from the front
+    background: str = BACKGROUNDS[0]  # of all but OpenEXR; none is transparent, for one PNG only
+    turntable: int | None = (
+        None  # pictures of one frame around the up axis; None: one from the front
+    )
     threads: int = 1
     settings: Settings = None  # of ``stage`` alone, such as ``stage.density=fog``
 
@@ -68,16 +73,18 @@ class PreviewRequest:
         if target.suffix.lower() not in _SUFFIXES:
             found = f"be a {target.suffix} file" if target.suffix else "have no suffix"
             raise ConfigError(
-                f"a preview cannot {found} ({target.name}). Use .png for a picture, .webp for an "
-                "animation, or .exr for scene-linear layers."
+                f"a preview cannot {found} ({target.name}). Use .png for a picture, .webp, .gif "
+                "or .mp4 for an animation, or .exr for scene-linear layers."
             )
+        if target.suffix.lower() == ".mp4":
+            check_packages("av")
         if self.background not in BACKGROUNDS:
             raise ConfigError(
                 f"unknown background {self.background!r}. Use one of {', '.join(BACKGROUNDS)}."
             )
         if self.threads < 1:
             raise ConfigError(f"--threads is {self.threads}. Give at least 1.")
-        self._check_turn()
+        self._check_turntable()
         if self.width is not None and self.size is not None:
             raise ConfigError("--width and --size exclude each other. Give only one.")
         parse_frames(self.stage_config.frames)
@@ -94,15 +101,15 @@ class PreviewRequest:
                 f"cannot write {target.name}: there is no folder {target.parent}. Create it first."
             )
 
-    def _check_turn(self) -> None:
-        if self.turn is None:
+    def _check_turntable(self) -> None:
+        if self.turntable is None:
             return
-        if self.turn < 2:
-            raise ConfigError(f"--turn is {self.turn}. Give at least 2 pictures.")
+        if self.turntable < 2:
+            raise ConfigError(f"--turntable is {self.turntable}. Give at least 2 pictures.")
         if self.camera:
-            raise ConfigError("--turn and --camera exclude each other. Give only one.")
+            raise ConfigError("--turntable and --camera exclude each other. Give only one.")
         if self.is_exr:
-            raise ConfigError("a turn cannot be an .exr file. Use .png for a sheet, or .webp.")
+            raise ConfigError("a turntable cannot be an .exr file. Use .png for a sheet, or .webp.")
 
     @property
     def stage_config(self) -> StageConfig:
@@ -137,12 +144,12 @@ class PreviewRequest:
     @property
     def is_animation(self) -> bool:
         """True for pictures one after the other in time."""
-        return self.output.suffix.lower() == ".webp"
+        return self.output.suffix.lower() in WRITERS
 
     @property
     def angles(self) -> tuple[float, ...]:
         """Degrees around the up axis from the front, one for each picture of a frame."""
-        count = self.turn or 1
+        count = self.turntable or 1
         return tuple(360.0 * number / count for number in range(count))
 
     def pixels(self, aspect: float) -> tuple[int, int]:

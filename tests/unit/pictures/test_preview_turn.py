@@ -41,7 +41,7 @@ def width_of_smoke(picture: np.ndarray) -> int:
 def test_a_turn_shows_the_middle_frame_from_angles_around_the_up_axis(
     look: Path, tmp_path: Path
 ) -> None:
-    result = preview(look, tmp_path / "turn.webp", turn=4, size=(80, 60))
+    result = preview(look, tmp_path / "turn.webp", turntable=4, size=(80, 60))
     assert result.time_codes == (3,) and result.angles == (0, 90, 180, 270)
     pictures, _ = animation(tmp_path / "turn.webp")
     assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 4
@@ -51,7 +51,7 @@ def test_a_turn_shows_the_middle_frame_from_angles_around_the_up_axis(
 
 
 def test_a_turn_as_png_is_a_sheet(look: Path, tmp_path: Path) -> None:
-    preview(look, tmp_path / "turn.png", turn=8, frames="2", size=(60, 40))
+    preview(look, tmp_path / "turn.png", turntable=8, frames="2", size=(60, 40))
     rows, columns = pixels(tmp_path / "turn.png").shape[:2]
     assert rows > 2 * 40 and columns > 6 * 60  # eight pictures, six in a row
 
@@ -77,8 +77,8 @@ def test_an_animation_has_all_frames_at_the_stages_rate(look: Path, tmp_path: Pa
 
 
 def test_a_comparison_that_moves_shows_the_original_at_the_left(look: Path, tmp_path: Path) -> None:
-    preview(look, tmp_path / "a.webp", size=(60, 40), compare=True, turn=2)
-    preview(look, tmp_path / "b.webp", size=(60, 40), turn=2)
+    preview(look, tmp_path / "a.webp", size=(60, 40), compare=True, turntable=2)
+    preview(look, tmp_path / "b.webp", size=(60, 40), turntable=2)
     both, alone = (animation(tmp_path / name)[0] for name in ("a.webp", "b.webp"))
     assert both[0].shape == (40, 120, 3)
     assert np.abs(both[0][:, 60:] - alone[0]).mean() < 0.02
@@ -101,13 +101,13 @@ def test_threads_are_those_asked_for_and_afterwards_as_before(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"turn": 1}, "--turn is 1"),
-        ({"turn": 4, "frames": "1-2"}, "selects 2"),
-        ({"turn": 4, "output": "a.exr"}, r"\.exr"),
-        ({"turn": 4, "camera": "/cameras/side"}, "--turn and --camera"),
+        ({"turntable": 1}, "--turntable is 1"),
+        ({"turntable": 4, "frames": "1-2"}, "selects 2"),
+        ({"turntable": 4, "output": "a.exr"}, r"\.exr"),
+        ({"turntable": 4, "camera": "/cameras/side"}, "--turntable and --camera"),
         ({"threads": 0}, "--threads is 0"),
         ({"output": "a.webp", "frames": "1", "background": "none"}, "an animation.*transparent"),
-        ({"output": "a.webp", "size": (4000, 4000), "turn": 9}, "9 pictures of 4000 x 4000"),
+        ({"output": "a.webp", "size": (4000, 4000), "turntable": 9}, "9 pictures of 4000 x 4000"),
     ],
 )
 def test_what_cannot_turn_or_move_is_refused_and_nothing_written(

@@ -204,13 +204,13 @@ def _add_preview(commands: Any) -> None:
         "--output",
         required=True,
         metavar="FILE",
-        help=".png: a picture, or a contact sheet of several; .webp: an animation; .exr: "
-        "scene-linear, one file per frame",
+        help=".png: a picture, or a contact sheet of several; .webp, .gif, .mp4: an animation; "
+        ".exr: scene-linear, one file per frame",
     )
     add_selection(
         parser,
         "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last; "
-        "all for an animation; the middle for a turn)",
+        "all for an animation; the middle for a turntable)",
     )
     add_set(parser, "a setting of the section 'stage', such as stage.density=fog; may be repeated")
     parser.add_argument(
@@ -230,13 +230,15 @@ def _add_preview(commands: Any) -> None:
         "--background",
         choices=("grey", "black", "none"),
         default="grey",
-        help="background of PNG and WebP; none: transparent (single PNGs only)",
+        help="background of all but OpenEXR; none: transparent (single PNGs only)",
     )
     parser.add_argument(
-        "--turn",
+        "--turntable",
         type=count_value,
+        nargs="?",
+        const=36,
         metavar="N",
-        help="draw one frame N times, evenly around the up axis",
+        help="draw one frame N times (default: 36), evenly around the up axis",
     )
     parser.add_argument(
         "--threads", type=count_value, default=1, metavar="N", help="CPU threads (default: 1)"

@@ -34,7 +34,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
             width=arguments.width,
             size=arguments.size,
             background=arguments.background,
-            turn=arguments.turn,
+            turntable=arguments.turntable,
             threads=arguments.threads,
             settings=arguments.set,
             progress=progress,
