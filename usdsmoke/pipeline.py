@@ -79,12 +79,12 @@ def plan_request(request: Request, fits: bool = True, whole: bool = True) -> Pla
 
     Args:
         fits: as in ``plan``.
-        whole: note what is in the way of the whole run in the output folder, where ``fits``; False:
-            the plan is for a task of it.
+        whole: note what is in the way of the whole run in the output folder; False: the plan is for
+            a task of it.
     """
     course = Course(prepare_job(request, fits))
     found = course.plan(whole)
-    if whole and fits and (refusal := course.refusal):
+    if whole and (refusal := course.refusal):
         why = f"{REFUSED}: {refusal.removesuffix('.')}"
         found = replace(found, notes=(why, *found.notes))
     return found

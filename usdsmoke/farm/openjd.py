@@ -19,7 +19,7 @@ from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.resolve import FilePath, settings_yaml
 from usdsmoke.base.settings import Config
-from usdsmoke.pipeline import Request
+from usdsmoke.pipeline import Request, plan_request
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 
@@ -215,6 +215,7 @@ class JobBundle:
     files: tuple[Path, ...]  # beside the template: settings, parameter values, asset references
     parameters: Mapping[str, str]  # values of the template's parameters
     n_windows: int
+    plan: Plan  # with notes on what the output folder holds
 
 
 def submit(
@@ -264,7 +265,8 @@ def submit(
         ),
     }
     _publish_texts(texts)
-    return JobBundle(target, tuple(beside.values()), parameters, n_windows)
+    planned = plan_request(request, fits=False)
+    return JobBundle(target, tuple(beside.values()), parameters, n_windows, planned)
 
 
 def _check_program(command: str) -> None:

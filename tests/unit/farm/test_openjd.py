@@ -185,7 +185,8 @@ def test_the_command_tells_how_to_run_the_job(
     template = shot.folder / "job/template.yaml"
     options = ["--template", str(template), "--set", "windows.size=1", "--command", "/opt/smoke"]
     assert main(["submit", *shot.arguments(*options)[1:]]) == 0
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "plan for" in err and "estimate" in err
     assert "3 windows" in out and f"deadline bundle submit {template.parent}" in out
     assert f"openjd run {template} -p Stage={shot.stage} " in out
     commands = [d for d in read(template)["parameterDefinitions"] if d["name"] == "Command"]

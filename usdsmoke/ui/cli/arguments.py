@@ -140,7 +140,9 @@ def _add_train(commands: Any) -> None:
 
 
 def _add_submit(commands: Any) -> None:
-    parser = add_command(commands, "submit", "write a job for a render queue, without sending it")
+    parser = add_command(
+        commands, "submit", "write a job for a render queue, without sending it", plans=True
+    )
     _add_run(parser)
     parser.add_argument(
         "--template",

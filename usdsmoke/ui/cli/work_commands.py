@@ -87,7 +87,9 @@ def run_submit(arguments: argparse.Namespace) -> int:
         "files": [str(file_path) for file_path in bundle.files],
         "parameters": dict(bundle.parameters),
         "n_windows": bundle.n_windows,
+        "plan": bundle.plan.to_dict(),
     }
+    print(plan_text(bundle.plan, arguments.verbose), file=sys.stderr)
     show(arguments, lambda: described, lambda: job_text(bundle))
     return 0
 
