@@ -64,8 +64,7 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w))
-        one_view = has_one_view(frame.config.views, frame.smoke.thin_axis is not None)
-        if not one_view and frame.config.losses.style > 0:
+        if not has_one_view(frame.config.views, frame.smoke.thin_axis is not None):
             unseen = _timed(lambda: _unseen_views(frame))
     return FrameErrors(quadrature, resolution, filtered, unseen)
 

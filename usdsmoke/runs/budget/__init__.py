@@ -1,9 +1,9 @@
 """The error budget and the time of a run, from the reports of its frames.
 
 ``rows`` declares every error once, ``planned`` says why one is absent, ``error_budget`` puts
-together, ``findings`` says what deserves a look, ``watch`` says it during the run, and ``verdicts``
-says what to make of each part of a result.
-``clock`` measures the parts of a run.
+figures together. ``findings`` and ``light_findings`` say what deserves a look, ``watch`` says it
+during the run, and ``verdicts`` says what to make of each part of a result. ``clock`` measures the
+parts of a run.
 """
 
 from usdsmoke.runs.budget.clock import (
@@ -19,7 +19,7 @@ from usdsmoke.runs.budget.error_budget import (
     run_budget,
     summarize_figures,
 )
-from usdsmoke.runs.budget.findings import Finding, finding_texts
+from usdsmoke.runs.budget.finding import Finding, finding_texts
 from usdsmoke.runs.budget.watch import WindowFindings
 
 __all__ = [

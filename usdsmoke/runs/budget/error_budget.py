@@ -10,7 +10,8 @@ from usdsmoke.base.json_records import JsonRecord
 from usdsmoke.base.record_format import Figure
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.budget.clock import step_seconds
-from usdsmoke.runs.budget.findings import Finding, find_volume, finding_texts
+from usdsmoke.runs.budget.finding import Finding, finding_texts
+from usdsmoke.runs.budget.findings import find_volume
 from usdsmoke.runs.budget.planned import PlannedVolume, temporal_note
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow
 from usdsmoke.runs.budget.verdicts import FINE, LOOK, Verdict, judge_parts, urgency

@@ -5,7 +5,9 @@ from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.planning.plan import VolumePlan
-from usdsmoke.runs.budget.findings import Finding, find_scene, find_written, frames_before
+from usdsmoke.runs.budget.finding import Finding
+from usdsmoke.runs.budget.findings import find_written, frames_before
+from usdsmoke.runs.budget.light_findings import find_scene
 from usdsmoke.runs.budget.planned import PlannedVolume
 
 

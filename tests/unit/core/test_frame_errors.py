@@ -1,0 +1,33 @@
+"""Which errors of a finished frame are estimated, and from how many views."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from tests.fixtures.smoke_fixtures import frame_of, puff
+from tests.fixtures.stylize_fixtures import quick_config, run_core
+from usdsmoke.base.frame_report import FrameReport
+
+ALL_ROUND: Mapping[str, Any] = {"pool": 4, "image_size": 16}
+
+
+def report_of(views: Mapping[str, Any] = ALL_ROUND) -> FrameReport:
+    config = quick_config(views=views, optimize={"error_budget": True})
+    return run_core([frame_of(puff(10))], config)[0].report
+
+
+def test_equal_views_are_not_compared_with_each_other() -> None:
+    front = {**ALL_ROUND, "azimuth": 0.0, "elevation": 0.0}
+    one, many = report_of(front), report_of()
+    for step in one.steps.values():
+        assert step.view_spread is None
+    assert many.errors.unseen_views is not None and many.last_step.view_spread is not None
+    assert one.errors.unseen_views is None
+    assert one.errors.resolution is not None and one.errors.quadrature is not None
+
+
+@pytest.mark.parametrize("angles", [{"azimuth": 0.0}, {"elevation": 0.0}])
+def test_views_on_a_line_are_compared(angles: Mapping[str, float]) -> None:
+    report = report_of({**ALL_ROUND, **angles})
+    assert report.errors.unseen_views is not None and report.last_step.view_spread is not None
