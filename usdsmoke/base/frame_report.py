@@ -27,6 +27,7 @@ class Progress:
 
 
 ProgressCallback = Callable[[Progress], None]
+SHORTEST_WAY = 0.2  # of ``StepReport.way``; from there the optimiser's rows are right within 2
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,21 @@ class StepReport:
     rollbacks: int = 0
     restored: int = 0  # octaves that end with an earlier state, because the last one was worse
     ended: tuple[str, ...] = ()  # why each octave ended: "iterations" or "converged"
-    # From the losses of the last octave; None where it has too few iterations.
+    # From the losses of the last octave; None where it has too few iterations or too small steps.
     fallen: float | None = None  # by how much the loss fell in all octaves
     fallen_in_last_octave: float | None = None
     remaining: float | None = (
         None  # by how much a run four times as long would end lower, predicted
     )
     view_spread: float | None = None  # standard error of its mean over the views, relative to it
+    # Sum of the optimiser's rates in the last octave: how far an unknown can get. From black to
+    # white, or from rest to the largest displacement, is 1.
+    way: float | None = None
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the last octave's steps are too small to tell where its loss would go."""
+        return self.way is not None and self.way < SHORTEST_WAY
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,8 @@ class ShapeConfig(Section):
         "irrotational (potential), or both (mixed)",
         request="displacement")
     reach: float = setting(
-        0.04, "largest displacement",
+        0.04, "largest displacement; it is less for lumps far apart, and for smoke over ten times "
+        "as long as it is wide",
         gt=0, le=0.5, unit="share of the smoke's longest side", request="reach")
     interpolation: Literal["linear", "cubic"] = setting(
         "cubic", "scheme of the final transport")

@@ -76,6 +76,21 @@ def test_where_smoke_is_does_not_depend_on_its_densest_voxel(level):
     torch.testing.assert_close(plain, dense)
 
 
+def test_one_voxel_far_away_moves_no_smoke_out_of_its_place():
+    """Its distance is no size of the smoke: the puff would be moved by more than its radius."""
+    far = np.zeros((16, 216, 16), np.float32)
+    far[:, :16] = puff(16)
+    far[8, 215, 8] = 0.5
+    config = quick_config(
+        shape={"iterations": [0, 20]},
+        optimize={"steps": ["shape"]},
+        views={"pool": 4, "image_size": 216},
+    )
+    transport = run_core([frame_of(far)], config)[0].report.transport
+    assert 0.5 * transport.cap < transport.largest_displacement < 0.2 * 16
+    assert transport.folded < 0.005 and transport.unread < 0.01
+
+
 def test_a_rank_is_never_the_largest_of_two_or_more():
     assert ranked(torch.tensor([]), 0.99) == 0
     assert ranked(torch.tensor([3.0]), 0.99) == 3

@@ -13,7 +13,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from usdsmoke.base.frame_report import Estimate, FrameErrors
+from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors
 from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
 from usdsmoke.core.sequence.frame_state import PaintedFrame
@@ -100,12 +100,14 @@ def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, fl
     """
     if not ends:
         return {}
-    losses, end = ends[-1].losses, ends[-1].smoothed
+    losses, rates, end = ends[-1].losses, ends[-1].rates, ends[-1].smoothed
+    way = math.fsum(rates)
     found = {
         "fallen": max(ends[0].losses[0] - end, 0.0),
         "fallen_in_last_octave": max(losses[0] - end, 0.0),
-        "remaining": remaining_decrease(losses, ends[-1].rates),
+        "remaining": math.nan if way < SHORTEST_WAY else remaining_decrease(losses, rates),
         "view_spread": spread_of_mean(losses, pool, count),
+        "way": way,
     }
     return {name: value for name, value in found.items() if math.isfinite(value)}
 

@@ -15,6 +15,7 @@ from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 
+MOST_EXTENT = 5.0  # edges of a cube as large as the smoke
 NEARLY = 0.02  # of a doubling: voxels that are nearly cubes have edges of slightly different length
 
 
@@ -63,6 +64,18 @@ class ActiveSmoke(Placed):
         ends = torch.ones_like(begins)
         ends[:-1] = begins[1:]
         return self.take(begins | ends).positions.cpu().numpy()
+
+    @property
+    def extent(self) -> float:
+        """The longest side, stage units, but at most ``MOST_EXTENT`` edges of a cube (of a square,
+        for a slab) that is as large as all voxels: a stray voxel far away makes no smoke large.
+        """
+        low, high = self.box
+        sides = np.linalg.norm(self.index_to_stage[:3, :3], axis=1)[high > low]
+        if not sides.size:
+            return self.longest_side
+        edge = float(len(self.ijk) * np.prod(sides)) ** (1 / sides.size)
+        return min(self.longest_side, MOST_EXTENT * edge)
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -21,8 +21,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.views.visibility import EffectMask
 
-FADE = 0.02  # of the smoke's longest side: sigma of the fade towards the border
-MOST_FADE = 0.1  # of the edge of a cube as large as the smoke: lumps far apart stay lumps
+FADE = 0.02  # of the smoke's extent: sigma of the fade towards the border
 BEYOND = 1.2  # sigma; beyond a thin sheet the fade has ended there
 LEAST_PADDING = 2  # voxels: slopes reach one voxel beyond the effect
 LEAST_SHARE = 1e-7  # of the density of outliers: less, where there was none, is round-off
@@ -31,15 +30,10 @@ LEAST_SHARE = 1e-7  # of the density of outliers: less, where there was none, is
 def fade_of(source: ActiveSmoke) -> float:
     """Sigma of the effect's fade towards the smoke's border, stage units.
 
-    A share of the smoke's longest side. For filaments and for lumps far apart that would be wider
-    than the smoke itself, at a cost that follows the cube of it: there the smoke's volume decides.
+    A share of the smoke's extent. Of the longest side of filaments or of lumps far apart it would
+    be wider than the smoke itself, at a cost that follows the cube of it.
     """
-    low, high = source.box
-    sides = np.linalg.norm(source.index_to_stage[:3, :3], axis=1)[high > low]
-    if not sides.size:
-        return FADE * source.longest_side
-    edge = float(len(source.ijk) * np.prod(sides)) ** (1 / sides.size)
-    return min(FADE * source.longest_side, MOST_FADE * edge)
+    return FADE * source.extent
 
 
 def smoke_box(smoke: ActiveSmoke, fade: float) -> Lattice:

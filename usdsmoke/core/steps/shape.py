@@ -6,9 +6,8 @@ density becomes d(x - u(x)).
 
 Deviations from the reference, each against a fault seen there:
 
-- the velocity's length is clamped smoothly to ``shape.reach`` of the smoke's longest side, and
-  fades at the border of thick smoke; otherwise a bright rim grows along the border of the moved
-  smoke;
+- the velocity's length is clamped smoothly to ``shape.reach`` of the smoke's extent, and fades at
+  the border of thick smoke; otherwise a bright rim grows along the border of the moved smoke;
 - the smoke follows the velocity's flow, and folding is penalised: a displacement taken at once
   folds a seventh of a plume of 64 voxels (decision 018);
 - outliers of density count as much as the dense smoke: one voxel would own every measure;
@@ -269,8 +268,8 @@ def _between_blocks(blocks: Displacement, lattice: Lattice, start: Start | None)
 
 
 def max_displacement(source: ActiveSmoke, share: float) -> float:
-    """What displacements are clamped to, stage units: ``share`` of the smoke's longest side."""
-    return share * source.longest_side
+    """What displacements are clamped to, stage units: ``share`` of the smoke's extent."""
+    return share * source.extent
 
 
 def _potential_on(

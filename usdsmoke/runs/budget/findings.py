@@ -92,8 +92,7 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
         if gone > VANISHED:
             yield _vanished(name, gone, config)
     if report.temporal is None:  # a warm frame starts where its neighbour ended
-        for step, found in report.steps.items():
-            yield from _hardly_fallen(name, step, found, config)
+        yield from _find_way(name, report, config)
     yield from find_light(name, report)
     for row in ROWS:
         figure = row.of_frame(report)
@@ -173,23 +172,65 @@ def _unmoved(name: str, motionless: float, config: Config) -> Finding:
     return Finding(name, MOTIONLESS.name, cause, remedy, setting)
 
 
-def _hardly_fallen(name: str, step: str, found: StepReport, config: Config) -> Iterator[Finding]:
-    if found.fallen is None or not found.loss or not math.isfinite(found.loss[-1]):
+def _find_way(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
+    """How far a frame that starts from no neighbour has come."""
+    for step, found in report.steps.items():
+        if found.is_short and _has_low_rate(step, config):
+            yield _short_way(name, step, found.way or 0.0)
+        elif step == "colour" and found.loss and math.isfinite(found.loss[-1]):
+            yield from _hardly_fallen(name, found, config)
+    if report.shape and report.shape.loss and config.shape.reach < LEAST_REACH:
+        yield _small_reach(name, config.shape.reach)
+
+
+def _has_low_rate(step: str, config: Config) -> bool:
+    """Whether the learning rate of a step is below its default."""
+    rate: float = getattr(config, step).learning_rate
+    usual: float = getattr(Config(), step).learning_rate
+    return rate < usual
+
+
+def _short_way(name: str, step: str, way: float) -> Finding:
+    whole = "from black to white" if step == "colour" else "from rest to the largest displacement"
+    return Finding(
+        name,
+        _OPTIMISERS[step],
+        f"all steps of the last octave of the {step} step add up to {100 * way:.2g}% of the way "
+        f"{whole}: how far it is from its end is not known",
+        f"Raise {step}.learning_rate (default {getattr(Config(), step).learning_rate:g})",
+        f"{step}.learning_rate",
+    )
+
+
+def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Finding]:
+    """A colour step that ends near the loss of the noise that it starts from.
+
+    The shape step's octaves have losses of their own, which tell nothing beside each other.
+    """
+    asked = octave_iterations(config.colour.iterations, config.optimize.iterations)
+    if found.fallen is None or len(found.loss) < sum(map(bool, asked)):  # started further on
         return
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
-    setting, remedy = f"{step}.iterations", f"raise {step}.iterations, or optimize.iterations"
-    if step == "shape" and config.shape.reach < LEAST_REACH:
-        setting, remedy = "shape.reach", "raise shape.reach"
-    elif config.optimize.iterations is None:
-        remedy = f"raise {step}.iterations"
+    others = "" if config.optimize.iterations is None else ", or optimize.iterations"
     yield Finding(
         name,
-        _OPTIMISERS[step],
-        f"the {step} step ends at {end / first:.0%} of its first loss",
-        f"Compare the result with the style; {remedy}",
-        setting,
+        COLOUR_OPTIMISER.name,
+        f"the colour step ends at {end / first:.0%} of its first loss",
+        f"Compare the result with the style; raise colour.iterations{others}",
+        "colour.iterations",
+    )
+
+
+def _small_reach(name: str, reach: float) -> Finding:
+    return Finding(
+        name,
+        SHAPE_OPTIMISER.name,
+        f"shape.reach={reach:g} lets smoke move by less than pictures show",
+        f"Raise shape.reach (default {Config().shape.reach:g}), or leave the step out with "
+        "optimize.steps=[colour]",
+        "shape.reach",
     )
 
 
