@@ -129,6 +129,13 @@ def test_the_setting_that_is_named_is_the_one_that_was_changed(
     assert budget.verdict(row) == f"change {settings[0].partition('=')[0]}"
 
 
+def test_smoke_that_no_potential_moves_is_told_once() -> None:
+    moved = TransportReport(1.0, 0.0, motionless=1.0)
+    for shape in (StepReport(), StepReport(loss=(4.0,))):
+        (finding,) = find_frame("a.vdb", replace(GOOD, shape=shape, transport=moved), Config())
+        assert (finding.row, finding.setting) == ("motionless mass", "optimize.steps")
+
+
 def test_a_step_with_iterations_that_does_nothing_is_laid_to_the_camera() -> None:
     idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
     config = Config(views={"camera": "/cam"})

@@ -85,8 +85,8 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
     if report.temporal is None:  # a warm frame may be what its neighbour is
         yield from _no_iterations(name, report, config)
     if report.shape and report.shape.loss and moved is not None and moved.folded is not None:
-        if moved.largest_displacement <= UNMOVED * moved.cap:
-            yield _unmoved(name, moved.motionless or 0.0, config)
+        if moved.largest_displacement <= UNMOVED * moved.cap and not _is_motionless(report):
+            yield _unmoved(name, config)
     if report.voxels and report.voxels_written is not None:
         gone = 1 - report.voxels_written / report.voxels
         if gone > VANISHED:
@@ -146,7 +146,9 @@ def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[F
                 "Check what the camera sees of the smoke, or unset views.camera",
                 "views.camera",
             )
-        elif not found.loss and not (step == "colour" and config.optimize.start):
+        elif not found.loss and not (
+            _is_motionless(report) if step == "shape" else config.optimize.start
+        ):
             yield Finding(
                 name,
                 _OPTIMISERS[step],
@@ -156,19 +158,21 @@ def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[F
             )
 
 
-def _unmoved(name: str, motionless: float, config: Config) -> Finding:
-    if motionless > 1 - VANISHED:
-        cause = "the shape step moved nothing: no potential moves smoke of this shape"
-        remedy, setting = "Set optimize.steps=[colour], which leaves the step out", "optimize.steps"
-    else:
-        cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
-        remedy, setting = "Look for smoke in places far apart, or leave", "optimize.steps"
-        if changed := _changed(config, *_OUTWEIGH):
-            cause += ", or other settings outweigh the style"
-            remedy, setting = f"Use the default of {', '.join(changed)}, or leave", changed[0]
-        if config.stage.mask:
-            cause += ", or the mask leaves too little"
-        remedy += " the step out with optimize.steps=[colour]"
+def _is_motionless(report: FrameReport) -> bool:
+    """Whether the row of the mass that no potential moves has a finding already."""
+    found = MOTIONLESS.of_frame(report)
+    return found is not None and found.value > MOTIONLESS.most
+
+
+def _unmoved(name: str, config: Config) -> Finding:
+    cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
+    remedy, setting = "Look for smoke in places far apart, or leave", "optimize.steps"
+    if changed := _changed(config, *_OUTWEIGH):
+        cause += ", or other settings outweigh the style"
+        remedy, setting = f"Use the default of {', '.join(changed)}, or leave", changed[0]
+    if config.stage.mask:
+        cause += ", or the mask leaves too little"
+    remedy += " the step out with optimize.steps=[colour]"
     return Finding(name, MOTIONLESS.name, cause, remedy, setting)
 
 
