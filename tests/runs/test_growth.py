@@ -181,6 +181,7 @@ def test_a_look_with_default_windows_grows_and_the_plan_names_what_stays(
         ("1-16", "1-20", (), "1-8", ["shares other frames"]),
         ("1-24", "1-28", (), "1-16", ["shares other frames"]),
         ("1-2", "1-4", ("windows.size=1",), "1,2", []),
+        ("1-8", "1-20", ("windows.overlap=0", "windows.shared_octaves=0"), "1-8", []),
     ],
 )
 def test_the_plan_says_which_finished_frames_stay_and_why_others_change(

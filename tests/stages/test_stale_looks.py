@@ -210,11 +210,15 @@ def test_a_package_fails_and_is_said_to_be_one(
         assert main(["validate", str(package), *only]) == 1
         first = capsys.readouterr().out.splitlines()[0]
         assert "ResultChanged" in first and "inside the package p.usdz" in first
+    own, of_source = validate_look(package)
+    assert "FieldFileMissing" in {finding.rule for finding in of_source}  # in the source too
+    assert {"ResultChanged"} <= {finding.rule for finding in own}
     assert main(["inspect", str(package)]) == 1
     assert "package" in capsys.readouterr().err
     assert main(["verify", str(package)]) == 1
     referencing = write_text(tmp_path / "r.usda", "#usda 1.0\n(subLayers = [@./p.usdz@])\n")
     assert main(["verify", str(referencing)]) == 1
+    assert "ResultChanged" in {finding.rule for finding in validate_look(referencing)[0]}
     out, err = capsys.readouterr()
     assert "p.usdz is a package" in err and "result-missing" in out
     (found,) = provenance(package)

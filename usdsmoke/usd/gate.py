@@ -26,8 +26,8 @@ def validate_look(
 
     Rule, severity, prim and timeCode decide whether two findings are the same one, and the text of
     those of a whole stage. A finding on a file that only the look names is the look's: OpenUSD's
-    validators follow muted layers too. So are all findings where a look lies in a package (.usdz),
-    whose layers USD does not mute.
+    validators follow muted layers too. USD does not mute layers in a package (.usdz); its source is
+    what its root layer has beside looks. All findings are the look's where a package lies deeper.
 
     Args:
         stage: the root layer of a result, or any stage with looks.
@@ -36,9 +36,10 @@ def validate_look(
         StageError: as of ``validate``; or the stage has no look.
     """
     composed = open_stage(stage)
-    if any(_is_packed_look(layer) for layer in composed.GetUsedLayers()):
+    is_packed = _has_packed_look(composed)
+    source = _packed_source(composed) if is_packed else open_original(stage)
+    if _has_packed_look(source):
         return validate(stage), []
-    source = open_original(stage)
     known = {_what(finding) for finding in validate(source)}
     own_files = _files_named(composed) - _files_named(source)
     own, of_source = list[Finding](), list[Finding]()
@@ -153,8 +154,24 @@ def _time_on(stage: Usd.Stage, layer: Sdf.Layer, path: str, time_code: float) ->
     return float(offsets[0] * time_code) if offsets else time_code
 
 
+def _has_packed_look(stage: Usd.Stage) -> bool:
+    return any(_is_packed_look(layer) for layer in stage.GetUsedLayers())
+
+
 def _is_packed_look(layer: Sdf.Layer) -> bool:
     return Ar.IsPackageRelativePath(layer.identifier) and bool(record_values(layer))
+
+
+def _packed_source(composed: Usd.Stage) -> Usd.Stage:
+    """The stage of a package without the looks among the sublayers of its root layer."""
+    root, layer = composed.GetRootLayer(), Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(root)
+    paths = [Sdf.ComputeAssetPathRelativeToLayer(root, path) for path in root.subLayerPaths]
+    layers = {path: Sdf.Layer.FindOrOpen(path) for path in paths}
+    layer.subLayerPaths = [
+        path for path, found in layers.items() if found is None or not _is_packed_look(found)
+    ]
+    return Usd.Stage.Open(layer)
 
 
 def _files_named(stage: Usd.Stage) -> set[str]:
