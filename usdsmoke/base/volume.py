@@ -119,6 +119,7 @@ class BoundMaterial:
     # others. Empty: it has no volume shader, and renderers take their fallback.
     readers: Mapping[str, tuple[str, ...]]
     can_replace: bool  # False: a binding of an ancestor or a collection wins over the Volume's own
+    multiplies: tuple[str, ...] = ()  # contexts that multiply a look's emission by the density
 
     def hidden_in(self, colours: Collection[str]) -> tuple[str, ...]:
         """The contexts in which a look with these colour grids is not seen; ("",) without shaders.

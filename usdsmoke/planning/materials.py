@@ -10,6 +10,7 @@ from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.usd.materials import (
     ALL_RENDERERS,
     binds_material,
+    brightness_words,
     hiding_advice,
     hiding_words,
 )
@@ -50,6 +51,15 @@ def _hidden(what: str, renderers: str, can_replace: bool, places: Sequence[tuple
 
 def _first_of(paths: Sequence[str]) -> str:
     return f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if paths[1:] else "")
+
+
+def brightness_remark(volume: VolumePlan) -> list[str]:
+    """That a bound material shows the look too dark or too bright."""
+    if not _has_colour(volume) or _binds(volume):
+        return []
+    mode = volume.config.layer.emission_mode
+    found = [brightness_words(material, mode) for material in volume.source.materials]
+    return [text for text in found if text]
 
 
 def _binds(volume: VolumePlan) -> bool:

@@ -47,8 +47,11 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
     for material, relationship in bound:
         if not material or not relationship or str(material.GetPath()) in found:
             continue
-        path = str(material.GetPath())
-        found[path] = BoundMaterial(path, _readers(material), _is_weaker(relationship, volume))
+        path, shaders = str(material.GetPath()), _volume_shaders(material)
+        readers = {context: _colours_read(prims) for context, prims in shaders.items()}
+        multiplies = tuple(name for name, prims in shaders.items() if _multiplies(prims))
+        weaker = _is_weaker(relationship, volume)
+        found[path] = BoundMaterial(path, readers, weaker, multiplies)
     return tuple(found.values())
 
 
@@ -109,6 +112,22 @@ def hiding_words(material: BoundMaterial, colours: Collection[str]) -> tuple[str
     return f"{text} in its {shaders} for {names} ({outputs})", names
 
 
+def brightness_words(material: BoundMaterial, emission_mode: str) -> str:
+    """That renderers show a look of ``layer.emission_mode`` too dark or bright; "" where none do.
+
+    >>> brightness_words(BoundMaterial("/m", {}, True, ("arnold",)), "absolute")
+    'the material </m> multiplies the emission by the density in Arnold. Stylize with \
+--emission-mode perDensity, or set emission_mode to channel'
+    """
+    if emission_mode != "absolute" or not material.multiplies:
+        return ""
+    names = " and ".join(_RENDERERS.get(name, name) for name in material.multiplies)
+    return (
+        f"the material <{material.prim_path}> multiplies the emission by the density in {names}. "
+        "Stylize with --emission-mode perDensity, or set emission_mode to channel"
+    )
+
+
 def hiding_advice(can_replace: bool) -> str:
     """What makes a hidden look seen, as a sentence without its full stop.
 
@@ -128,15 +147,26 @@ def _is_weaker(relationship: Usd.Relationship, volume: Usd.Prim) -> bool:
     return bool(strength != UsdShade.Tokens.strongerThanDescendants)
 
 
-def _readers(material: UsdShade.Material) -> dict[str, tuple[str, ...]]:
-    """The colour grids that are read in each context with a volume shader of its own."""
+def _volume_shaders(material: UsdShade.Material) -> dict[str, list[Usd.Prim]]:
+    """The shaders of each context with a volume shader of its own."""
     found = {}
     for output in material.GetOutputs():
         context, _, terminal = output.GetBaseName().rpartition(":")
         shaders = list(_shaders_behind(output.GetAttr())) if terminal == _VOLUME else []
         if shaders:
-            found[context] = _colours_read(shaders)
+            found[context] = shaders
     return found
+
+
+def _multiplies(shaders: Collection[Usd.Prim]) -> bool:
+    """Whether a shader that reads a colour multiplies it by the density, as Arnold's can."""
+    return bool(_colours_read(shaders)) and any(_mode(prim) == "density" for prim in shaders)
+
+
+def _mode(shader: Usd.Prim) -> str:
+    """Arnold's emission mode; "" where it is not authored."""
+    attribute = shader.GetAttribute("inputs:emission_mode")
+    return _text(attribute) if attribute else ""
 
 
 def _shaders_behind(terminal: Usd.Attribute) -> Iterator[Usd.Prim]:
@@ -172,8 +202,7 @@ def _names_grid(shader: Usd.Prim, attribute: str) -> bool:
     name = attribute.removeprefix(_INPUT)
     if name == attribute or not _NAMES_GRID.search(name):
         return False
-    mode = shader.GetAttribute("inputs:emission_mode")  # Arnold's, which can switch it off
-    return not (name == "emission_channel" and mode and _text(mode) == "none")
+    return not (name == "emission_channel" and _mode(shader) == "none")
 
 
 def _text(attribute: Usd.Attribute) -> str:

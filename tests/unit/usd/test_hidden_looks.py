@@ -3,7 +3,7 @@
 import pytest
 from pxr import Usd
 
-from usdsmoke.usd.materials import find_materials, hiding_words
+from usdsmoke.usd.materials import brightness_words, find_materials, hiding_words
 
 STAGE = """#usda 1.0
 def Volume "smoke" (prepend apiSchemas = ["MaterialBindingAPI"])
@@ -61,3 +61,16 @@ def test_each_renderer_whose_own_shader_hides_the_look_is_named(shaders, hidden)
     if hidden == ["glslfx"]:
         what, renderers = hiding_words(found, ["emission"])
         assert "outputs:glslfx:volume" in what and "arnold" not in what and renderers == "Storm"
+
+
+@pytest.mark.parametrize(("mode", "is_told"), [
+    ("", False), ('\nstring inputs:emission_mode = "channel"', False),
+    ('\nstring inputs:emission_mode = "density"', True),
+])  # fmt: skip
+def test_a_shader_that_multiplies_emission_by_density_is_told_for_absolute_emission(mode, is_told):
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(STAGE.replace("SHADERS", ARNOLD % (CHANNEL + mode)))
+    (found,) = find_materials(stage.GetPrimAtPath("/smoke"))
+    told = brightness_words(found, "absolute")
+    assert bool(told) == is_told and (not told or "Arnold" in told)
+    assert not brightness_words(found, "perDensity")

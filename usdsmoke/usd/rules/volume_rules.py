@@ -7,7 +7,14 @@ from pxr import Gf, Usd, UsdVol
 
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.usd.field_samples import FieldSample, field_targets
-from usdsmoke.usd.materials import ALL_RENDERERS, hiding_advice, hiding_material, hiding_words
+from usdsmoke.usd.materials import (
+    ALL_RENDERERS,
+    brightness_words,
+    find_materials,
+    hiding_advice,
+    hiding_material,
+    hiding_words,
+)
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
     Problem,
@@ -18,7 +25,7 @@ from usdsmoke.usd.rules.facts import (
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.schema import LOOK_API, STYLE_API
+from usdsmoke.usd.schema import EMISSION_MODE, LOOK_API, STYLE_API
 from usdsmoke.usd.units import units_since
 from usdsmoke.usd.values import file_name
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
@@ -141,7 +148,10 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
         return []
     material = hiding_material(volume, colours)
     if material is None:
-        return []
+        mode = str(volume.GetAttribute(EMISSION_MODE).Get())
+        found = [brightness_words(bound, mode) for bound in find_materials(volume)]
+        path = str(volume.GetPath())
+        return [Problem(Severity.WARN, path, f"{text}.") for text in found if text]
     what, renderers = hiding_words(material, colours)
     is_everywhere = renderers == ALL_RENDERERS
     where = "" if is_everywhere else f" in {renderers}"
