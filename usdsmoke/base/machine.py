@@ -11,7 +11,6 @@ import platform
 import shutil
 import sys
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +107,8 @@ def _find_trim() -> Any | None:
 
 def package_versions() -> dict[str, str]:
     """Versions of Python and of the packages that a result depends on, except OpenVDB's."""
+    from importlib.metadata import PackageNotFoundError, version
+
     versions = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:

@@ -49,26 +49,21 @@ class Columns:
         step = direction @ self._to_index[:3, :3]
         axis = int(np.abs(step).argmax())
         self._length = 1 / abs(float(step[axis]))  # of a segment, stage units
-        forward, shape = step[axis] > 0, medium.extinction.shape
+        self._is_reversed, shape = bool(step[axis] < 0), medium.extinction.shape
         self._across = [n for n in range(3) if n != axis]
         self._sides = np.array(shape)[self._across]
         self.numbers_per_ray = shape[axis]
-
-        def columns(values: np.ndarray) -> np.ndarray:
-            """[n K]."""
-            turned = np.moveaxis(values, axis, 2)
-            turned = turned if forward else turned[:, :, ::-1]
-            return np.ascontiguousarray(turned).reshape(-1, shape[axis])
-
         depths = medium.extinction.sum(axis=axis, dtype=np.float64) * self._length
-        self._depths = depths.reshape(-1)
-        self._with_light = with_light
+        self._depths, self._with_light = depths.reshape(-1), with_light
         if not with_light:
             return
+
+        def columns(values: np.ndarray) -> np.ndarray:
+            """[n K], as stored: planes may come back to front."""
+            return np.ascontiguousarray(np.moveaxis(values, axis, 2)).reshape(-1, shape[axis])
+
         self._extinction = columns(medium.extinction)
-        self._light = [
-            columns(part) for part in (() if medium.emission is None else medium.emission)
-        ]
+        self._light = [] if medium.emission is None else [*map(columns, medium.emission)]
         # planes from the first that holds anything to behind the last, with the empty ones around
         filled = np.logical_or.reduce([part != 0 for part in (self._extinction, *self._light)])
         some = filled.any(axis=1)
@@ -103,7 +98,11 @@ class Columns:
         pairs = list(zip(columns, weights.astype(np.float32)[..., None], strict=True))
         table = self._extinction[:, planes]
         extinction = sum(table[column] * weight for column, weight in pairs)
+        if self._is_reversed:
+            extinction = np.ascontiguousarray(extinction[:, ::-1])
         seen = self._plane_weights(extinction)
+        if self._is_reversed:
+            seen = np.ascontiguousarray(seen[:, ::-1])
         light = np.zeros((columns.shape[1], 4))
         for channel, values in enumerate(self._light):
             table = values[:, planes]
@@ -114,7 +113,8 @@ class Columns:
         return light
 
     def _plane_weights(self, extinction: np.ndarray) -> np.ndarray:
-        """What the light at each plane adds to a ray, given its extinction there; [m K] both."""
+        """What the light at each plane adds to a ray, given its extinction there; [m K] both, front
+        to back."""
         slope = extinction[:, 1:] - extinction[:, :-1]
         total = extinction[:, 1:] + extinction[:, :-1]
         total += _TINY

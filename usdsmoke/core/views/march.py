@@ -25,7 +25,7 @@ from usdsmoke.core.views.cells import Cells
 from usdsmoke.core.views.columns import Columns, follows_axis
 from usdsmoke.core.views.media import Medium
 
-_CHUNK = 1 << 20  # numbers of each kind in memory at once, over all rays of a chunk
+_CHUNK = 1 << 18  # numbers of each kind in memory at once, over all rays of a chunk
 _SAME = 1e-6  # relative difference of colours that are the same
 _MOST_RAYS = 4  # a pixel's rays along each side
 

@@ -30,6 +30,7 @@ LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
 NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
+_STILL = 1e-9  # pixels that smoke may be moved by when it is counted
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -198,9 +199,9 @@ def _splat(smoke: Voxels, view: View) -> np.ndarray:
     to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
     middle = np.array([(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]])
     start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + middle
-    places = smoke.ijk @ (smoke.edges @ to_pixels)
+    ijk, mass = _without_depth(smoke, smoke.edges @ to_pixels)
+    places = ijk @ (smoke.edges @ to_pixels)
     offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels
-    mass = smoke.density.astype(np.float64)
     mass *= smoke.voxel_volume / len(offsets) / view.pixel_size**2
     total = np.zeros(view.height * view.width)
     for offset in offsets + start:
@@ -212,6 +213,28 @@ def _splat(smoke: Voxels, view: View) -> np.ndarray:
             weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
             total += np.bincount(pixel + (down * view.width + across), weight, len(total))
     return total
+
+
+def _without_depth(smoke: Voxels, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Voxels [M 3] and their density; those behind one another are one where an axis is seen from
+    its end.
+
+    Args:
+        steps: of a voxel along each axis, pixels, [3 2].
+    """
+    density = smoke.density.astype(np.float64)
+    lengths = np.abs(steps).sum(axis=1)
+    axis, (low, high) = int(lengths.argmin()), smoke.box
+    if lengths[axis] * (high - low)[axis] > _STILL:
+        return smoke.ijk, density
+    across = [n for n in range(3) if n != axis]
+    shape = (high - low + 1)[across]
+    i, j = (smoke.ijk[:, n] - low[n] for n in across)
+    total = np.bincount(i * shape[1] + j, density, int(np.prod(shape)))
+    filled = np.flatnonzero(total)
+    ijk = np.tile(low, (len(filled), 1))
+    ijk[:, across] += np.stack(np.divmod(filled, shape[1]), axis=1)
+    return ijk, total[filled]
 
 
 def measure_scene(
