@@ -106,6 +106,14 @@ def test_a_rate_or_unit_that_is_not_positive_is_refused(tmp_path, name, value):
     refuse(tmp_path, body, StageError, rf"{name} of .*shot\.usda is {value}\b", header=header)
 
 
+@pytest.mark.parametrize(("name", "value"), [("startTimeCode", "<>"), ("endTimeCode", "nan")])
+def test_a_first_or_last_time_that_is_no_number_is_refused(tmp_path, name, value):
+    header = re.sub(rf"\b{name} = .*\n", "", HEADER).replace("(", f"(\n    {name} = {value}", 1)
+    write_sequence(tmp_path, [1])
+    body = volume_prim(density_prim(sequence([1])))
+    refuse(tmp_path, body, StageError, rf"{name} of .*shot\.usda is", header=header)
+
+
 def test_a_text_that_is_no_utf8_is_a_problem_of_the_stage(tmp_path):
     write_sequence(tmp_path, [1])
     asked = 'uniform token[] usdSmoke:request:steps = ["Zq9xJ"]\n'

@@ -218,7 +218,15 @@ def _describe_stage(
 
 
 def _authored_time(stage: Usd.Stage, key: str) -> float | None:
-    return float(stage.GetMetadata(key)) if stage.HasAuthoredMetadata(key) else None
+    if not stage.HasAuthoredMetadata(key):
+        return None
+    value = stage.GetMetadata(key)  # of any type: a text file may say startTimeCode = </A>
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise StageError(
+            f"{key} of {stage.GetRootLayer().identifier} is {value!r}. Author a number in the "
+            "layer's metadata."
+        )
+    return float(value)
 
 
 def _own_config(prim: Usd.Prim, config: StageConfig) -> StageConfig:
