@@ -63,7 +63,7 @@ def result_text(result: "StylizeResult") -> str:
     ]
     checked = result.root_stage or result.look_layer
     only = "--look-only " if result.root_stage else ""  # what is wrong with the source is no news
-    check = f"check: usdsmoke validate {only}{checked}"
+    check = f"check: usdsmoke validate {only}{shlex.quote(str(checked))}"
     return "\n".join([*columns(rows), "", *_use_of(result), check])
 
 
