@@ -170,7 +170,8 @@ def test_a_foreign_stage_is_read_stylized_and_its_look_stands_the_gate(
         stand_in(patch)
         result = run(shot, *expected.settings)
     assert len(result.frames) == sum(map(len, expected.volumes.values()))
-    told = [*result.plan.notes, *(f"{item.what}: {item.reason}" for item in result.plan.omitted)]
+    told = [*result.plan.warnings, *result.plan.notes]
+    told += [f"{item.what}: {item.reason}" for item in result.plan.omitted]
     for part in expected.says:
         assert any(part in text for text in told), told
 
