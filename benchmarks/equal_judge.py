@@ -89,12 +89,19 @@ class Judge:
         style: display-encoded.
         scene, config: extinction, size of pictures, range of views.
         step: "shape" judges grey pictures of density, "colour" those of emission.
+        measures: the closures that are wanted.
     """
 
     def __init__(
-        self, frame: VolumeFrame, style: np.ndarray, scene: Scene, config: Config, step: str
+        self,
+        frame: VolumeFrame,
+        style: np.ndarray,
+        scene: Scene,
+        config: Config,
+        step: str,
+        measures: Sequence[str] = MEASURES,
     ) -> None:
-        self._step, self._scene, self._source = step, scene, frame.density
+        self._step, self._scene, self._measures = step, scene, measures
         self._targets = make_targets([style], scene, config, torch.device("cpu"))
         views = config.views
         angles = held_out_angles(N_VIEWS, *view_ranges(views))
@@ -124,7 +131,7 @@ class Judge:
             scores = score_views(self._style, images, masks)
         except ValueError:  # pictures too small for a patch
             return {}
-        return {name: float(scores[name]["mean"]) for name in MEASURES}
+        return {name: float(scores[name]["mean"]) for name in self._measures}
 
     def _loss(self, light: Tensor, alpha: Tensor, guide: Tensor) -> Tensor:
         scene = self._scene

@@ -1,12 +1,13 @@
 """A trained network against iterations: style loss of unseen views against CPU seconds.
 
-    python -m benchmarks.one_pass [--resolution 40] [--styles strokes waves] [--data FOLDER]
+    python -m benchmarks.one_pass [--resolution 40] [--styles strokes A.jpg] [--data FOLDER]
 
 For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does, and
 paints a frame that it has not seen, and one of another shot: the real plume, its voxels merged in
-blocks of two, where its file is there. Beside it stand cold starts of the colour step, and the
-network with iterations of the finest octave after it. Density is as it is in the files. Losses are
-means over views that no run has, and over the seeds. Everything runs on one thread.
+blocks of two, where its file is there. Beside it stand cold starts of the colour step, a start from
+the frame before, and the network with iterations of the finest octave after it. Density is as it is
+in the files. Losses and scores are means over views that no run has, and over the seeds. Everything
+runs on one thread.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +26,17 @@ import torch
 from benchmarks.circumstances import publish, table_page
 from benchmarks.coherence_runs import simulate_plume
 from benchmarks.control_scenes import paint_styles
-from benchmarks.equal_judge import read_real_plume
+from benchmarks.equal_judge import Judge, read_real_plume
 from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.sequence.start import start_colours
 from usdsmoke.core.sequence.stylize import stylize_window
+from usdsmoke.core.sequence.transit import Transit
+from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import share_among
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem
@@ -39,14 +44,18 @@ from usdsmoke.core.training.canvas import Canvas
 from usdsmoke.core.training.frames import train_on_frames
 from usdsmoke.core.training.train import Trained
 from usdsmoke.core.views.scene import Scene, measure_scene
+from usdsmoke.pictures import read_style_image
 
-__all__ = ["Row", "main", "measure_frame"]
+__all__ = ["Row", "Ways", "main", "measure_frame"]
 
 N_FRAMES = 9  # of the plume; the last one is never trained on
 HELD_OUT = 4  # number of the frame that training is judged by
 N_VIEWS, SEED = 8, 0x0A11  # unseen ones
 COLD = ((15, 15, 15), (30, 30, 30), (120, 120, 120))
 AFTER = (8, 16, 32, 64)
+WARM = 96  # iterations behind the neighbour's colours, as by default
+MEASURES = ("patch", "colour", "spectrum", "edges")
+FRAMES_PER_SECOND = 24.0
 N_SHOWN = 4  # frames whose temporal errors are measured
 _INTRO = (
     "# One pass of a trained network against iterations",
@@ -55,6 +64,7 @@ _INTRO = (
     "the ninth, which it has not seen, and a frame of another shot. Colours alone, on density as",
     "it is in the files. Losses are the configured style loss, means over eight views that no run",
     "has and over the seeds. Seconds are CPU seconds of one thread, without what judging takes.",
+    "Patches, colours, spectrum and edges are closures: 0 the style's mean colour, 1 the style.",
 )
 
 
@@ -65,19 +75,40 @@ class Row:
     way: str
     loss: float
     cpu_s: float
+    scores: tuple[float, ...] = ()  # closures, in the order of MEASURES
+
+
+@dataclass(frozen=True)
+class Ways:
+    """The ways to a frame's colours that are compared.
+
+    Attributes:
+        cold: iterations per octave.
+        after: iterations of the finest octave behind the network.
+        neighbour: colours carried from the frame before, None where there is none.
+    """
+
+    cold: Sequence[Sequence[int]] = COLD
+    after: Sequence[int] = AFTER
+    neighbour: torch.Tensor | None = None
 
 
 def measure_frame(
     problem: StepProblem,
     generator: Generator,
     seeds: Sequence[int],
-    cold: Sequence[Sequence[int]] = COLD,
-    after: Sequence[int] = AFTER,
+    ways: Ways = Ways(),
+    score: Callable[[torch.Tensor], tuple[float, ...]] | None = None,
 ) -> list[Row]:
-    """Noise, cold starts, the network, and the network with iterations, on one frame."""
+    """Noise, cold starts, the neighbour, the network, and the network with iterations.
+
+    Args:
+        score: of display-encoded colours [N 3].
+    """
     views = problem.config.views.replace(pool=N_VIEWS)
     judged = replace(problem, config=problem.config.replace(views=views))
     judge, smoke = Canvas(judged, SEED, N_VIEWS), problem.smoke
+    n_coarse = len(problem.config.colour.iterations) - 1
 
     def paint(seed: int) -> torch.Tensor:
         return generator.paint(smoke, problem.scene.gamma_w, seed)
@@ -87,28 +118,29 @@ def measure_frame(
         return replace(problem, config=problem.config.replace(optimize=optimize))
 
     def row(way: str, colours: Callable[[int], torch.Tensor]) -> Row:
-        losses, spent = [], []
+        losses, spent, scores = [], [], []
         for seed in seeds:
             begin = time.process_time()
             found = colours(seed)
             spent.append(time.process_time() - begin)
             with torch.no_grad():
                 losses.append(float(judge.loss(found, 0)))
-        return Row(way, statistics.mean(losses), statistics.mean(spent))
+            scores.append(score(found) if score is not None else ())
+        means = tuple(map(statistics.mean, zip(*scores, strict=True)))
+        return Row(way, statistics.mean(losses), statistics.mean(spent), means)
+
+    def go_on(start: Callable[[int], torch.Tensor], count: int, seed: int) -> torch.Tensor:
+        return run_colour_step(seeded(seed), [*[0] * n_coarse, count], start(seed), warm=True)[0]
 
     paint(seeds[0])  # warms up
     rows = [row("noise", lambda seed: initial_colours(smoke, "noise", seed))]
-    for octaves in cold:
+    for octaves in ways.cold:
         way = f"cold, {sum(octaves)} iterations"
         rows.append(row(way, lambda seed, n=octaves: run_colour_step(seeded(seed), n)[0]))  # type: ignore[misc]
+    if (carried := ways.neighbour) is not None:
+        rows.append(row(f"neighbour + {WARM}", partial(go_on, lambda seed: carried, WARM)))
     rows.append(row("network", paint))
-    for count in after:
-        octaves = [*[0] * (len(problem.config.colour.iterations) - 1), count]
-
-        def go_on(seed: int, octaves: Sequence[int] = octaves) -> torch.Tensor:
-            return run_colour_step(seeded(seed), octaves, paint(seed), warm=True)[0]
-
-        rows.append(row(f"network + {count}", go_on))
+    rows += [row(f"network + {count}", partial(go_on, paint, count)) for count in ways.after]
     return rows
 
 
@@ -147,32 +179,74 @@ def _train(
 def _curves(
     name: str, frames: Sequence[VolumeFrame], other: VolumeFrame | None, given: argparse.Namespace
 ) -> Iterator[str]:
-    """The lines of the table for a style."""
-    style = paint_styles([name])[name]
-    config = _config(max(frames[0].density.values.shape))
+    """The lines of the table for a style: an image file, or the name of an example."""
+    style = read_style_image(Path(name)).pixels if "." in name else paint_styles([name])[name]
+    name, config = Path(name).stem, _config(max(frames[0].density.values.shape))
     trained, seconds = _train(frames, style, config, given.iterations)
-    yield f"| {name} | training, {trained.n_iterations} iterations | | {seconds:.0f} | |"
-    shots = [("example plume", frames[-1], config, _measure(frames, config))]
+    yield _line(name, f"training, {trained.n_iterations} iterations", Row("", 0.0, seconds))
+    problem = _problem(frames[-1], style, _measure(frames, config), config)
+    work = problem, trained.generator, Ways(neighbour=_carried(frames[-2:], style, problem))
+    yield from _rows(f"{name}, example plume", frames[-1], style, work, given)
     if other is not None:
         own = _config(max(other.density.values.shape))
-        shots.append(("real plume", other, own, _measure([other], own)))
-    for shot, frame, own, scene in shots:
-        problem = _problem(frame, style, scene, own)
-        rows = measure_frame(problem, trained.generator, range(given.seeds))
-        full = next(row for row in reversed(rows) if row.way.startswith("cold"))
-        where = f"{name}, {shot}, {len(problem.smoke.ijk):,} voxels"
-        for row in rows:
-            share = f"{row.cpu_s / full.cpu_s:.3f}"
-            yield f"| {where} | {row.way} | {row.loss:.3f} | {row.cpu_s:.2f} | {share} |"
-    if name == given.styles[0]:
-        yield from _coherence(name, frames, trained.generator, config)
+        problem = _problem(other, style, _measure([other], own), own)
+        work = problem, trained.generator, Ways()
+        yield from _rows(f"{name}, real plume", other, style, work, given)
+    if given.shown and name == Path(given.styles[0]).stem:
+        yield from _coherence(name, style, frames, trained.generator, config)
+
+
+def _rows(
+    where: str,
+    frame: VolumeFrame,
+    style: np.ndarray,
+    work: tuple[StepProblem, Generator, Ways],
+    given: argparse.Namespace,
+) -> Iterator[str]:
+    problem, generator, ways = work
+    scene, config, smoke = problem.scene, problem.config, problem.smoke
+    judge = Judge(frame, style, scene, config, "colour", MEASURES)
+    place = tuple((smoke.ijk.numpy() - np.asarray(frame.density.ijk_min)).T)
+
+    def score(colours: torch.Tensor) -> tuple[float, ...]:
+        light = np.zeros((*frame.density.values.shape, 3), np.float32)
+        light[place] = decode_srgb(colours) * (scene.gamma_w * smoke.density)[:, None]
+        emission = replace(frame.density, name="emission", values=light, background=(0.0,) * 3)
+        closures = judge(frame.density, emission).closures
+        return tuple(closures[name] for name in MEASURES if name in closures)  # small ones: none
+
+    rows = measure_frame(problem, generator, range(given.seeds), ways, score)
+    full = next(row for row in reversed(rows) if row.way.startswith("cold"))
+    where = f"{where}, {len(smoke.ijk):,} voxels"
+    for row in rows:
+        yield _line(where, row.way, row, f"{row.cpu_s / full.cpu_s:.3f}")
+
+
+def _line(where: str, way: str, row: Row, share: str = "") -> str:
+    scores = [f"{value:.2f}" for value in row.scores] or [""] * len(MEASURES)
+    loss = f"{row.loss:.3f}" if row.loss else ""
+    return f"| {where} | {way} | {loss} | {row.cpu_s:.2f} | {share} | {' | '.join(scores)} |"
+
+
+def _carried(
+    pair: Sequence[VolumeFrame], style: np.ndarray, problem: StepProblem
+) -> torch.Tensor | None:
+    """The colours of a frame after a full cold start, carried to the next one."""
+    earlier = _problem(pair[0], style, problem.scene, problem.config)
+    colours, _ = run_colour_step(earlier, COLD[-1])
+    way = Transit(pair[0], (pair[1].time_code - pair[0].time_code) / FRAMES_PER_SECOND)
+    return start_colours((earlier.smoke, colours), None, way, problem.smoke, 0)
 
 
 def _coherence(
-    name: str, frames: Sequence[VolumeFrame], generator: Generator, config: Config
+    name: str,
+    style: np.ndarray,
+    frames: Sequence[VolumeFrame],
+    generator: Generator,
+    config: Config,
 ) -> Iterator[str]:
-    """Temporal errors and losses of the last frames in one window, by how frames start."""
-    style, scene, shown = paint_styles([name])[name], _measure(frames, config), frames[-N_SHOWN:]
+    """Temporal errors of the last frames in one window, by how frames start."""
+    scene, shown = _measure(frames, config), frames[-N_SHOWN:]
     with tempfile.TemporaryDirectory() as folder:
         file_path = Path(folder) / "network.safetensors"
         file_path.write_bytes(generator.to_bytes({}))
@@ -180,7 +254,6 @@ def _coherence(
         for way, values in (
             ("noise, 360 iterations, then neighbours", {}),
             ("network + 32, then neighbours", start | {"colour.iterations": [0, 0, 32]}),
-            ("network alone", start | {"optimize.iterations": 0}),
         ):
             begin = time.process_time()
             own = config.with_values(values)
@@ -188,17 +261,20 @@ def _coherence(
             spent = (time.process_time() - begin) / len(shown)
             errors = [one.report.temporal.colour for one in done if one.report.temporal is not None]
             error = statistics.mean(error for error in errors if error is not None)
-            what = f"{way}: temporal error {error:.2f}"
-            yield f"| {name}, {N_SHOWN} frames | {what} | | {spent:.2f} | |"
+            judge = Judge(shown[-1], style, scene, config, "colour")
+            loss = judge(done[-1].density, done[-1].emission).loss
+            what = f"{way}: temporal error {error:.2f}; loss of the last"
+            yield _line(f"{name}, {N_SHOWN} frames", what, Row("", loss, spent))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table, and write it with ``--report``."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
     parser.add_argument("--resolution", type=int, default=40, help="voxels across, about")
-    parser.add_argument("--styles", nargs="+", default=["strokes", "waves"])
+    parser.add_argument("--styles", nargs="+", default=["strokes", "waves"], help="names or images")
     parser.add_argument("--iterations", type=int, default=1200, help="of the training, at most")
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
     given = parser.parse_args(arguments)
@@ -211,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in _curves(name, frames, other, given):
             print(line, file=sys.stderr, flush=True)
             lines.append(line)
-    columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360"]
+    columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments
     publish(
         table_page(_INTRO, columns, lines, ["python", "-m", "benchmarks.one_pass", *own]),

@@ -2,7 +2,7 @@
 
 import torch
 
-from benchmarks.one_pass import measure_frame
+from benchmarks.one_pass import Ways, measure_frame
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.generator.network import Generator
@@ -15,7 +15,7 @@ def test_iterations_lower_the_loss_of_noise_and_of_an_untrained_network() -> Non
     context = make_context([random_style()], scene, config, None, 24.0, None, 0)
     generator = Generator.new(torch.tensor([0.5, 0.3, 0.5]), 0)
     problem = open_frame(frame, context).colour_problem()
-    rows = measure_frame(problem, generator, [0], cold=[(8, 8)], after=[8])
+    rows = measure_frame(problem, generator, [0], Ways(cold=[(8, 8)], after=[8]))
     noise, cold, network, after = (row.loss for row in rows)
     assert cold < noise and after < network
     assert [row.way for row in rows] == ["noise", "cold, 16 iterations", "network", "network + 8"]
