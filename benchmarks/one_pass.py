@@ -27,6 +27,7 @@ from benchmarks.circumstances import publish, table_page
 from benchmarks.coherence_runs import simulate_plume
 from benchmarks.control_scenes import paint_styles
 from benchmarks.equal_judge import Judge, read_real_plume
+from benchmarks.long_shot import STEP, fit_line
 from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
@@ -167,12 +168,17 @@ def _train(
     frames: Sequence[VolumeFrame], style: np.ndarray, config: Config, n_iterations: int
 ) -> tuple[Trained, float]:
     """On all frames but the last, and the CPU seconds that it takes."""
-    begin = time.process_time()
     seen = [frame for n, frame in enumerate(frames[:-1]) if n != HELD_OUT]
-    ordered = [*seen, frames[HELD_OUT]]
-    found = train_on_frames(
-        ordered, [style], _measure(frames, config), config, n_iterations, lambda state: None
-    )
+    shot = _measure(frames, config), config
+    return _fit([*seen, frames[HELD_OUT]], style, shot, n_iterations)
+
+
+def _fit(
+    frames: Sequence[VolumeFrame], style: np.ndarray, shot: tuple[Scene, Config], n_iterations: int
+) -> tuple[Trained, float]:
+    """On frames of which the last one is held out, and the CPU seconds that it takes."""
+    begin = time.process_time()
+    found = train_on_frames(frames, [style], *shot, n_iterations, lambda state: None)
     return found.trained, time.process_time() - begin
 
 
@@ -267,6 +273,31 @@ def _coherence(
             yield _line(f"{name}, {N_SHOWN} frames", what, Row("", loss, spent))
 
 
+def _long_shot(name: str, given: argparse.Namespace) -> Iterator[str]:
+    """Whether a network paints the frames of a long shot alike: a line through their losses."""
+    style, frames = paint_styles([name])[name], simulate_plume(given.resolution, given.long)
+    config = _config(max(frames[0].density.values.shape))
+    scene = _measure(frames, config)
+    places = [round(n * (len(frames) - 1) / 6) for n in range(7)]
+    seen = [frames[place] for place in places]
+    ordered = [*seen[:3], *seen[4:], seen[3]]
+    found, _ = _fit(ordered, style, (scene, config), given.iterations)
+    codes, losses = [], []
+    for number in range(1, len(frames), STEP):
+        if number in places:
+            continue
+        problem = _problem(frames[number], style, scene, config)
+        ways = Ways(cold=[COLD[1]], after=())
+        rows = {row.way: row.loss for row in measure_frame(problem, found.generator, [0], ways)}
+        codes.append(frames[number].time_code)
+        losses.append((rows["network"], rows[f"cold, {sum(COLD[1])} iterations"]))
+    network, cold = np.array(losses).T
+    for what, values in (("network", network), ("network - cold, 90 iterations", network - cold)):
+        line = fit_line(np.array(codes), values)
+        text = f"{what}: change over the shot {line.change:+.3f} +- {line.error:.3f}; mean"
+        yield _line(f"{name}, {len(frames)} frames", text, Row("", line.mean, 0.0))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table, and write it with ``--report``."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
@@ -274,6 +305,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--styles", nargs="+", default=["strokes", "waves"], help="names or images")
     parser.add_argument("--iterations", type=int, default=1200, help="of the training, at most")
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument(
+        "--long", type=int, default=0, help="frames of a long shot, for drift alone"
+    )
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
@@ -283,8 +317,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if (given.data / PLUME_FILE).is_file():
         other = read_real_plume(given.data / PLUME_FILE, given.resolution)
     lines = []
-    for name in given.styles:
-        for line in _curves(name, frames, other, given):
+    made = [partial(_curves, name, frames, other, given) for name in given.styles]
+    if given.long:
+        made = [partial(_long_shot, given.styles[0], given)]
+    for lines_of in made:
+        for line in lines_of():
             print(line, file=sys.stderr, flush=True)
             lines.append(line)
     columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360", *MEASURES]

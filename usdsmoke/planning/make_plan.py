@@ -19,6 +19,7 @@ from usdsmoke.core.sequence.controls import (
     coarse_factor,
     in_effect,
     is_computed,
+    step_iterations,
     without_network,
 )
 from usdsmoke.planning.copied import CopiedGrid, find_copies
@@ -109,13 +110,13 @@ def _pays(volume: VolumePlan, cost: CostEstimate, training: float) -> str:
         return ""
     without = replace(volume, config=without_network(volume.config))
     usual = _estimate(without, volume.frames, volume.overlap_frames, volume.coarse_frames)
-    saved, n = (usual.seconds - cost.seconds) / len(volume.frames), len(volume.frames)
+    saved = (usual.seconds - cost.seconds) / len(volume.frames)
+    takes = f"training the network takes {training:.0f} s"
     if saved <= 0:
-        return f"training the network takes about {training:.0f} s and saves no time here"
-    return (
-        f"training the network takes about {training:.0f} s, as much as it saves over "
-        f"{count_text(math.ceil(training / saved), 'frame')}; <{volume.source.prim_path}> has {n}"
-    )
+        return f"{takes} and saves no time here"
+    n_cold = sum(step_iterations(without.config, "colour"))
+    within = count_text(math.ceil(training / saved), "frame")
+    return f"{takes}, saved within {within} (against {n_cold} iterations from noise)"
 
 
 def _with_places(

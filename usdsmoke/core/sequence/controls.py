@@ -6,6 +6,7 @@ No torch here, because the plan uses it.
 from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.sections import ColourConfig
 from usdsmoke.base.setting_model import extra_of
 from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
@@ -108,12 +109,17 @@ def is_computed(effect: Sequence[bool]) -> list[bool]:
 
 
 def without_network(config: Config) -> Config:
-    """The settings with frames that start from noise and from neighbours, as a network should not
-    have painted them alone either."""
-    optimize = config.optimize
-    return config.replace(
-        optimize=optimize.replace(start="", iterations=optimize.iterations or None)
-    )
+    """The settings with frames that start from noise and from neighbours.
+
+    Where the network would have painted them alone, or left nothing but the finest octave to do,
+    they get the configured or the default iterations of all octaves: from noise, fewer are of no
+    use.
+    """
+    optimize, colour = config.optimize, config.colour
+    if len(colour.iterations) > 1 and not any(colour.iterations[:-1]):
+        colour = colour.replace(iterations=ColourConfig().iterations)
+    own = optimize.replace(start="", iterations=optimize.iterations or None)
+    return config.replace(optimize=own, colour=colour)
 
 
 def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[int]:
