@@ -305,9 +305,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--styles", nargs="+", default=["strokes", "waves"], help="names or images")
     parser.add_argument("--iterations", type=int, default=1200, help="of the training, at most")
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument(
-        "--long", type=int, default=0, help="frames of a long shot, for drift alone"
-    )
+    parser.add_argument("--long", type=int, default=0, help="frames of a shot, for drift alone")
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
