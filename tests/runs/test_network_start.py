@@ -10,10 +10,12 @@ import torch
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
 from usdsmoke.audit import prov_document, provenance, rerun, verify
-from usdsmoke.base.errors import ConfigError, FeatureError
+from usdsmoke.base.errors import ConfigError, FeatureError, WriteFailed
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.core.generator.network import Generator
+from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.pipeline import StylizeResult, plan, stylize
+from usdsmoke.runs import window
 from usdsmoke.ui.cli.main import main
 
 QUICK = {
@@ -91,11 +93,39 @@ def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.Monke
     again = rerun(result.look_layer, shot.folder / "again")
     assert again.differences == ()
 
-    # the same as with the file, taken from the run's folder
-    from_file = run(shot, "file", optimize__start=str(file_path), optimize__iterations=0)
+    # the same bits with the file, taken from the run's folder, in other windows and threads
+    other = {"windows__size": 1, "optimize__threads": 2}
+    from_file = run(shot, "file", optimize__start=str(file_path), optimize__iterations=0, **other)
     assert contents(from_file.root_stage) == contents(result.root_stage)
     file_path.write_bytes(b"")
     assert [change.kind for change in verify(result.look_layer)] == ["start-edited"]
+
+
+def test_a_stopped_run_goes_on_behind_the_last_frame_that_a_network_painted(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    own = {"optimize__start": "network", "optimize__iterations": 0}
+    whole, painted, written = run(shot, "whole", **own), list[int](), list[int]()
+
+    def paint(self: Generator, smoke: ActiveSmoke, gamma_w: float, seed: int) -> torch.Tensor:
+        painted.append(len(smoke.ijk))
+        return real_paint(self, smoke, gamma_w, seed)
+
+    def write(*arguments: object) -> object:
+        written.append(1)
+        if len(written) == 2:
+            raise WriteFailed("the disk is full")
+        return real_write(*arguments)
+
+    real_paint, real_write = Generator.paint, window.write_result
+    with monkeypatch.context() as patch:
+        patch.setattr(window, "write_result", write)
+        with pytest.raises(WriteFailed):
+            run(shot, "out", **own)
+    monkeypatch.setattr(Generator, "paint", paint)
+    assert contents(run(shot, "out", **own).root_stage) == contents(whole.root_stage)
+    assert len(painted) == 2
 
 
 def test_a_look_grows_with_the_network_that_it_has(
