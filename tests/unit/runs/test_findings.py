@@ -136,11 +136,15 @@ def test_smoke_that_no_potential_moves_is_told_once() -> None:
         assert (finding.row, finding.setting) == ("motionless mass", "optimize.steps")
 
 
-def test_a_step_with_iterations_that_does_nothing_is_laid_to_the_camera() -> None:
+@pytest.mark.parametrize(
+    ("views", "wanted"), [({"camera": "/cam"}, "views.camera"), ({}, "views.image_size")]
+)
+def test_a_step_with_iterations_that_does_nothing_is_laid_to_its_pictures(
+    views: dict[str, str], wanted: str
+) -> None:
     idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
-    config = Config(views={"camera": "/cam"})
-    (finding,) = find_frame("a.vdb", idle, config)
-    assert finding.setting == "views.camera"
+    (finding,) = find_frame("a.vdb", idle, Config(views=views))
+    assert finding.setting == wanted
 
 
 @pytest.mark.parametrize("place", [0, 1])
@@ -212,10 +216,11 @@ def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path)
 
 def test_a_cold_step_without_iterations_is_named_by_itself(tmp_path: Path) -> None:
     idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
-    (finding,) = budget_of(tmp_path, [idle]).findings
+    none = ["shape.iterations=[0,0,0]"]
+    (finding,) = budget_of(tmp_path, [idle], settings=none).findings
     assert finding.setting == "shape.iterations" and "no iterations" in finding.cause
     warm = replace(idle, temporal=TemporalErrors(0.2, 0.1))
-    assert budget_of(tmp_path, [GOOD, warm]).findings == ()
+    assert budget_of(tmp_path, [GOOD, warm], settings=none).findings == ()
 
 
 def test_a_hundred_frames_with_one_finding_are_one_sentence() -> None:

@@ -137,25 +137,25 @@ def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[F
     """Steps that end where they start."""
     ends = {"shape": "nothing is moved", "colour": "the colours are the noise that it started from"}
     for step, found in report.steps.items():
+        if found.loss or (_is_motionless(report) if step == "shape" else config.optimize.start):
+            continue
         asked = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
-        if not found.loss and config.views.camera and any(asked):
-            yield Finding(
-                name,
-                _OPTIMISERS[step],
-                f"the {step} step has no picture to work on: {ends[step]}",
-                "Check what the camera sees of the smoke, or unset views.camera",
-                "views.camera",
-            )
-        elif not found.loss and not (
-            _is_motionless(report) if step == "shape" else config.optimize.start
-        ):
-            yield Finding(
-                name,
-                _OPTIMISERS[step],
-                f"the {step} step has no iterations: {ends[step]}",
-                f"Set {step}.iterations, or leave the step out of optimize.steps",
-                f"{step}.iterations",
-            )
+        if not any(asked):
+            cause, setting = "has no iterations", f"{step}.iterations"
+            remedy = f"Set {step}.iterations"
+        elif config.views.camera:
+            cause, setting = "has no picture to work on", "views.camera"
+            remedy = "Check what the camera sees of the smoke, or unset views.camera"
+        else:
+            cause, setting = "has pictures of too few pixels for this smoke", "views.image_size"
+            remedy = "Raise views.image_size"
+        yield Finding(
+            name,
+            _OPTIMISERS[step],
+            f"the {step} step {cause}: {ends[step]}",
+            f"{remedy}, or leave the step out of optimize.steps",
+            setting,
+        )
 
 
 def _is_motionless(report: FrameReport) -> bool:
