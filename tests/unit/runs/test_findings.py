@@ -103,6 +103,7 @@ def test_what_went_wrong_is_named_with_its_row_and_its_remedy(
 
 
 STILL = {"transport": replace(GOOD.transport, largest_displacement=1e-9)}
+FAST = {"colour": StepReport(loss=(9.0, 9.0, 9.0), fallen=0.0)}
 SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
 
 
@@ -120,6 +121,7 @@ SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
         ),
         ({}, "optimiser, shape", ["shape.reach=1e-05"]),
         (SLOW, "optimiser, colour", ["colour.learning_rate=0.001"]),
+        (FAST, "optimiser, colour", ["colour.learning_rate=1000"]),
     ],
 )
 def test_the_setting_that_is_named_is_the_one_that_was_changed(

@@ -217,13 +217,17 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
-    others = "" if config.optimize.iterations is None else ", or optimize.iterations"
+    setting, remedy = "colour.iterations", "raise colour.iterations"
+    if config.colour.learning_rate > (usual := Config().colour.learning_rate):
+        setting, remedy = "colour.learning_rate", f"set colour.learning_rate={usual:g}"
+    elif config.optimize.iterations is not None:
+        remedy += ", or optimize.iterations"
     yield Finding(
         name,
         COLOUR_OPTIMISER.name,
         f"the colour step ends at {end / first:.0%} of its first loss",
-        f"Compare the result with the style; raise colour.iterations{others}",
-        "colour.iterations",
+        f"Compare the result with the style; {remedy}",
+        setting,
     )
 
 
