@@ -131,6 +131,26 @@ def test_the_setting_that_is_named_is_the_one_that_was_changed(
     assert budget.verdict(row) == f"change {settings[0].partition('=')[0]}"
 
 
+@pytest.mark.parametrize(
+    ("reason", "settings", "wanted"),
+    [
+        ("the mask is 0 wherever there is smoke", [], ["stage.mask"]),
+        ("outside the camera's frustum", [], ["views.camera"]),
+        ("empty frame", [], [""]),
+        ("losses.style is 0", ["losses.style=0"], []),
+        ("strength 0", ["optimize.strength=0"], []),
+    ],
+)
+def test_a_shot_of_which_nothing_is_stylized_says_so(
+    reason: str, settings: list[str], wanted: list[str], tmp_path: Path
+) -> None:
+    left_out = FrameReport(left_out=reason)
+    budget = budget_of(tmp_path, [left_out, left_out], settings=settings)
+    assert [finding.setting for finding in budget.findings] == wanted
+    assert all(reason in text for text in budget.warnings)
+    assert budget_of(tmp_path / "part", [left_out, GOOD], settings=settings).findings == ()
+
+
 def test_smoke_that_no_potential_moves_is_told_once() -> None:
     moved = TransportReport(1.0, 0.0, motionless=1.0)
     for shape in (StepReport(), StepReport(loss=(4.0,))):

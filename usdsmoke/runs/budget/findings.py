@@ -37,6 +37,7 @@ _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
     """The findings of a Volume: of its scene, then frame by frame."""
     yield from find_scene(volume)
+    yield from _find_idle(volume)
     before = frames_before(volume.plan)
     reports = {
         frame.file_name: report
@@ -45,6 +46,20 @@ def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
     }
     for name in reports:
         yield from find_written(name, reports, before.get(name), volume.plan.config)
+
+
+def _find_idle(volume: PlannedVolume) -> Iterator[Finding]:
+    """A Volume of which nothing is stylized, although no setting asks for that."""
+    config = volume.plan.config
+    if not volume.idle or config.losses.style == 0 or config.optimize.strength == 0:
+        return
+    remedy, setting = "Check its densities", ""
+    if "mask" in volume.idle:
+        remedy, setting = "Check values, place and scale of the mask", "stage.mask"
+    elif "camera" in volume.idle:
+        remedy, setting = "Check where the camera looks, or unset views.camera", "views.camera"
+    row = _OPTIMISERS["colour" if "colour" in config.optimize.steps else "shape"]
+    yield Finding(volume.plan.source.prim_path, row, volume.idle, remedy, setting)
 
 
 def frames_before(plan: VolumePlan) -> dict[str, str]:
