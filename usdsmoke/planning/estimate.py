@@ -243,7 +243,8 @@ def _frame_seconds(
     if not _is_optimized(frame, config):
         return seconds
     is_painted = bool(config.optimize.start) and "colour" in config.optimize.steps
-    if is_painted and octaves[1] == 1.0 and (frame.window_start or network_alone(config)):
+    is_first = frame.window_start and octaves[1] == 1.0
+    if network_alone(config) or (is_painted and is_first):
         seconds += PAINT_TIME * active / speed
     if by_themselves(config):
         return seconds

@@ -8,7 +8,7 @@ from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
-from usdsmoke.core.sequence.controls import SETTINGS, in_effect, step_iterations
+from usdsmoke.core.sequence.controls import SETTINGS, by_themselves, in_effect, step_iterations
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
@@ -21,6 +21,11 @@ Volumes = Sequence[VolumePlan]
 
 _FEW_CUTS = 8
 _MANY_LAYERS = 5  # of which only the first and the last are named
+_COLUMN_SUMS = Omission(
+    "transmittance along the rays of the shape step",
+    "a grey picture is the opacity, which needs column sums only",
+    expected=True,
+)
 _OTHER_LOSSES = ("total_variation", "histogram", "nearest", "content", "laplacian", "photorealism")
 
 
@@ -160,7 +165,8 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
             count = count_text(len(frames), "timeCode")
             needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
         needed += [*lights_needed(config, frames), *start_needed(config)]
-        needed += [_step_text(step, config) for step in config.optimize.steps]
+        steps = ["colour"] if by_themselves(config) else config.optimize.steps
+        needed += [_step_text(step, config) for step in steps]
     has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
     for step, is_set in (
         ("colour", has_gamma or config.optics.gamma is not None),
@@ -208,16 +214,10 @@ def _omitted_steps(config: Config) -> list[Omission]:
         if config.layer.scatter_colour or config.layer.split_rgb:
             what += " and what is made from it (layer.scatter_colour, layer.split_rgb)"
         omitted.append(Omission(what, "optimize.steps has no colour step"))
-    if "shape" not in steps:
-        omitted.append(Omission("displacement of the density", "optimize.steps has no shape step"))
-    else:
-        omitted.append(
-            Omission(
-                "transmittance along the rays of the shape step",
-                "a grey picture is the opacity, which needs column sums only",
-                expected=True,
-            )
-        )
+    why = "" if "shape" in steps else "optimize.steps has no shape step"
+    if by_themselves(config):
+        why = "optimize.iterations is 0, and no network moves smoke"
+    omitted.append(Omission("displacement of the density", why) if why else _COLUMN_SUMS)
     return omitted
 
 

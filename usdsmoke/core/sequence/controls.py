@@ -138,12 +138,14 @@ def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[in
 
 def network_alone(config: Config) -> bool:
     """Whether frames are what a network paints, each by itself."""
-    return bool(config.optimize.start) and not any(step_iterations(config, "colour"))
+    is_painted = bool(config.optimize.start) and "colour" in config.optimize.steps
+    return is_painted and not any(step_iterations(config, "colour"))
 
 
 def by_themselves(config: Config) -> bool:
-    """Whether no frame has anything from another one: nothing is carried, shared or blended."""
-    return network_alone(config) and "shape" not in config.optimize.steps
+    """Whether no frame has anything from another one: nothing is moved, carried or blended."""
+    moves = "shape" in config.optimize.steps and any(step_iterations(config, "shape"))
+    return network_alone(config) and not moves
 
 
 def coarse_factor(config: Config) -> int:

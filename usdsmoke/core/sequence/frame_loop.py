@@ -75,7 +75,7 @@ def run_frames(
     # shape: find each frame's displacement, starting from the frame before
     # move: average it with the next frame's, and move the density
     moved: Iterator[MovedFrame]
-    if "shape" in steps:
+    if "shape" in steps and not context.alone:
         shaped = _chain(opened, ShapedFrame, partial(_shape, context))
         averaged = starmap(partial(_average, context), _with_next(shaped))
         moved = map(partial(_move, context), averaged)

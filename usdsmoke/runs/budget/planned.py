@@ -30,7 +30,8 @@ class PlannedVolume:
     @property
     def no_shape(self) -> str:
         """Why there is nothing of the shape step."""
-        return self.without_step("shape") or self.idle
+        alone = _NO_ITERATIONS if by_themselves(self.plan.config) else ""
+        return self.without_step("shape") or alone or self.idle
 
     @property
     def no_colour(self) -> str:
