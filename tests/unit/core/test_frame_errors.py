@@ -7,13 +7,13 @@ import pytest
 
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
-from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.frame_report import FrameErrors, FrameReport
 
 ALL_ROUND: Mapping[str, Any] = {"pool": 4, "image_size": 16}
 
 
-def report_of(views: Mapping[str, Any] = ALL_ROUND) -> FrameReport:
-    config = quick_config(views=views, optimize={"error_budget": True})
+def report_of(views: Mapping[str, Any] = ALL_ROUND, budget: bool = True) -> FrameReport:
+    config = quick_config(views=views, optimize={"error_budget": budget})
     return run_core([frame_of(puff(10))], config)[0].report
 
 
@@ -31,3 +31,9 @@ def test_equal_views_are_not_compared_with_each_other() -> None:
 def test_views_on_a_line_are_compared(angles: Mapping[str, float]) -> None:
     report = report_of({**ALL_ROUND, **angles})
     assert report.errors.unseen_views is not None and report.last_step.view_spread is not None
+
+
+def test_the_opacity_of_a_frame_is_known_without_a_budget_too() -> None:
+    report = report_of(budget=False)
+    assert report.errors == FrameErrors()
+    assert report.depth == pytest.approx(30, rel=0.2)  # the default of optics.depth
