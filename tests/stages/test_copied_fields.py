@@ -173,6 +173,16 @@ def test_a_field_that_is_not_there_or_stands_elsewhere_is_refused_by_name(fire: 
     assert any("another place" in item.reason for item in result.plan.omitted)
 
 
+def test_a_field_that_16_bit_floats_cannot_hold_is_refused_before_the_run(
+    fire: Shot, core: FakeCore
+) -> None:
+    write_vdb(fire.stage.parent / "cache/heat.0004.vdb", ("temperature",), value=1e6)
+    with pytest.raises(ConfigError, match=r"heat.* reaches 1e\+06.*grids\.half"):
+        run(fire, "layer.copy_fields=[heat]", "grids.half=true")
+    assert not core.stylized
+    assert run(fire, "grids.half=true").frames
+
+
 def test_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:
     shot = make_shot(tmp_path / "shot", n_frames=4)
     for code in (3, 4):

@@ -98,6 +98,24 @@ def check_half(density: DenseField, time_code: float, gamma_w: float, config: Co
             )
 
 
+def check_half_copy(name: str, values: np.ndarray, config: GridsConfig) -> None:
+    """Refuse 16-bit floats that cannot hold a field that is copied.
+
+    Args:
+        name: of the copy.
+
+    Raises:
+        ConfigError: with the largest number and the one that can be held.
+    """
+    largest = float(np.abs(values).max(initial=0.0)) if config.half else 0.0
+    if largest > LARGEST_HALF:
+        raise ConfigError(
+            f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the copied field "
+            f'"{name}" reaches {largest:g}. Unset grids.half (--half), or leave the field '
+            "out of layer.copy_fields."
+        )
+
+
 def storage_errors(
     fields: Sequence[DenseField],
     config: GridsConfig,

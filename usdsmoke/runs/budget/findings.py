@@ -26,6 +26,7 @@ UNLIKE = 3.0  # times the neighbour's loss
 LEAST_REACH = 1e-3  # of the smoke's longest side: less changes no picture
 _OUTWEIGH = (  # settings that can keep the shape step from moving anything
     "optics.gamma_shape",
+    "optics.depth_shape",
     "shape.learning_rate",
     "losses.keep",
     "losses.style",
