@@ -62,7 +62,9 @@ def write_gif(
     images = []
     for picture in pictures:
         image = Image.fromarray(_levels(picture))
-        images.append(image.quantize(palette=image.quantize(), dither=Image.Dither.FLOYDSTEINBERG))
+        # the octree leaves colours that smoke has little of; with Pillow's default, grey specks
+        palette = image.quantize(method=Image.Quantize.FASTOCTREE)
+        images.append(image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG))
     ends = [round(end / _GIF_TICK) * _GIF_TICK for end in np.cumsum([0, *milliseconds])]
     durations = [max(_GIF_TICK, after - before) for before, after in pairwise(ends)]
     _publish_images(file_path, "GIF", images, {"duration": durations})

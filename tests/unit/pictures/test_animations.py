@@ -34,7 +34,6 @@ def test_a_gif_repeats_and_keeps_colours_and_times(tmp_path: Path) -> None:
             durations.append(image.info["duration"])
             found = np.asarray(image.convert("RGB")) / 255
             assert np.abs(found - wanted).mean() < 0.03
-            # dithered, so that a ramp has no steps: the mean of many pixels is close
             assert np.abs(found.mean(axis=(0, 1)) - wanted.mean(axis=(0, 1))).max() < 0.01
     assert sum(durations) == 250 and max(np.abs(np.subtract(durations, MILLISECONDS))) < 10
 
