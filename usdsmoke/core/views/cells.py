@@ -20,6 +20,7 @@ from usdsmoke.core.views.segments import (
     segment_weights,
 )
 
+_TINY = 1e-30  # keeps 0 / 0 away
 _THICK = 0.2  # optical depth above which a segment is cut: its fields are no lines
 _EXTINCTION, _EMISSION, _GREY = 0, 1, 4  # channels
 _CORNERS = list(np.ndindex(2, 2, 2))
@@ -51,19 +52,27 @@ class Cells:
         """Optical depths of rays [R 3], and their light, emission and grey, [R 4]; float64."""
         lattices = [_Lattice(table, *table.rays(origin, direction)) for table in self._tables]
         ray, low, high = self._cut(lattices, direction)
-        (extinction,) = _sampled(lattices, ray, low, high, [_EXTINCTION])
-        thickness = extinction.mean(axis=0, dtype=np.float64) * (high - low)
+        values = _sampled(lattices, ray, low, high, [_EXTINCTION, *self._light])
+        thickness = values[0].mean(axis=0, dtype=np.float64) * (high - low)
         depth = np.bincount(ray, thickness, minlength=len(origin))
-        if not self._with_light:
-            return depth, np.zeros((len(origin), 4))
+        light = np.zeros((len(origin), 4))
+        if not self._with_light or not len(ray):
+            return depth, light
         before = depth_before(ray, thickness)
-        seen = before < OPAQUE
-        ray, low, length = ray[seen], low[seen], (high - low)[seen]
-        index, first, last = cut_more(n_parts(thickness[seen], before[seen], _THICK))
-        ray, length = ray[index], length[index]
-        low, high = low[index] + first * length, low[index] + last * length
-        found = _sampled(lattices, ray, low, high, [_EXTINCTION, *self._light])
-        return depth, self._sent(ray, high - low, found, len(origin))
+        parts = n_parts(thickness, before, _THICK)
+        whole = (before < OPAQUE) & (parts == 1)
+        self._add(light, ray[whole], (high - low)[whole], before[whole], values[..., whole])
+        thick = np.flatnonzero((before < OPAQUE) & (parts > 1))
+        if len(thick):
+            index, first, last = cut_more(parts[thick])
+            index, length = thick[index], (high - low)[thick[index]]
+            begin, end = low[index] + first * length, low[index] + last * length
+            values = _sampled(lattices, ray[index], begin, end, [_EXTINCTION, *self._light])
+            own = values[0].mean(axis=0, dtype=np.float64) * (end - begin)
+            self._add(
+                light, ray[index], end - begin, before[index] + depth_before(index, own), values
+            )
+        return depth, light
 
     def _cut(
         self, lattices: Sequence["_Lattice"], direction: np.ndarray
@@ -91,27 +100,31 @@ class Cells:
         place, number = np.nonzero(holds)
         return hit[place], cuts[place, number], cuts[place, number + 1]
 
-    def _sent(
-        self, ray: np.ndarray, length: np.ndarray, values: np.ndarray, n_rays: int
-    ) -> np.ndarray:
-        """Light of rays [n_rays 4], front to back along every ray, of segments [M].
+    def _add(
+        self,
+        light: np.ndarray,
+        ray: np.ndarray,
+        length: np.ndarray,
+        before: np.ndarray,
+        values: np.ndarray,
+    ) -> None:
+        """Add what segments [M] send to the light of their rays, [R 4].
 
         Args:
+            length: stage units.
+            before: optical depth in front.
             values: extinction and light at both Gauss points, [C 2 M].
         """
-        extinction, *light = values
+        extinction, *shining = values
         total = extinction.sum(axis=0, dtype=np.float64)
-        thickness = total * (length / 2)
-        slope = (extinction[1] - extinction[0]) * 3**0.5
-        slope = np.divide(slope, total, out=np.zeros_like(total), where=total > 0)
-        mean, rest = segment_weights(thickness, slope)
-        arriving = np.exp(-depth_before(ray, thickness)) * (length / 2)
-        near, far = (mean + 3**0.5 * rest) * arriving, (mean - 3**0.5 * rest) * arriving
-        sent = np.zeros((n_rays, 4))
-        for channel, (first, second) in zip(self._light, light, strict=True):
-            shine = first * near + second * far
-            sent[:, channel - _EMISSION] = np.bincount(ray, shine, minlength=n_rays)
-        return sent
+        slope = 3**0.5 * (extinction[1] - extinction[0]) / (total + _TINY)
+        mean, rest = segment_weights(total * (length / 2), slope)
+        rest *= 3**0.5
+        arriving = np.exp(-before) * (length / 2)
+        near, far = (mean + rest) * arriving, (mean - rest) * arriving
+        for channel, (first, second) in zip(self._light, shining, strict=True):
+            sent = first * near + second * far
+            light[:, channel - _EMISSION] += np.bincount(ray, sent, minlength=len(light))
 
 
 class _Table:
@@ -134,10 +147,20 @@ class _Table:
         inner = cells[1:-1, 1:-1, 1:-1]
         for a, b, c in _CORNERS:
             inner |= filled[a : a + inner.shape[0], b : b + inner.shape[1], c : c + inner.shape[2]]
-        self.cells = cells.reshape(-1)
+        self._inner, self.cells = inner, cells.reshape(-1)
         self.cell_strides = (cells.shape[1] * cells.shape[2], cells.shape[2], 1)
         self.strides = (shape[1] * shape[2], shape[2], 1)
         self.to_index = np.linalg.inv(medium.index_to_stage)
+
+    def filled_box(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the cells between two cells that hold anything begin and end, [3] each."""
+        i, j, k = (slice(a, b + 1) for a, b in zip(low, high, strict=True))
+        cells, found = self._inner[i, j, k], []
+        for others in ((1, 2), (0, 2), (0, 1)):
+            there = np.flatnonzero(cells.any(axis=others))
+            found.append((there[0], there[-1] + 1) if len(there) else (0, 0))
+        first, last = np.array(found, float).T
+        return low + first, low + last
 
     def rays(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same rays [R 3] in the array's indices, [3 R]; distances along them stay."""
@@ -155,11 +178,25 @@ class _Lattice:
         self._slow = np.abs(step) <= PARALLEL * np.abs(step).max(axis=0)
 
     def span(self) -> tuple[np.ndarray, np.ndarray]:
-        """Distances [R] at which rays enter and leave; a ray that misses leaves before."""
-        ends = (self.table.last + 1.0)[:, None]
+        """Distances [R] between which rays meet all that holds anything; a ray that misses leaves
+        before it enters."""
+        low, high = np.zeros(3), self.table.last + 1.0
+        enter, leave = self._between(low, high)
+        hit = enter < leave
+        if not hit.any():
+            return enter, leave
+        start, step = self._start[:, hit], self._step[:, hit]
+        ends = np.stack([start + enter[hit] * step, start + leave[hit] * step])
+        low = np.clip(np.floor(ends.min(axis=(0, 2))), 0, self.table.last)
+        high = np.clip(np.floor(ends.max(axis=(0, 2))), 0, self.table.last)
+        return self._between(*self.table.filled_box(low.astype(int), high.astype(int)))
+
+    def _between(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances [R] at which rays enter and leave the box from one place to the other [3]."""
+        first, last = low[:, None], high[:, None]
         safe = np.where(self._slow, 1.0, self._step)
-        one, other = -self._start / safe, (ends - self._start) / safe
-        inside = (self._start >= 0.0) & (self._start <= ends)
+        one, other = (first - self._start) / safe, (last - self._start) / safe
+        inside = (self._start >= first) & (self._start <= last)
         enter = np.where(self._slow, np.where(inside, -np.inf, np.inf), np.minimum(one, other))
         leave = np.where(self._slow, np.inf, np.maximum(one, other))
         return enter.max(axis=0), leave.min(axis=0)
@@ -250,8 +287,8 @@ def _sampled(
     for lattice in lattices:
         base, weights = lattice.corners(ray, low, high)
         for (a, b, c), weight in zip(_CORNERS, weights, strict=True):
-            taps = base + (np.array([a, b, c]) @ lattice.table.strides)
+            first = int(np.dot((a, b, c), lattice.table.strides))
             for own, channel in zip(found, channels, strict=True):
                 if channel in lattice.table.channels:
-                    own += weight * lattice.table.channels[channel][taps]
+                    own += weight * lattice.table.channels[channel][first:].take(base)
     return found
