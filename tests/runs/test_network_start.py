@@ -151,6 +151,20 @@ def test_frames_start_cold_where_the_network_does_not_suit_them(shot: Shot) -> N
     assert contents(result.root_stage) == contents(cold.root_stage)
 
 
+def test_windows_share_a_coarse_step_only_where_the_network_does_not_suit_the_smoke(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    several = {"windows__size": 2, "windows__shared_octaves": 1, "optimize__start": "network"}
+    suits = run(shot, "out", **several)
+    assert not list(shot.folder.glob("out/vdb/*/coarse/*.npz"))
+    assert verify(suits.look_layer) == []
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 1)
+    cold = run(shot, "cold", **several)
+    assert any("start cold" in text for text in cold.warnings)
+    assert list(shot.folder.glob("cold/vdb/*/coarse/*.npz"))
+
+
 def test_a_run_without_iterations_needs_a_network_that_can_be_read(shot: Shot) -> None:
     with pytest.raises(ConfigError, match=r"optimize\.start"):
         plan(shot.stage, shot.style, shot.output, {"optimize.iterations": 0})

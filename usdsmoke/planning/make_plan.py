@@ -180,7 +180,7 @@ def _estimate(
         coarse=[
             replace(frame.size, window_start=frame.source.time_code in first) for frame in coarse
         ],
-        has_starts=bool(volume.coarse_runs),
+        has_starts=bool(volume.coarse_runs) and not volume.is_painted,
     )
     return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, frames)))
 

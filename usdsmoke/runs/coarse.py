@@ -18,9 +18,9 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
-from usdsmoke.runs.opened import OpenRun, missing_starts
+from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames
@@ -130,25 +130,25 @@ def run_coarse_step(
     return bool(to_do)
 
 
-def coarse_starts(
-    run: Run, volume: VolumePlan, frames: Collection[FramePlan]
-) -> "Callable[[float], CoarseStart | None] | None":
-    """What gives a frame's coarse start by its timeCode; None where windows do without.
-
-    Args:
-        frames: those whose starts are asked for.
+def coarse_starts(run: Run, task: WindowTask) -> "Callable[[float], CoarseStart | None] | None":
+    """What gives the coarse start of a window's frame by its timeCode; None where windows do
+    without.
 
     Raises:
         FileUnreadable: by what is returned: a file has vanished or changed since it was written.
     """
-    if not volume.coarse_frames:
+    volume = task.volume
+    if not has_coarse_step(run, task.volume_number, volume):
         return None
     from usdsmoke.core.sequence.start_files import load_start
 
+    codes = {code for chain in volume.coarse_runs for code in chain}
     names = {
-        frame.source.time_code: coarse_file_name(frame.file_name) for frame in volume.coarse_frames
+        frame.source.time_code: coarse_file_name(frame.file_name)
+        for frame in volume.frames
+        if frame.source.time_code in codes
     }
-    record = run.coarse({coarse_file_name(frame.file_name) for frame in frames})
+    record = run.coarse({coarse_file_name(frame.file_name) for frame in task.frames})
 
     def start(time_code: float) -> "CoarseStart | None":
         name = names.get(time_code)

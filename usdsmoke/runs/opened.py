@@ -121,6 +121,8 @@ def missing_starts(
     record = run.coarse(names)
     to_do = []
     for number, volume in enumerate(plan.volumes):
+        if not has_coarse_step(run, number, volume):
+            continue
         frames = {frame.source.time_code: frame for frame in volume.frames}
         for codes in volume.coarse_runs:
             chain = tuple(frames[code] for code in codes)
@@ -128,3 +130,10 @@ def missing_starts(
             if (starts if names is None else starts & names) - record.frames.keys():
                 to_do.append((number, volume, chain))
     return to_do
+
+
+def has_coarse_step(run: Run, volume_number: int, volume: VolumePlan) -> bool:
+    """Whether a Volume's windows share a coarse step; also where a network should have painted, but
+    does not suit the smoke."""
+    is_cold = bool(run.scenes and run.scenes[volume_number].get("misfit"))
+    return bool(volume.coarse_runs) and (is_cold or not volume.is_painted)

@@ -205,7 +205,7 @@ def _stylize_window(
         config,
         progress.core,
         job.plan.source.time_codes_per_second,
-        WindowStart(coarse_starts(run, task.volume, task.frames), carried),
+        WindowStart(coarse_starts(run, task), carried),
     )
     if by_themselves(task.volume.config):  # a frame takes no longer than writing the one before
         results = made_ahead(results)

@@ -37,6 +37,8 @@ def coarse_frames(
 ) -> Iterator[CoarseStart]:
     """The shared start of every frame of a shot, in order; arguments as of ``stylize_window``.
 
+    Where a network paints, it is that of the shape step alone.
+
     Frames that are left out (empty ones) have an empty start. A frame's own controls apply here as
     they do in the windows.
 
@@ -47,9 +49,12 @@ def coarse_frames(
     Raises:
         NonFiniteError, FeatureError, ConfigError: see ``stylize_window``.
     """
+    factor = coarse_factor(config)
     if scene.misfit:
         config = without_network(config)
-    factor = coarse_factor(config)
+    elif config.optimize.start:  # frames do not take their colours from here
+        steps = [step for step in config.optimize.steps if step != "colour"]
+        config = config.replace(optimize=config.optimize.replace(steps=steps))
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     context = make_context(
         styles, _coarse_scene(scene, factor), _coarse_config(config, factor), progress,
@@ -117,8 +122,7 @@ def _coarse_scene(scene: Scene, factor: int) -> Scene:
 
 
 def _coarse_config(config: Config, factor: int) -> Config:
-    """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network,
-    which paints at full resolution."""
+    """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network."""
     n_fine = factor.bit_length() - 1
     shape, colour = config.shape, config.colour
     return config.replace(

@@ -28,6 +28,7 @@ from usdsmoke.runs.manifests import (
     network_file_name,
     part_file_name,
 )
+from usdsmoke.runs.opened import has_coarse_step
 from usdsmoke.runs.run import Run, find_runs
 from usdsmoke.usd.look import published_runs
 from usdsmoke.vdb.header import read_header
@@ -67,7 +68,7 @@ class Growth:
 
     @cached_property
     def starts(self) -> set[str]:
-        """The files of the coarse starts that stay the same and are there."""
+        """The files of the coarse starts that stay the same and are there, or are not needed."""
         before = {volume.source.prim_path: volume for volume in self.before.volumes}
         names = set()
         for volume in self.job.plan.volumes:
@@ -78,7 +79,18 @@ class Growth:
                     if codes == chain[: len(codes)]:
                         same = self._same_starts(codes, chain, volume)
                         names |= {coarse_file_name(frames[code].file_name) for code in same}
-        return {name for name in names if (self.earlier.folder / name).is_file()}
+        without = {
+            volume.source.prim_path
+            for number, volume in enumerate(self.before.volumes)
+            if volume.coarse_runs and not has_coarse_step(self.earlier, number, volume)
+        }
+        not_needed = {
+            coarse_file_name(frame.file_name)
+            for volume in self.job.plan.volumes
+            if volume.source.prim_path in without
+            for frame in volume.frames
+        }
+        return not_needed | {name for name in names if (self.earlier.folder / name).is_file()}
 
     def _same_starts(
         self, codes: Sequence[float], chain: Sequence[float], volume: VolumePlan
