@@ -38,8 +38,12 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
             f"optics.{chosen[0]}",
         )
     for name, depth in _depths(volume, scene).items():
-        if depth > DEEPEST or depth < FAINTEST:
-            what = "is saturated" if depth > DEEPEST else "is empty"
+        if depth > DEEPEST or depth < (UNSEEN / 2 if name == "gamma" else FAINTEST):
+            what = "the picture that is optimised is saturated"
+            if depth < DEEPEST:
+                what = "the picture that is optimised is empty"
+                if depth >= FAINTEST:  # it is brightened, but not what is written
+                    what = "what is written is too thin to show in a picture"
             setting, remedy = f"optics.{name}", f"Unset optics.{name}; the smoke then chooses it"
             if name in chosen:  # by the depth that is asked for
                 setting = setting.replace("gamma", "depth")
@@ -47,8 +51,7 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
             yield Finding(
                 place,
                 "",
-                f"the thick columns have an optical depth of {depth:.2g} with {setting}: the "
-                f"picture that is optimised {what}",
+                f"the thick columns have an optical depth of {depth:.2g} with {setting}: {what}",
                 remedy,
                 setting,
             )
