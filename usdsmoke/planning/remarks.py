@@ -24,6 +24,7 @@ EXTREME_RATE = 10.0
 # 192 pixels, and a plume of 107 is not.
 _COARSE = 2.0
 _FEWEST = 16  # voxels: fewer have no shape that strokes could follow
+_FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
@@ -37,6 +38,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_measured_elsewhere(volume),
             *_rate(volume),
             *_coarse(volume),
+            *_tiny_style(volume),
             *_unmoved(volume),
             *_overlap(volume),
         ]
@@ -139,12 +141,31 @@ def _rate(volume: VolumePlan) -> list[str]:
     ]
 
 
+def _longest(volume: VolumePlan) -> int:
+    """Voxels along the longest side of all frames."""
+    boxes = (frame.size.box for frame in volume.frames if frame.size.computed)
+    return max(map(max, boxes), default=0)
+
+
+def _tiny_style(volume: VolumePlan) -> list[str]:
+    """A style that settings reduce to a few pixels."""
+    style, refine = volume.config.style, volume.config.grids.refine
+    pixels = min(volume.config.views.image_size, _longest(volume) * refine)
+    left = pixels * style.size / style.tiling
+    if left >= min(_FEWEST_PIXELS, pixels):
+        return []
+    names = [name for name in ("size", "tiling") if getattr(style, name) != 1]
+    asked = " and ".join(f"style.{name}={getattr(style, name):g}" for name in names)
+    return [
+        f"{asked} reduces the style to {max(1, round(left))} of the {pixels} pixels of a picture "
+        f"of <{volume.source.prim_path}>: its strokes are lost. Set a larger style.size, a smaller "
+        "style.tiling, or a larger grids.refine"
+    ]
+
+
 def _coarse(volume: VolumePlan) -> list[str]:
     """Voxels that are larger than the strokes of a picture."""
-    config = volume.config
-    longest = max(
-        (max(frame.size.box) for frame in volume.frames if frame.size.computed), default=0
-    )
+    config, longest = volume.config, _longest(volume)
     pixels = config.views.image_size
     if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
         return []

@@ -39,6 +39,12 @@ def test_a_learning_rate_far_above_the_default_is_remarked_on(shot: Shot) -> Non
     assert plan_of(shot, "colour.learning_rate=50", "optimize.steps=[shape]").notes == ()
 
 
+@pytest.mark.parametrize("setting", ["style.size=0.001", "style.tiling=16"])
+def test_a_style_of_a_few_pixels_is_remarked_on(setting: str, shot: Shot) -> None:
+    (note,) = plan_of(shot, setting).notes
+    assert setting in note and "strokes are lost" in note
+
+
 def test_a_part_of_a_shot_is_measured_on_that_part_and_the_plan_says_so(shot: Shot) -> None:
     (note,) = plan_of(shot, "stage.frames=1-2").notes
     assert "on 2 of 3" in note and "optics.gamma" in note
