@@ -67,7 +67,10 @@ def test_autograd_goes_through_the_same_adjoint():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("gamma_w", [1e-12, 0.01, 1.0, 1e6])
-def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(gamma_w, kind):
+def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(
+    gamma_w, kind, monkeypatch
+):
+    monkeypatch.setattr(project, "COLOUR_RIPPLE", project.RIPPLE)  # as column maps have
     smoke = smoke_of(puff(9), affine(1))
     view = look_at(smoke, kind)
     image, alpha = colour_map(

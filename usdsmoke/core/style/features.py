@@ -315,11 +315,13 @@ class EmbeddedFeatures:
 
 
 def independent_layers(network: Network, requested: frozenset[str]) -> list[frozenset[str]]:
-    """The requested layers in groups that have no layer beneath them in common."""
+    """The requested layers in groups that have no layer beneath them in common, longest first."""
     if not isinstance(network, EmbeddedFeatures):
         return [requested]
-    halves = (requested & frozenset(part.names) for part in (OrientedFeatures, LearnedFeatures))
-    return [half for half in halves if half]
+    colours = frozenset(LearnedFeatures.names[:1])
+    learned, oriented = frozenset(LearnedFeatures.names[1:]), frozenset(OrientedFeatures.names)
+    groups = (requested & names for names in (learned, oriented, colours))
+    return [group for group in groups if group]
 
 
 def build_network(config: FeaturesConfig, seed: int) -> Callable[[Tensor], Network]:

@@ -324,4 +324,6 @@ def _wide(maps: Tensor) -> Tensor:
 def _small(guide: Tensor, maps: Tensor) -> Tensor:
     """The guide at the maps' size, [1 P]."""
     height, width = maps.shape[-2:]
+    if guide.shape == (height, width):
+        return guide.reshape(1, -1)
     return F.adaptive_avg_pool2d(guide[None, None], (height, width)).reshape(1, -1)

@@ -24,13 +24,14 @@ from torch import Tensor
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.footprint import voxel_points
+from usdsmoke.core.views.footprint import COLOUR_RIPPLE, RIPPLE, voxel_points
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
 MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
+SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once
 CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
 
 
@@ -43,7 +44,7 @@ class _Apply(torch.autograd.Function):
         if image.rows is not None:
             values = values.index_select(0, image.rows)
         if values.device.type == "cpu":
-            return _scattered(values, image)
+            return _scattered(values.detach(), image)
         entry, by_pixel, start = image.runs
         return weighted_rows(values.detach(), entry, start, by_pixel)
 
@@ -58,15 +59,23 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
     A map is applied two to eight times, and sorting takes as long as that or longer. One channel
     takes no longer than sums over sorted runs on one thread, three take three times as long.
     """
-    n_pixels, pixel = image.height * image.width, image.pixel.reshape(-1)
+    n_pixels = image.height * image.width
 
-    def add_up(column: Tensor) -> Tensor:
-        return torch.bincount(
-            pixel, (image.weight * column[:, None]).reshape(-1), minlength=n_pixels
+    def add_up(part: slice) -> Tensor:
+        pixel, weight = image.pixel[part].reshape(-1), image.weight[part]
+        columns = values[part].unbind(1)
+        return torch.stack(
+            [
+                torch.bincount(pixel, (weight * column[:, None]).reshape(-1), minlength=n_pixels)
+                for column in columns
+            ]
         )
 
-    found = run_tasks([partial(add_up, column) for column in values.detach().unbind(1)])
-    return torch.stack(found, 1).to(values.dtype)
+    parts = chunks(len(image.pixel), SCATTERED_ROWS, values.device)
+    found = values.new_zeros(values.shape[1], n_pixels)
+    for sums in run_tasks([partial(add_up, part) for part in parts]):
+        found += sums
+    return found.T.contiguous()
 
 
 @dataclass(frozen=True)
@@ -202,7 +211,9 @@ def _hats(place: Tensor, length: int) -> list[tuple[Tensor, Tensor]]:
     return found
 
 
-def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
+def split_points(
+    positions: Tensor, edges: np.ndarray, view: View, ripple: float = RIPPLE
+) -> tuple[Tensor, int]:
     """The points that voxels [N 3] are splatted at, [N n 3] flattened, and n."""
     pixel = view.pixel_size
     if view.focal is not None:  # pixels of every size: the largest ones, of the farthest smoke
@@ -212,7 +223,7 @@ def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tens
         if depth <= 0:
             return positions, 1
         pixel = depth / view.focal
-    offsets = voxel_points(edges, view, pixel)
+    offsets = voxel_points(edges, view, pixel, ripple)
     if len(offsets) == 1:
         return positions, 1
     moved = positions[:, None] + torch.as_tensor(offsets, device=positions.device)
@@ -266,7 +277,7 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    points, n_points = split_points(positions, edges, view)
+    points, n_points = split_points(positions, edges, view, COLOUR_RIPPLE)
     foot, dtype = project_voxels(points, view, density.dtype), density.dtype
     if len(positions) == 0:
         empty = SparseImage(view.height, view.width, foot.pixel, foot.weight)
