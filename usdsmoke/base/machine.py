@@ -130,8 +130,6 @@ def prepare_torch_environment() -> None:
     # Every picture size adds its convolutions to a cache. A frame's octaves have up to a thousand;
     # more would make it grow with the shot.
     os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "1024")
-    # Tensors of megabytes come and go: with huge pages the system prepares them in fewer steps.
-    os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 
 def python_command(code: str) -> list[str]:
