@@ -80,7 +80,7 @@ def thick_depth(frame: PaintedFrame) -> float | None:
     gamma, gamma_w = optics.gamma, frame.scene.gamma_w
     if frame.paint is None:
         gamma, gamma_w = optics.gamma_shape, frame.scene.gamma_w_shape
-    if not frame.in_effect or gamma is not None or frame.alone:
+    if not frame.in_effect or gamma is not None:
         return None
     if len(frame.smoke.ijk) == 0:
         return None
