@@ -19,7 +19,15 @@ from tests.fixtures.pipeline_fixtures import (
     run,
     shown_files,
 )
-from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    file_hashes,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
 from usdsmoke import rerun, verify
 from usdsmoke.audit.record import find_records
 from usdsmoke.base.errors import Interrupted, OutputExists
@@ -238,9 +246,22 @@ def test_a_refusal_says_in_words_what_differs(
         assert main(long_shot.arguments(*more)) == 1
         return capsys.readouterr().err.splitlines()[-1]
 
-    assert "frames were 1-2, now 3-4" in refused("--frames", "3-4")
+    assert "frames were 1,2, now 3,4" in refused("--frames", "3-4")
+    words = refused("--frames", "3-4", "--set", "optimize.seed=1")
+    assert words.index("optimize.seed was 0, now 1") < words.index("frames were 1,2, now 3,4")
+    # more frames are no reason: what keeps the look from growing is
     words = refused("--frames", "1-4", "--set", "optimize.seed=1")
-    assert "frames were 1-2, now 1-4" in words and "optimize.seed was 0, now 1" in words
+    assert "optimize.seed was 0, now 1" in words and "frames were" not in words
+    assert "make it longer" not in words
+    text = long_shot.stage.read_text()
+    moved = "double3 xformOp:translate = (1, 0, 0)\nuniform token[] xformOpOrder = "
+    moved += '["xformOp:translate"]\n'
+    place = text.index("{", text.index("def Volume")) + 1
+    long_shot.stage.write_text(f"{text[:place]}\n{moved}{text[place:]}")
+    words = refused("--frames", "1-4")
+    assert "the place of </World/smoke> differs (a transform)" in words
+    assert "frames were" not in words and "camera" not in words
+    long_shot.stage.write_text(text)
     Image.new("RGB", (20, 20), "red").save(long_shot.style)
     assert "style image style.png has other content" in refused("--frames", "1-2")
     shutil.copyfile(long_shot.style, long_shot.style.with_name("ember.png"))
@@ -250,6 +271,48 @@ def test_a_refusal_says_in_words_what_differs(
     cache = write_vdb(long_shot.folder / "in/cache/smoke.0002.vdb", ("density",), value=0.125)
     os.utime(cache, (1_000_000_000, 1_000_000_000))
     assert "cache/smoke.0002.vdb has other content, written 2001-09-0" in refused("--frames", "1-4")
+
+
+@pytest.mark.usefixtures("core")
+def test_a_look_of_an_unfinished_simulation_is_finished_with_or_without_the_same_flag(
+    tmp_path: Path,
+) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=5)
+    cache, away = shot.stage.parent / "cache", tmp_path / "away"
+    away.mkdir()
+    for code in (3, 4, 5):
+        (cache / f"smoke.{code:04d}.vdb").rename(away / f"{code}.vdb")
+    quick = ("windows.size=1", "layer.contact_sheet=0")
+    run(shot, *quick, "stage.allow_missing=true")
+    for code in (3, 4):
+        (away / f"{code}.vdb").rename(cache / f"smoke.{code:04d}.vdb")
+    again = make_plan(shot.stage, shot.style, shot.output, [*quick, "stage.frames=1-4"])
+    assert "kept: timeCodes 1,2, extinction and picture size" in again.notes
+    assert len(run(shot, *quick, "stage.allow_missing=true").frames) == 4
+    (away / "5.vdb").rename(cache / "smoke.0005.vdb")
+    result = run(shot, *quick)  # nothing is missing any more
+    assert len(result.frames) == 5 and verify(result.look_layer) == []
+
+
+def test_frames_that_the_stage_gets_hinder_no_repair_of_those_that_are_done(
+    tmp_path: Path, core: FakeCore
+) -> None:
+    shot, quick = make_shot(tmp_path / "shot", n_frames=6), ("windows.size=1",)
+    whole = shot.stage.read_text()
+    part = world(volume_prim(density_prim(sequence((1, 2, 3, 4)))))
+    shot.stage.write_text(part.replace("(\n", "(\nendTimeCode = 4\n", 1))
+    first = run(shot, *quick)
+    shot.stage.write_text(whole.replace("(\n", "(\nendTimeCode = 6\n", 1))
+    core.stylized.clear()
+    with pytest.raises(OutputExists, match="already holds this result"):
+        run(shot, *quick, "stage.frames=1-4")
+    assert len(run(shot, *quick, "stage.frames=2").frames) == 4  # redone
+    assert core.stylized == [2]
+    first.frames[2].unlink()
+    assert len(run(shot, *quick, "stage.frames=3").frames) == 4  # repaired
+    request = Request(shot.stage, shot.style, shot.output, (*quick, "stage.frames=1-4"))
+    assert run_window(request, 0).was_done  # a task that is tried again
+    assert len(run(shot, *quick).frames) == 6
 
 
 @pytest.mark.usefixtures("core")

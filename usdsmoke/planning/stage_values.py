@@ -18,6 +18,7 @@ _METADATA = (
     "end_time_code",
     "default_prim",
 )
+_RANGE = ("start_time_code", "end_time_code")
 
 
 def stage_values(source: StageSource) -> dict[str, str]:
@@ -40,13 +41,16 @@ def stage_values(source: StageSource) -> dict[str, str]:
 
 
 def stage_pieces(source: StageSource) -> dict[str, Any]:
-    """The same as JSON values in smaller parts, without the prims' requests.
+    """The same as JSON values in smaller parts, without the prims' requests, and without what only
+    says which other frames there are: the stage's range and timeCodes that are not selected.
 
     Of a Volume: its density's, velocity's and mask's name, and digests of ``timeCodes``, ``fields``
     (prims, grids, types), ``places`` (transforms), ``cameras``, ``controls`` and ``otherFields``;
     ``lights`` where it has any.
     """
-    pieces: dict[str, Any] = {_camel(name): getattr(source, name) for name in _METADATA}
+    pieces: dict[str, Any] = {
+        _camel(name): getattr(source, name) for name in _METADATA if name not in _RANGE
+    }
     pieces["leftOut"] = dict(source.omitted)
     for volume in source.volumes:
         pieces[f"<{volume.prim_path}>"] = _volume_pieces(_plain_volume(volume))
@@ -57,7 +61,7 @@ def _volume_pieces(values: dict[str, Any]) -> dict[str, Any]:
     frames = values["frames"]
     fields = [list(frame["fields"].items()) for frame in frames]
     places = [[field.pop("field_to_stage") for _, field in named] for named in fields]
-    times = [[frame["time_code"] for frame in frames], values["time_codes"], values["animated"]]
+    times = [[frame["time_code"] for frame in frames], values["animated"]]
     lights = [frame.get("lights", ()) for frame in frames]
     return {
         **({"lights": _digest(lights)} if any(lights) else {}),

@@ -16,8 +16,7 @@ from usdsmoke import __version__
 from usdsmoke.base.errors import GridError, NonFiniteError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import OWN_NETWORK, OptimizeConfig
-from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
@@ -43,12 +42,13 @@ _NEUTRAL = {
     # what the network of ``start`` holds counts: start_hash
     "optimize": ("threads", "memory_limit_gib", "error_budget", "start"),
     "layer": ("mode", "contact_sheet"),
+    "stage": ("allow_missing",),  # which frames are read counts
 }
 
 _RECENT_NS = 2 * 10**9  # file systems tell times to two seconds at worst
 
 # What follows from which frames are selected, of a description's ``stage``.
-_FOLLOW_FRAMES = ("startTimeCode", "endTimeCode", "leftOut")
+_FOLLOW_FRAMES = ("leftOut",)
 
 
 class Identity:
@@ -147,7 +147,7 @@ def describe_run(
     return {
         **({"requests": requests} if requests else {}),
         "version": __version__,
-        "settings": _deciding_settings(job.config),
+        "settings": _deciding_settings(job),
         "stage": {"file": Path(source.file_path).name, **stage_pieces(source)},
         "files": files,
         "styles": [f"{style.name} {style.sha256}" for style in job.styles],
@@ -251,8 +251,10 @@ def _requested_samples(volume: VolumePlan) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
-    settings = config.model_dump()
+def _deciding_settings(job: Job) -> dict[str, dict[str, Any]]:
+    """With the timeCodes that are selected, in whatever words they are."""
+    settings = job.config.model_dump()
+    settings["stage"]["frames"] = selected_frames(job.plan)
     for section, keys in _NEUTRAL.items():
         for key in keys:
             del settings[section][key]
@@ -261,6 +263,13 @@ def _deciding_settings(config: Config) -> dict[str, dict[str, Any]]:
         0
     ]  # which one of several GPUs is as well
     return settings
+
+
+def selected_frames(plan: Plan) -> str:
+    """The timeCodes of all Volumes, as ``stage.frames`` takes them."""
+    return format_time_codes(
+        sorted({frame.source.time_code for volume in plan.volumes for frame in volume.frames})
+    )
 
 
 def _settled(description: dict[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:

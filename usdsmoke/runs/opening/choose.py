@@ -12,7 +12,13 @@ from usdsmoke.planning.plan import Plan, WindowTask
 from usdsmoke.runs.delivery import check_delivery
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
-from usdsmoke.runs.opening.growth import Growth, find_growth, take_over
+from usdsmoke.runs.opening.growth import (
+    Growth,
+    find_growth,
+    has_frames_of,
+    result_frames,
+    take_over,
+)
 from usdsmoke.runs.opening.refusals import (
     FORCE,
     find_results,
@@ -66,10 +72,10 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
     published = published_runs(job.targets.look_layer)
     selected, look = job.config.stage.frames, job.config.layer.look
     for run in find_runs(job.output):
-        frames = run.description["settings"]["stage"]["frames"]
         if not (run.complete and run.run_id in published and run.look == look):
             continue
-        if selected and frames != selected:
+        if selected and not has_frames_of(job, run):
+            frames = result_frames(job, run)
             config = job.config.replace(stage=job.config.stage.replace(frames=frames))
             if "stage.frames" not in run.request.get("explicit", ()):  # the record stays as it was
                 config = config.with_explicit(config.explicit - {"stage.frames"})

@@ -81,7 +81,8 @@ class Course:
 def _repeated(whole: Plan, numbers: Collection[int], part: Plan) -> Plan:
     done = [task for task in whole.tasks if task.number in numbers]
     stay = [task for task in whole.tasks if task.number not in numbers]
-    notes = ["the output folder holds this result", *_kept_and_left(stay, done)]
+    kept, _ = _kept_and_left(stay, done)
+    notes = ["the output folder holds this result", kept, f"to do again: {_named(done)}"]
     notes += _lasting_notes(whole)
     estimate = estimate_part(whole, done, {*_frames(whole)})
     return replace(part, notes=tuple(notes), estimate=estimate)

@@ -9,6 +9,7 @@ the record then name.
 
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,7 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.sequence.controls import frames_ahead
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
+from usdsmoke.runs.changes import Changes
 from usdsmoke.runs.coarse import measured_frames
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.manifests import (
@@ -201,29 +203,21 @@ def find_growth(job: Job) -> Growth | None:
     """
     if job.request.force:
         return None
-    asked = {
-        (volume.source.prim_path, frame.source.time_code)
-        for volume in job.plan.volumes
-        for frame in volume.frames
-    }
+    asked = _codes(job.plan)
     published = published_runs(job.targets.look_layer)
     for run in find_runs(job.output):
         is_result = run.complete and run.run_id in published
-        done = {(frame["prim_path"], frame["time_code"]) for frame in run.frames.values()}
+        done = _done(run)
         if not (is_result and run.look == job.config.layer.look and done <= asked):
             continue
-        codes = format_time_codes(sorted({code for _, code in done}))
-        before = job
-        if done < asked:
-            stage = job.config.stage.replace(frames=codes)
-            before = job.with_config(job.config.replace(stage=stage))
-        if before.plan.n_frames != len(done):
+        before = _with_frames_of(job, run)
+        if before is None:
             return None
         changes = Identity(before).changes(run, whatever_frames=True)
         if not (changes.only_files if changes else done < asked):
             return None
         recorded = run.description["settings"]["optics"].get("frames")
-        measured = recorded or (codes if done < asked else "")
+        measured = recorded or (_text(done) if done < asked else "")
         folder = Path(job.plan.source.file_path).parent
         files = job.plan.source.grid_files
         rewritten = frozenset(f for f in files if os.path.relpath(f, folder) in changes.files)
@@ -234,6 +228,73 @@ def find_growth(job: Job) -> Growth | None:
             growth = replace(growth, job=replace(growth.job, scenes=tuple(run.scenes)))
         return growth
     return None
+
+
+def compare_run(job: Job, run: Run) -> Changes:
+    """What differs between a job and a run.
+
+    Of other frames than the run's, what would differ of the run's own frames comes first; that the
+    frames differ is no reason to refuse where all of the run's are among the job's.
+    """
+    changes = Identity(job).changes(run)
+    if not changes.frames:
+        return changes
+    before = _with_frames_of(job, run)
+    own = Identity(before).changes(run, whatever_frames=True) if before is not None else Changes()
+    if not own:
+        return changes
+    if _done(run) <= _codes(job.plan):
+        return own
+    return replace(own, words=(*own.words, changes.words[0]), frames=True, only_files=False)
+
+
+def result_frames(job: Job, run: Run) -> str:
+    """``stage.frames`` that selects the frames of a result: as it was given, if it still does."""
+    given = str(run.request.get("config", {}).get("stage", {}).get("frames", ""))
+    if given:
+        return given
+    with suppress(UsdSmokeError):  # files of other frames may be missing
+        if has_frames_of(job.with_config(_selecting(job, "")), run):
+            return ""
+    return _text(_done(run))
+
+
+def has_frames_of(job: Job, run: Run) -> bool:
+    """Whether a job has the frames of a result, no more and no fewer."""
+    return _codes(job.plan) == _done(run)
+
+
+def _with_frames_of(job: Job, run: Run) -> Job | None:
+    """The job with the frames of a run; None where the stage does not have them all."""
+    done = _done(run)
+    if has_frames_of(job, run):
+        return job
+    try:
+        before = job.with_config(_selecting(job, _text(done)))
+    except UsdSmokeError:
+        return None
+    return before if has_frames_of(before, run) else None
+
+
+def _selecting(job: Job, frames: str) -> Config:
+    return job.config.replace(stage=job.config.stage.replace(frames=frames))
+
+
+def _done(run: Run) -> set[tuple[str, float]]:
+    """The frames of a run, by Volume and timeCode."""
+    return {(frame["prim_path"], frame["time_code"]) for frame in run.frames.values()}
+
+
+def _codes(plan: Plan) -> set[tuple[str, float]]:
+    return {
+        (volume.source.prim_path, frame.source.time_code)
+        for volume in plan.volumes
+        for frame in volume.frames
+    }
+
+
+def _text(places: set[tuple[str, float]]) -> str:
+    return format_time_codes(sorted({code for _, code in places}))
 
 
 def take_over(growth: Growth, run: Run) -> None:

@@ -9,7 +9,7 @@ from usdsmoke.planning.job import Job
 from usdsmoke.runs.changes import Changes
 from usdsmoke.runs.delivery import check_delivery
 from usdsmoke.runs.identity import Identity
-from usdsmoke.runs.opening.growth import Growth
+from usdsmoke.runs.opening.growth import Growth, compare_run
 from usdsmoke.runs.run import Run, find_runs
 from usdsmoke.usd.look import published_runs
 
@@ -48,7 +48,7 @@ def refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
     in_the_way = results - ({growth.earlier.run_id} if growth else set())
     if in_the_way and not job.request.force:
         known = [runs[run_id] for run_id in sorted(in_the_way) if run_id in runs]
-        raise _result_in_the_way(job.output, known, identity)
+        raise _result_in_the_way(job, known)
 
 
 def find_results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
@@ -70,13 +70,14 @@ def unfinished_in_the_way(output: Path, run: Run, identity: Identity) -> OutputE
     )
 
 
-def _result_in_the_way(output: Path, known: Sequence[Run], identity: Identity) -> OutputExists:
+def _result_in_the_way(job: Job, known: Sequence[Run]) -> OutputExists:
     """Why a result stays as it is, and what can be done instead."""
+    output = job.output
     advice = f"choose another output folder or look, or replace it with {FORCE}."
     if not known:
         return OutputExists(f"{output} already holds a result. {advice[0].upper()}{advice[1:]}")
     run = known[0]
-    if changes := identity.changes(run):
+    if changes := compare_run(job, run):
         return other_result(output, changes)
     lost = [name for name in sorted(run.frames) if run.finished(name) is None]
     if lost:
