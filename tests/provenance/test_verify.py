@@ -91,6 +91,7 @@ def test_changes_are_told_in_words_and_hashes_on_request(
     assert main(["verify", str(shot.output), "--verbose"]) == 1
     whole = capsys.readouterr().out
     assert all(digest in whole and digest not in few for digest in hashes)
+    assert str(result.frames[2]) in few  # its folder is named by digits too
 
 
 def test_an_input_that_was_written_anew_with_the_same_grids_is_a_note(finished: Finished) -> None:

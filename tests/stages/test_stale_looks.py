@@ -5,10 +5,18 @@ import os
 from pathlib import Path
 
 import pytest
-from pxr import Usd, UsdUtils
+from pxr import Sdf, Usd, UsdUtils
 
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot, make_style, run
-from tests.fixtures.usd_fixtures import sequence, write_text, write_vdb
+from tests.fixtures.usd_fixtures import (
+    density_prim,
+    needs_usd,
+    sequence,
+    volume_prim,
+    world,
+    write_text,
+    write_vdb,
+)
 from usdsmoke import provenance, verify
 from usdsmoke.pipeline import plan
 from usdsmoke.ui.cli.main import main
@@ -223,6 +231,31 @@ def test_a_package_fails_and_is_said_to_be_one(
     assert "p.usdz is a package" in err and "result-missing" in out
     (found,) = provenance(package)
     assert found.record.run == provenance(result.look_layer)[0].record.run
+
+
+@needs_usd(26, 5)
+def test_frames_that_the_source_gets_later_make_a_look_stale(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=3)
+    whole = shot.stage.read_text()
+    shot.stage.write_text(world(volume_prim(density_prim(sequence((1, 2))))))
+    result = run(shot, "layer.contact_sheet=0")
+    assert not [item for item in validate_look(result.root_stage)[0] if item.rule == "LookStale"]
+    shot.stage.write_text(whole)
+    Sdf.Layer.FindOrOpen(str(shot.stage)).Reload(True)
+    (found,) = [item for item in validate_look(result.root_stage)[0] if item.rule == "LookStale"]
+    assert found.severity == "error" and "timeCode 3" in found.message
+
+
+@needs_usd(26, 5)
+def test_an_edited_look_layer_is_a_warning_of_the_gate(tmp_path: Path) -> None:
+    result = run(make_shot(tmp_path, n_frames=1), "layer.contact_sheet=0")
+    layer = Sdf.Layer.FindOrOpen(str(result.look_layer))
+    attribute = layer.GetAttributeAtPath("/World/smoke.usdSmoke:extinctionPerDensity")
+    attribute.default = 10 * attribute.default
+    layer.Save()
+    own, _ = validate_look(result.root_stage)
+    (found,) = [item for item in own if item.rule == "ResultChanged"]
+    assert found.severity == "warn" and "edited" in found.message
 
 
 def test_versions_of_a_look_stand_beside_one_another_by_folder_and_by_name(tmp_path: Path) -> None:

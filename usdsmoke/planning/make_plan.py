@@ -32,6 +32,7 @@ from usdsmoke.planning.estimate import (
     training_seconds,
 )
 from usdsmoke.planning.frames import (
+    field_place,
     find_density,
     find_frame_mask,
     find_frame_velocity,
@@ -376,4 +377,8 @@ def _plan_frame(
 def _read_headers(frame: FrameSource, headers: dict[str, FileHeader]) -> None:
     for field in frame.fields.values():
         if field.file_path not in headers:
-            headers[field.file_path] = read_header(field.file_path)
+            try:
+                headers[field.file_path] = read_header(field.file_path)
+            except GridError as error:
+                advice = "Or choose other frames with --frames."
+                raise type(error)(f"{field_place(field)}: {error} {advice}") from None

@@ -12,6 +12,7 @@ from usdsmoke.base.errors import StageError
 from usdsmoke.usd.crates import check_crates
 
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
+_PATTERN = re.compile(r"#|%0?\d*d|\$F|<F\d*>")  # of a frame's number
 _NUMBER = re.compile(r"\d+(?=\.vdb$)", re.IGNORECASE)
 _LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
 _GRAMMAR = re.compile(r" matching .*pxrInternal.* at '", re.DOTALL)  # a rule's C++ type
@@ -110,6 +111,8 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
         with open(found, "rb") as stream:
             stream.read(1)
     except (FileNotFoundError, NotADirectoryError):
+        if _PATTERN.search(os.path.basename(file_path)) and file_path.lower().endswith(".vdb"):
+            return f"{file_path} names VDB files, not a stage. {_make_stage(file_path)}"
         return f"there is no file {file_path}. Check the path."
     except IsADirectoryError:
         return f"{file_path} is a folder. {_FORMATS}"
@@ -118,16 +121,20 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     except OSError as error:
         return f"{file_path} cannot be read: {error.strerror or error}. Check the disk."
     if file_path.lower().endswith(".vdb"):
-        return (
-            f"{file_path} is a VDB file, not a stage. Make a stage with: usdsmoke stage "
-            f"{shlex.quote(_sequence(file_path))} -o STAGE.usda --meters-per-unit 1"
-        )
+        return f"{file_path} is a VDB file, not a stage. {_make_stage(file_path)}"
     if Sdf.FileFormat.FindByExtension(file_path) is None:
         return f"cannot open {file_path}: it is not a USD file. {_FORMATS}"
     suffix = Sdf.FileFormat.GetFileExtension(file_path)
     line = _line(refusal)
     advice = "Correct that line, or export the file again." if line else "Export it again."
     return f"cannot open {file_path}: it is not a valid .{suffix} file{line}. {advice}"
+
+
+def _make_stage(file_path: str) -> str:
+    return (
+        f"Make a stage with: usdsmoke stage {shlex.quote(_sequence(file_path))} -o STAGE.usda "
+        "--meters-per-unit 1 (1 for files in metres, 0.01 for centimetres)"
+    )
 
 
 def _sequence(file_path: str) -> str:

@@ -12,10 +12,12 @@ from usdsmoke.base.errors import OutputExists, UsdSmokeError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.look import copy_stage_metadata
 from usdsmoke.usd.rules import Finding, Severity, mend, switched_files, validate
+from usdsmoke.usd.schema import LOOK_API
 from usdsmoke.usd.stage import find_volumes, open_original, open_stage
 
 
@@ -47,7 +49,7 @@ def validate_look(
         names_own = any(file in finding.message for file in own_files)
         is_known = _what(finding) in known and (finding.prim_path or not names_own)
         (of_source if is_known else own).append(finding)
-    return [*_switched(source, composed), *own], of_source
+    return [*_switched(source, composed), *_added(source, composed), *own], of_source
 
 
 @readable_values()
@@ -140,6 +142,32 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
         at = partial(_time_on, composed, layer)
         for path, sentence in switched_files(record, Path(layer.realPath).parent, volumes, at):
             text = f"{sentence}. Stylize it again."
+            found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
+    return found
+
+
+def _added(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
+    """Volumes with a look whose source has more timeCodes than it had when the look was made."""
+    try:
+        then, now = (
+            {
+                volume.prim_path: set(volume.time_codes) if volume.animated else set()
+                for volume in find_volumes(
+                    stage, StageConfig(), with_requests=False, problems=[]
+                ).volumes
+            }
+            for stage in (composed, source)
+        )
+    except UsdSmokeError:
+        return []  # other rules report it
+    found = []
+    for path, codes in now.items():
+        schemas = composed.GetPrimAtPath(path).GetPrimTypeInfo().GetAppliedAPISchemas()
+        if LOOK_API in schemas and path in then and (more := codes - then[path]):
+            text = (
+                f"the source has {name_time_codes(sorted(more))} since the look was made, and "
+                "the look holds its last frame there. Make it longer, with more --frames."
+            )
             found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
     return found
 

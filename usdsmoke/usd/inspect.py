@@ -257,7 +257,8 @@ def _problems(source: StageSource, headers: dict[str, FileHeader | str]) -> list
             for name, field in frame.fields.items():
                 header = headers[field.file_path]
                 if isinstance(header, str):
-                    found[header] = None
+                    where = f"field <{field.prim_path}>, timeCode {field.time_code:g}"
+                    found[f"{where}: {header}"] = None
                 elif text := _grid_problem(field, header, _components(volume, name)):
                     found[text] = None
     return list(found)

@@ -202,7 +202,9 @@ def _names_grid(shader: Usd.Prim, attribute: str) -> bool:
     name = attribute.removeprefix(_INPUT)
     if name == attribute or not _NAMES_GRID.search(name):
         return False
-    return not (name == "emission_channel" and _mode(shader) == "none")
+    weight = shader.GetAttribute("inputs:emission")  # Arnold's
+    is_off = _mode(shader) == "none" or (weight and weight.Get() == 0)
+    return not (name == "emission_channel" and is_off)
 
 
 def _text(attribute: Usd.Attribute) -> str:

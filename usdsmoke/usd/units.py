@@ -3,17 +3,27 @@
 import math
 from collections.abc import Iterable
 
+import numpy as np
 from pxr import Usd, UsdGeom
 
 from usdsmoke.usd.schema import STAGE_UNITS
 
 _METRES = "metersPerUnit"
+_EVEN = 1.0001  # of the largest scale, as a multiple of the smallest
 
 
 def stage_units(prim: Usd.Prim, time_code: float) -> float:
     """Stage units in one unit of a prim's space, as a geometric mean; 1 for a flattened one."""
     matrix = UsdGeom.XformCache(time_code).GetLocalToWorldTransform(prim)
     return float(abs(matrix.GetDeterminant3()) ** (1 / 3)) or 1.0
+
+
+def is_stretched(prim: Usd.Prim) -> bool:
+    """Whether the first scale from a prim's space to the stage differs along its axes."""
+    first = Usd.TimeCode.EarliestTime()
+    matrix = np.array(UsdGeom.XformCache(first).GetLocalToWorldTransform(prim))[:3, :3]
+    sizes = np.linalg.svd(matrix, compute_uv=False)
+    return bool(sizes[0] > _EVEN * sizes[2])
 
 
 def stage_units_over_time(

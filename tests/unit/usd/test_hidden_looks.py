@@ -52,6 +52,7 @@ CHANNEL = 'string inputs:emission_channel = "emission"'
       ARNOLD % "string inputs:emission_channel.connect = </theirs.inputs:grid>"), []),
     ((ARNOLD % 'string inputs:aov_name = "emission"',), ["arnold"]),
     ((ARNOLD % (CHANNEL + '\nstring inputs:emission_mode = "none"'),), ["arnold"]),
+    ((ARNOLD % (CHANNEL + "\nfloat inputs:emission = 0"),), ["arnold"]),
 ])  # fmt: skip
 def test_each_renderer_whose_own_shader_hides_the_look_is_named(shaders, hidden):
     stage = Usd.Stage.CreateInMemory()

@@ -70,6 +70,8 @@ def run_validate(arguments: argparse.Namespace) -> int:
     if arguments.mend:
         mended = write_mends(Path(arguments.stage), Path(arguments.mend))
         print(f"mended: {count_text(len(mended), 'finding')}", file=sys.stderr)
+        for finding in mended:
+            print(f"  {finding.rule} <{finding.prim_path}>", file=sys.stderr)
         arguments.stage = arguments.mend if mended else arguments.stage
     of_source: list[Finding] = []
     if arguments.look_only:

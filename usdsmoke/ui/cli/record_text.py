@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from usdsmoke.audit import Change, FoundRecord, Rerun
 
 _SHOWN = 12  # digits of a hash that people compare
-_HASH = re.compile(rf"(sha256 )?\b[0-9a-f]{{{_SHOWN}}}\b")
+_HASH = re.compile(rf"(sha256 )?(?<![/\w])[0-9a-f]{{{_SHOWN}}}(?![/\w])")
 _MOST_LINES = 4  # of a long list of files
 
 
@@ -86,7 +86,7 @@ def _difference(change: "Change", everything: bool) -> str:
     if everything or (expected, found) == (change.expected, change.found):
         return f"expected {change.expected}, found {change.found}"
     if expected == change.expected or found == change.found:  # no file, or one that is not ours
-        return f"expected {expected}, found {found}"
+        return f"expected {expected or 'the file as it was'}, found {found}"
     later = found.removeprefix(expected).strip(" ,")
     return f"{expected or 'the file'} changed" + (f", {later}" if later else "")
 

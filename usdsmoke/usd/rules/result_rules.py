@@ -11,14 +11,14 @@ from pxr import Ar, Gf, Sdf, Usd
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import GridsConfig
-from usdsmoke.usd.layer_record import read_record, record_values
+from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 
 _AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
-_DIGITS = 12  # digits of a hash that people compare
+_REDO = "Redo its frame: the command that made it, with --frames."
 
 
 def recorded_results(layer: Sdf.Layer) -> dict[str, str]:
@@ -57,7 +57,23 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
         for file_path, (severity, trouble) in zip(results, found, strict=True)
         if trouble
     ]
-    return [*problems, *_changed_shaders(layer)]
+    return [*problems, *_changed_shaders(layer), *_edited(layer)]
+
+
+def _edited(layer: Sdf.Layer) -> list[Problem]:
+    """A look layer that was edited; nothing where another OpenUSD wrote it, in another text."""
+    values = record_values(layer)
+    if not values.get(LAYER_HASH) or layer_digest(layer) == values[LAYER_HASH]:
+        return []
+    written_by = read_record(layer).packages.get("usd-core", "")
+    major, minor = Usd.GetVersion()[1:]
+    if written_by.split(".")[:2] != [str(major), str(minor)]:
+        return []
+    text = (
+        "the look layer was edited after it was written, so its numbers may be wrong. Put edits "
+        "into a layer above it"
+    )
+    return [Problem(Severity.WARN, "", f"{text}.")]
 
 
 def _changed_shaders(layer: Sdf.Layer) -> list[Problem]:
@@ -65,10 +81,10 @@ def _changed_shaders(layer: Sdf.Layer) -> list[Problem]:
     problems = []
     for name, recorded in read_record(layer).shaders.items() if record_values(layer) else ():
         path = Sdf.ComputeAssetPathRelativeToLayer(layer, f"./{name}")
-        if os.path.isfile(path) and (found := hash_file(path)) != recorded:
+        if os.path.isfile(path) and hash_file(path) != recorded:
             text = (
-                f"{name} was changed after it was written: it hashes to {found[:_DIGITS]}, not to "
-                f"{recorded[:_DIGITS]}. Delete it and run 'usdsmoke assemble' to write it again."
+                f"{name} was changed after it was written. Delete it and run 'usdsmoke assemble' "
+                "to write it again."
             )
             problems.append(Problem(Severity.ERROR, "", text))
     return problems
@@ -145,12 +161,12 @@ def _promised(file_path: str) -> str:
 def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
     """What is wrong with a file of ours; empty if it is unchanged."""
     if not os.path.isfile(file_path):
-        return Severity.ERROR, "is missing, but it belongs to the result. Run usdsmoke again."
+        return Severity.ERROR, f"is missing, but it belongs to the result. {_REDO}"
     promised = _promised(file_path)
     if promised != recorded:
         return Severity.ERROR, (
-            f"is not the file of this result: its metadata says {promised[:_DIGITS] or 'nothing'}, "
-            f"the layer {recorded[:_DIGITS]}. Run usdsmoke again."
+            f"is {'another' if promised else 'no'} file of usdsmoke, and not that of this result. "
+            f"{_REDO}"
         )
     try:
         state = os.stat(file_path)
@@ -161,10 +177,7 @@ def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
         return Severity.ERROR, f"cannot be compared with its hash: {error}"
     if found == recorded:
         return Severity.INFO, ""
-    return Severity.ERROR, (
-        f"was changed after it was written: its grids hash to {found[:_DIGITS]}, not to "
-        f"{recorded[:_DIGITS]}. Run usdsmoke again."
-    )
+    return Severity.ERROR, f"was changed after it was written. {_REDO}"
 
 
 @lru_cache(maxsize=4096)

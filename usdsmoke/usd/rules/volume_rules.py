@@ -26,7 +26,7 @@ from usdsmoke.usd.rules.facts import (
     sample_grid,
 )
 from usdsmoke.usd.schema import EMISSION_MODE, LOOK_API, STYLE_API
-from usdsmoke.usd.units import units_since
+from usdsmoke.usd.units import is_stretched, units_since
 from usdsmoke.usd.values import file_name
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
 
@@ -52,7 +52,9 @@ def check_one_file(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
             if sample.file_path and not _is_empty(sample):
                 files.setdefault(sample.file_path, field.relationship)
         if len(files) > 1:
-            listed = ", ".join(f"{name} in {file_name(path)}" for path, name in files.items())
+            folders = len({file_name(path) for path in files}) < len(files)
+            shown = {path: path if folders else file_name(path) for path in files}
+            listed = ", ".join(f"{name} in {shown[path]}" for path, name in files.items())
             troubles[code] = (
                 f"the fields come from {len(files)} files ({listed}), of which several programs "
                 "read only one. Keep a frame's grids in one file; stylize does so with "
@@ -186,12 +188,15 @@ def check_look_units(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     ]
     if not (changes and factors):
         return []
+    same = "usdsmoke's preview, Storm and Cycles show the same picture"
+    if is_stretched(volume):
+        same = "The scale differs along the axes: usdsmoke's preview and Storm take its mean"
     message = (
-        f"{' and '.join(changes)}. usdsmoke's preview, Storm and Cycles show the same picture. For "
+        f"{' and '.join(changes)}. {same}. For "
         "others, multiply the extinction and the strength of the emission in the look's material: "
         f"for {', and for '.join(factors)}"
     )
-    return [Problem(Severity.INFO, str(volume.GetPath()), message + ".")]
+    return [Problem(Severity.WARN, str(volume.GetPath()), message + ".")]
 
 
 def check_request(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
