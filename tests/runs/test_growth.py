@@ -286,6 +286,7 @@ def test_a_look_of_an_unfinished_simulation_is_finished_with_or_without_the_same
     run(shot, *quick, "stage.allow_missing=true")
     for code in (3, 4):
         (away / f"{code}.vdb").rename(cache / f"smoke.{code:04d}.vdb")
+    assert [change.kind for change in verify(shot.output)] == ["stage-frames"]
     again = make_plan(shot.stage, shot.style, shot.output, [*quick, "stage.frames=1-4"])
     assert "kept: timeCodes 1,2, extinction and picture size" in again.notes
     assert len(run(shot, *quick, "stage.allow_missing=true").frames) == 4
@@ -304,6 +305,7 @@ def test_frames_that_the_stage_gets_hinder_no_repair_of_those_that_are_done(
     first = run(shot, *quick)
     shot.stage.write_text(whole.replace("(\n", "(\nendTimeCode = 6\n", 1))
     core.stylized.clear()
+    assert [change.kind for change in verify(first.look_layer)] == ["stage-frames"]
     with pytest.raises(OutputExists, match="already holds this result"):
         run(shot, *quick, "stage.frames=1-4")
     assert len(run(shot, *quick, "stage.frames=2").frames) == 4  # redone

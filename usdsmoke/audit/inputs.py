@@ -6,7 +6,7 @@ A file that was only written again, for example compressed, is a note.
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdS
 from usdsmoke.base.record_format import RunRecord, hash_file
 from usdsmoke.base.resolve import recorded_settings
 from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import StageSource
 from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
@@ -153,6 +154,9 @@ def _check_stage(
     for path, sentence in switched_files(record, folder, source):
         yield Change("stage-files", str(stage), f"<{path}> as recorded", sentence)
     recorded, here = record.stage_values, stage_values(source)
+    if recorded != here and (then := _as_it_was(record, source)):
+        yield Change.note("stage-frames", str(stage), *_added_codes(record, source))
+        here |= then | {name: recorded.get(name, here[name]) for name in _RANGE}
     for name in (*recorded, *sorted(here.keys() - recorded.keys())):
         if job is None and (name.endswith(" request") or f"{name} request" in recorded):
             continue  # what counts of a prim's word is known together with the style images only
@@ -160,6 +164,36 @@ def _check_stage(
         if before != now:
             texts = [shown(text) if len(text) == 64 else text for text in (before, now)]
             yield Change("stage-edited", str(stage), f"{name} {texts[0]}", f"{name} {texts[1]}")
+
+
+_RANGE = ("startTimeCode", "endTimeCode")
+
+
+def _as_it_was(record: RunRecord, source: StageSource) -> dict[str, str]:
+    """The values of a stage that has only got more timeCodes, or files of some, as they were;
+    empty where something else has changed too."""
+    codes: dict[str, set[float]] = {}
+    for frame in record.frames:
+        codes.setdefault(frame.prim, set()).add(frame.time_code)
+    for all_codes in (False, True):  # whether those without a frame were there already
+        volumes = []
+        for volume in source.volumes:
+            own = codes.get(volume.prim_path, set())
+            frames = tuple(frame for frame in volume.frames if frame.time_code in own)
+            known = volume.time_codes if all_codes else tuple(sorted(own))
+            volumes.append(replace(volume, frames=frames, time_codes=known))
+        values = stage_values(replace(source, volumes=tuple(volumes)))
+        found = {name: value for name, value in values.items() if name not in _RANGE}
+        if all(record.stage_values.get(name) == value for name, value in found.items()):
+            return found
+    return {}
+
+
+def _added_codes(record: RunRecord, source: StageSource) -> tuple[str, str]:
+    """The timeCodes of the record's frames, and those of the stage."""
+    then = {frame.time_code for frame in record.frames}
+    now = {code for volume in source.volumes for code in volume.time_codes}
+    return name_time_codes(sorted(then)), name_time_codes(sorted(now | then))
 
 
 def _source(record: RunRecord, stage: Path, config: Config) -> StageSource:

@@ -355,7 +355,8 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
             whole = selected  # files of frames that are not requested may be missing
         if len(problems) > len(faults):  # not of a Volume that cannot be drawn at all
             selected = _find(stage, config)
-    smoke = Smoke(stage, selected, whole, passed_over=_passed_over(config))
+    passed_over = _passed_over(config, len(selected.volumes))
+    smoke = Smoke(stage, selected, whole, passed_over=passed_over)
     for path, reason in selected.omitted.items():
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
     notes = [*selected.missing, *problems]
@@ -365,11 +366,12 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
     return smoke
 
 
-def _passed_over(config: StageConfig) -> tuple[type[UsdSmokeError], ...]:
+def _passed_over(config: StageConfig, n_volumes: int) -> tuple[type[UsdSmokeError], ...]:
     """What leaves a Volume out of a frame, instead of refusing the preview."""
     if not config.frames:
         return AssetNotResolved, GridError
-    return (AssetNotResolved,) if config.allow_missing else ()
+    missing = (AssetNotResolved,) if config.allow_missing else ()
+    return (*missing, GridError) if n_volumes > 1 and not config.prims else missing
 
 
 def _is_volume(stage: Usd.Stage, path: str) -> bool:

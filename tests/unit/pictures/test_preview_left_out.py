@@ -60,6 +60,18 @@ def test_frames_that_are_named_have_their_files_unless_they_may_be_missing(pair:
         preview(pair, target, prims=[ONE, BAD, "/World/fx"], width=16)
 
 
+def test_a_damaged_volume_hides_no_others_in_named_frames(pair: Path) -> None:
+    source = pair.parent / "cache/smoke.0001.vdb"
+    (pair.parent / "cache/bad.vdb").write_bytes(b"")
+    stage = pair.with_name("three.usda")
+    bad = volume_prim(density_prim("asset filePath = @./cache/bad.vdb@"), "bad")
+    stage.write_text(world(volume_prim(density_prim(f"asset filePath = @{source}@")) + bad))
+    drawn = preview(stage, pair.with_name("a.png"), frames="1", width=16)
+    assert any("/World/bad" in note and "empty" in note for note in drawn.notes)
+    with pytest.raises(DamagedFile):
+        preview(stage, pair.with_name("a.png"), prims=["/World/bad"], frames="1", width=16)
+
+
 def test_a_damaged_file_leaves_out_its_frame(tmp_path: Path) -> None:
     stage = plume_stage(tmp_path, (1, 2, 3))
     damaged = tmp_path / "cache/smoke.0002.vdb"
