@@ -12,10 +12,12 @@ from benchmarks.splats import render_fields
 from tests.fixtures.smoke_fixtures import affine, puff
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
+from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.cameras import View, orbit_view, view_rays
 from usdsmoke.core.views.march import march
 from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.project import project_voxels
+from usdsmoke.core.views.segments import segment_weights
 from usdsmoke.pictures import encode_srgb
 
 EIGHT_BITS = 1 / 255
@@ -342,3 +344,32 @@ def test_a_flattened_field_is_refused_by_name() -> None:
     density = field(np.ones(BOX), placed(BOX))
     with pytest.raises(ShapeError, match=r'"density".*flattens'):
         make_media(density, None, np.diag([1.0, 0.0, 1.0, 1.0]), None, 1.0, 0.5)
+
+
+def test_the_rule_of_a_segment_is_exact_to_4e_5_up_to_an_optical_depth_of_1() -> None:
+    generator = np.random.default_rng(0)
+    n, places = 500, (np.arange(2000) + 0.5) / 2000
+    for depth in (1e-9, 0.3, 1.0):
+        ends = generator.uniform(0, 1, (2, n)) * generator.choice([0.0, 1.0], (2, n), p=[0.2, 0.8])
+        ends[0] += 1e-3  # not empty
+        sigma = ends * (2 * depth / ends.sum(axis=0))
+        light = sigma * generator.uniform(0, 1, (2, n))  # no colour is brighter than 1
+        before = np.outer(sigma[0], places) + np.outer((sigma[1] - sigma[0]) / 2, places**2)
+        glow = np.outer(light[0], 1 - places) + np.outer(light[1], places)
+        wanted = (glow * np.exp(-before)).mean(axis=1)
+        slope = (sigma[1] - sigma[0]) / sigma.sum(axis=0)
+        mean, rest = segment_weights(np.full(n, depth), slope)
+        found = light.mean(axis=0) * mean - (light[1] - light[0]) / 2 * rest
+        assert np.abs(found - wanted).max() < 4e-5 * min(depth, 1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0])
+def test_pictures_have_the_same_bits_for_any_number_of_threads(angle: float) -> None:
+    density, light = lumps((20, 18, 16))
+    media = media_of(density, light, placed(density.shape), 3.0)
+    view = orbit_view(angle, 0.0, "Y", np.zeros(3), 150, 150, 0.02)
+    pictures = []
+    for count in (1, 3):
+        with computing_threads(count):
+            pictures.append(march(media, view, rays=1).rgba)
+    assert pictures[0].max() > 0.1 and np.array_equal(*pictures)
