@@ -119,7 +119,8 @@ class Columns:
         total = extinction[:, 1:] + extinction[:, :-1]
         total += _TINY
         slope /= total
-        thickness = total * (self._length / 2)
+        with np.errstate(over="ignore"):  # which the next line bounds
+            thickness = total * (self._length / 2)
         np.minimum(thickness, 2 * OPAQUE, out=thickness)
         before = np.cumsum(thickness, axis=1)
         before -= thickness
