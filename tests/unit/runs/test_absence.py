@@ -85,6 +85,15 @@ def test_a_frame_without_effect_is_no_border(tmp_path: Path) -> None:
     assert note.startswith("2 of 3 pairs") and "border" not in note and "not 1 where" in note
 
 
+@pytest.mark.parametrize(("speed", "told"), [(0.0, True), (1.0, False), (2.0, True)])
+def test_a_pattern_of_its_own_speed_is_named_as_the_reference(
+    speed: float, told: bool, tmp_path: Path
+) -> None:
+    settings = [f"windows.pattern_speed={speed}", "stage.motion=estimate"]
+    notes = budget_of(tmp_path, [ALONE, PAIR, PAIR, PAIR], *settings).notes
+    assert ("windows.pattern_speed" in notes.get("temporal, colour", "")) == told
+
+
 def test_windows_that_overlap_have_every_pair(tmp_path: Path) -> None:
     settings = ["windows.size=2", "windows.overlap=1"]
     note = budget_of(tmp_path, [ALONE, PAIR, PAIR, PAIR], *settings).notes["temporal, colour"]

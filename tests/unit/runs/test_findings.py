@@ -122,7 +122,8 @@ SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
         ),
         ({}, "optimiser, shape", ["shape.reach=1e-05"]),
         (SLOW, "optimiser, colour", ["colour.learning_rate=0.001"]),
-        (FAST, "optimiser, colour", ["colour.learning_rate=1000"]),
+        (FAST, "optimiser, colour", ["colour.learning_rate=1000.0"]),
+        (FAST, "optimiser, colour", ["losses.nearest=1000000.0"]),
     ],
 )
 def test_the_setting_that_is_named_is_the_one_that_was_changed(

@@ -32,6 +32,14 @@ _OUTWEIGH = (  # settings that can keep the shape step from moving anything
     "losses.style",
     "optimize.strength",
 )
+_TERMS = (  # weights that can keep the colour step from the style
+    "losses.nearest",
+    "losses.content",
+    "losses.histogram",
+    "losses.laplacian",
+    "losses.photorealism",
+    "losses.total_variation",
+)
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
 
@@ -125,6 +133,8 @@ def _advice(row: ErrorRow, config: Config) -> tuple[str, str]:
     """Remedy and setting; of those that cost accuracy in storage, the ones that are set."""
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
         return f"Unset {' and '.join(changed)}", changed[0]
+    if row is COLOUR_OPTIMISER and _has_high_rate(config):
+        return "Use the default of colour.learning_rate", "colour.learning_rate"
     return _sentence(row.advice), row.setting
 
 
@@ -210,6 +220,11 @@ def _has_low_rate(step: str, config: Config) -> bool:
     return rate < usual
 
 
+def _has_high_rate(config: Config) -> bool:
+    """Whether steps are so large that colours jump between black and white."""
+    return config.colour.learning_rate > Config().colour.learning_rate
+
+
 def _short_way(name: str, step: str, way: float) -> Finding:
     whole = "from black to white" if step == "colour" else "from rest to the largest displacement"
     return Finding(
@@ -236,10 +251,12 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
     setting, remedy = "colour.iterations", "raise colour.iterations"
-    if config.colour.learning_rate > (usual := Config().colour.learning_rate):
-        setting, remedy = "colour.learning_rate", f"set colour.learning_rate={usual:g}"
-    elif config.optimize.iterations is not None:
+    if config.optimize.iterations is not None:
         remedy += ", or optimize.iterations"
+    if changed := _changed(config, *_TERMS):
+        setting, remedy = changed[0], f"use the default of {', '.join(changed)}, or {remedy}"
+    if _has_high_rate(config):
+        setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
     yield Finding(
         name,
         COLOUR_OPTIMISER.name,

@@ -90,7 +90,7 @@ class PlannedVolume:
             return f"no window has {n + 1} frames"
         compared = any(report and report.temporal for report in self.reports)
         return "no two neighbouring frames " + (
-            "have smoke in common" if compared else "are stylized"
+            "continue each other's smoke" if compared else "are stylized"
         )
 
     @property
@@ -135,7 +135,7 @@ def temporal_note(volumes: Sequence[PlannedVolume], kind: str, step: str) -> str
     if borders:
         texts.append(f"not those on both sides of a window's border ({_shortened(borders)})")
     if n_unlike:
-        texts.append(f"not {n_unlike} that have no smoke in common")
+        texts.append(f"not {n_unlike} where a frame starts anew or no smoke is the same")
     if n_others:
         texts.append(f"not {n_others} where a frame is not stylized")
     texts += _unusual_ways([volume.plan for volume in volumes])
@@ -144,12 +144,18 @@ def temporal_note(volumes: Sequence[PlannedVolume], kind: str, step: str) -> str
 
 def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
     """How pairs are compared where it is not as usual."""
+    pairs = [(volume.config, frame) for volume in volumes for frame in volume.frames]
     moving = any(
-        frame.velocity is not None or volume.config.stage.motion == "estimate"
-        for volume in volumes
-        for frame in volume.frames
+        frame.velocity is not None or config.stage.motion == "estimate" for config, frame in pairs
     )
     texts = [] if moving else ["compared in place, as there is no velocity"]
+    speeds = {
+        config.windows.pattern_speed if own is None else own
+        for config, frame in pairs
+        for own in (frame.source.controls.pattern_speed,)
+    }
+    if moving and speeds != {1.0}:
+        texts.append("compared at windows.pattern_speed times the smoke's velocity")
     if any(volume.overlap_frames for volume in volumes):
         texts.append("in overlaps, each window is measured separately")
     return texts

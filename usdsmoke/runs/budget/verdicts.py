@@ -39,7 +39,7 @@ _MEANINGS = {  # of a figure, by the beginning of the error's name
     "optimiser": "off four times as many iterations",
     "view sampling": "off other views of the kind",
     "unseen views": "off on views outside the pool",
-    "temporal": "of the pattern does not follow the smoke",
+    "temporal": "of the pattern does not move as asked",
     "windows": "between the versions of two windows",
     "storage": "lost by half floats and pruning",
 }
