@@ -166,6 +166,7 @@ class FrameReport(JsonRecord):
     # Optical depth of thick columns in the pictures of the last step; None where it is not measured
     # or the extinction is set.
     depth: float | None = None
+    depth_by_side: tuple[float, float] | None = None  # least and most over the views, about
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step
     colour: StepReport | None = None

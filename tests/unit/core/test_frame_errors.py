@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
 from usdsmoke.base.frame_report import FrameErrors, FrameReport
+from usdsmoke.runs.budget.light_findings import find_depth
 
 ALL_ROUND: Mapping[str, Any] = {"pool": 4, "image_size": 16}
 
@@ -37,3 +39,19 @@ def test_the_opacity_of_a_frame_is_known_without_a_budget_too() -> None:
     report = report_of(budget=False)
     assert report.errors == FrameErrors()
     assert report.depth == pytest.approx(30, rel=0.2)  # the default of optics.depth
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_smoke_that_is_long_in_one_direction_has_other_depths_from_its_sides(axis: int) -> None:
+    """The middle view looks along z, so a cylinder along z is thin from all others."""
+    cylinder = np.ones((4, 4, 4), np.float32).repeat(10, axis)
+    config = quick_config(views=ALL_ROUND, optimize={"steps": ["colour"]})
+    (frame,) = run_core([frame_of(cylinder)], config)
+    least, most = frame.report.depth_by_side
+    assert most / least == pytest.approx(10, rel=0.1)
+    assert (least if axis == 0 else most) == pytest.approx(frame.report.depth, rel=0.01)
+    (finding,) = find_depth("a.vdb", frame.report, config.optics)
+    assert finding.setting == "optics.gamma"
+    puff_report = report_of(budget=False)
+    assert puff_report.depth_by_side[1] < 1.3 * puff_report.depth_by_side[0]
+    assert not list(find_depth("a.vdb", puff_report, config.optics))

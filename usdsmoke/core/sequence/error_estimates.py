@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,13 +25,14 @@ from usdsmoke.core.sequence.picture_errors import (
     quadrature_error,
     resolution_error,
 )
-from usdsmoke.core.smoke.schedule import has_one_view
+from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.schedule import has_one_view, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
-from usdsmoke.core.views.cameras import View
+from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views, thick_column
 
@@ -86,6 +88,34 @@ def thick_depth(frame: PaintedFrame) -> float | None:
         return None
     percentile = OpticsConfig().percentile
     return gamma_w * thick_column(frame.smoke, frame.config.views, frame.scene, percentile)
+
+
+def depth_by_side(frame: PaintedFrame, depth: float | None) -> tuple[float, float] | None:
+    """Least and most of ``thick_depth`` over the directions of the views, about.
+
+    The smoke is taken for an ellipsoid with its spread, whose chord through the middle is
+    (d S^-1 d)^(-1/2) along d, with the covariance S. None where ``thick_depth`` is, for a slab, and
+    with a camera.
+
+    Args:
+        depth: ``thick_depth`` of the frame.
+    """
+    views, up_axis = frame.config.views, frame.scene.up_axis
+    if depth is None or views.camera or frame.smoke.thin_axis is not None:
+        return None
+    voxels = frame.smoke.voxels
+    spread = np.cov(voxels.positions.T, aweights=bounded(voxels).density, ddof=0)
+    squares, axes = np.linalg.eigh(spread + voxels.edges.T @ voxels.edges / 12)
+    squares = np.maximum(squares, 1e-12 * squares.max())  # round-off, where smoke is far apart
+    azimuth, elevation = view_ranges(views)
+
+    def chord(around: float, above: float) -> float:
+        angles = views.centre_azimuth + around * azimuth, views.centre_elevation + above * elevation
+        along = orbit_view(*angles, up_axis, np.zeros(3), 1, 1, 1.0).forward
+        return float(((along @ axes) ** 2 / squares).sum()) ** -0.5
+
+    chords = [chord(around / 8, above) for around in range(-8, 9) for above in (-1, 0, 1)]
+    return depth * min(chords) / chord(0, 0), depth * max(chords) / chord(0, 0)
 
 
 def tail_figures(ends: Sequence[Minimum], pool: int, count: int) -> dict[str, float]:

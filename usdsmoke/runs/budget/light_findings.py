@@ -14,6 +14,7 @@ FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma 
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
 LIKE_ASKED = 10.0  # times the depth that is asked for: frames of a shot are not alike
 FAR_BELOW = 100.0  # likewise
+BY_SIDE = 4.0  # times: a plume or a puff has less than 2
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
 DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
@@ -99,6 +100,8 @@ def find_depth(name: str, report: FrameReport, optics: OpticsConfig) -> Iterator
     """Whether the extinction that the shot's smoke chose suits a frame's."""
     if report.depth is None:
         return
+    if report.depth_by_side is not None:
+        yield from _find_sides(name, *report.depth_by_side)
     asked = "depth_shape" if report.colour is None else "depth"
     wanted = getattr(optics, asked)
     is_deep = report.depth > max(DEEPEST, LIKE_ASKED * wanted)
@@ -120,6 +123,20 @@ def find_depth(name: str, report: FrameReport, optics: OpticsConfig) -> Iterator
         remedy,
         setting,
     )
+
+
+def _find_sides(name: str, least: float, most: float) -> Iterator[Finding]:
+    """Whether smoke is as opaque from other sides as from the one that extinction is chosen by."""
+    if most > BY_SIDE * least:
+        yield Finding(
+            name,
+            "",
+            f"the thick columns have an optical depth of about {least:.2g} to {most:.2g} by the "
+            "side that they are seen from, and the middle view chose the extinction",
+            "Look at the result from several sides; set optics.gamma, or turn the middle view with "
+            "views.centre_azimuth",
+            "optics.gamma",
+        )
 
 
 def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
