@@ -31,6 +31,7 @@ class SourceStage:
         fields: names of the relationships.
         left_out: grids without a field, and why.
         level_sets: names of fields that hold surfaces, which usdsmoke does not stylize.
+        densities: names of fields that can be a density: float grids that hold no surface.
     """
 
     file: Path
@@ -39,6 +40,7 @@ class SourceStage:
     fields: tuple[str, ...]
     left_out: tuple[str, ...]
     level_sets: tuple[str, ...] = ()
+    densities: tuple[str, ...] = ()
 
 
 def write_source_stage(
@@ -92,7 +94,14 @@ def write_source_stage(
     surfaces = tuple(
         name for name, grid in fields.items() if grid.grid_class == GRID_CLASSES["levelSet"]
     )
-    return SourceStage(target, str(volume.GetPath()), codes, tuple(fields), left_out, surfaces)
+    densities = tuple(
+        name
+        for name, grid in fields.items()
+        if grid.value_type in ("float", "double") and name not in surfaces
+    )
+    return SourceStage(
+        target, str(volume.GetPath()), codes, tuple(fields), left_out, surfaces, densities
+    )
 
 
 def find_sequence(pattern: str) -> dict[int | None, Path]:

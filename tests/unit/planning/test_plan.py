@@ -16,7 +16,7 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.base.errors import PlanError, UnsupportedGrid
+from usdsmoke.base.errors import DamagedFile, PlanError, UnsupportedGrid
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.planning import make_plan as plan_module
 from usdsmoke.planning.make_plan import check_plan, make_plan
@@ -185,6 +185,14 @@ def test_a_grid_that_holds_no_smoke_is_refused_before_it_is_read(tmp_path: Path)
     body = volume_prim(density_prim("asset filePath = @./s.vdb@"))
     stage = write_text(tmp_path / "s.usda", world(body))
     with pytest.raises(UnsupportedGrid, match="level set"):
+        plan_of(stage)
+
+
+def test_a_damaged_frame_is_named_with_the_frames_that_are_left(tmp_path: Path) -> None:
+    stage = plume_stage(tmp_path)
+    (tmp_path / "cache/smoke.0002.vdb").write_bytes(b"")
+    named = r"</World/smoke> at timeCode 2: .*smoke\.0002\.vdb is empty.*--frames=1,3,4"
+    with pytest.raises(DamagedFile, match=named):
         plan_of(stage)
 
 

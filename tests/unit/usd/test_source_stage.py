@@ -69,6 +69,15 @@ def test_a_surface_is_named(tmp_path):
     made = write_source_stage(str(tmp_path / "ball.vdb"), tmp_path / "b.usda", 1)
     assert made.level_sets == ("surface",)
     assert "surface is a level set" in source_stage_text(made)
+    assert "no field can be a density" in source_stage_text(made)
+    assert "no field can be a density" not in source_stage_text(make(tmp_path))
+
+
+def test_a_pattern_that_the_shell_expands_is_answered(tmp_path, capsys):
+    words = [str(tmp_path / f"a.{code}.vdb") for code in (1, 2, 3)]
+    with pytest.raises(SystemExit):
+        main(["stage", *words, "-o", str(tmp_path / "a.usda"), "--meters-per-unit", "1"])
+    assert "in quotes: 'plume.####.vdb'" in capsys.readouterr().err
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -113,6 +122,8 @@ def test_the_command_leads_from_a_file_to_a_plan(tmp_path, capsys):
     write_vdb(tmp_path / "puff.0001.vdb")
     assert main(["inspect", str(tmp_path / "puff.0001.vdb")]) == 1
     assert f"usdsmoke stage '{tmp_path / 'puff.####.vdb'}' -o" in capsys.readouterr().err
+    assert main(["inspect", str(tmp_path / "puff.%04d.vdb")]) == 1
+    assert f"usdsmoke stage '{tmp_path / 'puff.%04d.vdb'}' -o" in capsys.readouterr().err
     stage_file = tmp_path / "puff.usda"
     command = ["stage", str(tmp_path / "puff.vdb"), "-o", str(stage_file)]
     assert main([*command, "--meters-per-unit", "1"]) == 0

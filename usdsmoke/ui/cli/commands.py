@@ -69,6 +69,8 @@ def run_validate(arguments: argparse.Namespace) -> int:
     check_rules(arguments.ignore)
     if arguments.mend:
         mended = write_mends(Path(arguments.stage), Path(arguments.mend))
+        for item in mended:
+            print(f"mended: {item.rule}: <{item.prim_path}>: {item.message}", file=sys.stderr)
         print(f"mended: {count_text(len(mended), 'finding')}", file=sys.stderr)
         for finding in mended:
             print(f"  {finding.rule} <{finding.prim_path}>", file=sys.stderr)

@@ -19,6 +19,8 @@ class SuggestingParser(argparse.ArgumentParser):
             own: argparse.ArgumentParser = arguments.parser
             options = re.findall(r"--[\w-]+", own.format_usage())
             hint = _closest(unknown[0].partition("=")[0], options)
+            if all(word.endswith(".vdb") for word in unknown):  # the shell has expanded plume.*.vdb
+                hint = " Name a sequence by a pattern in quotes: 'plume.####.vdb'."
             own.error(f"unknown argument{'s' * (len(unknown) > 1)}: {' '.join(unknown)}.{hint}")
         return arguments
 

@@ -155,6 +155,7 @@ def source_stage_text(made: "SourceStage") -> str:
                 "stylize it"
                 for name in made.level_sets
             ),
+            *(["  no field can be a density: it takes a float grid"] * (not made.densities)),
             f"next: usdsmoke inspect {shlex.quote(str(made.file))}",
         ]
     )
