@@ -198,7 +198,7 @@ def _read_now(where: str) -> FileHeader:
     with open(where, "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         if not size:
-            raise DamagedFile(f"{where} is empty: it has 0 bytes. Export or copy it again.")
+            raise DamagedFile(f"{where} is no VDB file: it has 0 bytes. Export or copy it again.")
         return _read_file_header(ByteReader(stream, size, where))
 
 

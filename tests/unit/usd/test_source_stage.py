@@ -63,14 +63,14 @@ def test_nothing_is_wrong_with_it(tmp_path):
 
 
 def test_a_surface_is_named(tmp_path):
-    assert make(tmp_path).level_sets == ()
+    smoke = make(tmp_path)
+    assert smoke.level_sets == () and "no field can be a density" not in source_stage_text(smoke)
     surface = raw_grid(np.ones((3, 3, 3)), "surface", grid_class="level set")
     write_raw(tmp_path / "ball.vdb", surface)
     made = write_source_stage(str(tmp_path / "ball.vdb"), tmp_path / "b.usda", 1)
     assert made.level_sets == ("surface",)
     assert "surface is a level set" in source_stage_text(made)
     assert "no field can be a density" in source_stage_text(made)
-    assert "no field can be a density" not in source_stage_text(make(tmp_path))
 
 
 def test_a_pattern_that_the_shell_expands_is_answered(tmp_path, capsys):
@@ -123,7 +123,7 @@ def test_the_command_leads_from_a_file_to_a_plan(tmp_path, capsys):
     assert main(["inspect", str(tmp_path / "puff.0001.vdb")]) == 1
     assert f"usdsmoke stage '{tmp_path / 'puff.####.vdb'}' -o" in capsys.readouterr().err
     assert main(["inspect", str(tmp_path / "puff.%04d.vdb")]) == 1
-    assert f"usdsmoke stage '{tmp_path / 'puff.%04d.vdb'}' -o" in capsys.readouterr().err
+    assert f"usdsmoke stage {tmp_path / 'puff.%04d.vdb'} -o" in capsys.readouterr().err
     stage_file = tmp_path / "puff.usda"
     command = ["stage", str(tmp_path / "puff.vdb"), "-o", str(stage_file)]
     assert main([*command, "--meters-per-unit", "1"]) == 0

@@ -284,6 +284,7 @@ def test_fields_from_several_files_are_found(tmp_path):
     assert (found.severity, found.time_code) == (Severity.WARN, 2.0)
     assert "density in smoke.0002.vdb, temp in smoke.0001.vdb" in found.message
     write_vdb(tmp_path / "other/smoke.0001.vdb", ["temp"])
+    write_vdb(tmp_path / "other/smoke.0003.vdb", ["temp"])
     temp = temp.replace("cache/", "other/")
     found = only(findings(tmp_path, density_prim(sequence([1])) + temp, TWO), "MixedFilesPerVolume")
     assert "cache/smoke.0001.vdb, temp in" in found.message and "other/smoke" in found.message

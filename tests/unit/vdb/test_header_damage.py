@@ -25,7 +25,7 @@ def small_file(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 FAULTS = {
-    "an empty file": (b"", "8 bytes .*byte 0, .* 0 more"),
+    "an empty file": (b"", "0 bytes"),
     "a text file": (b"density = 1\nvelocity = 2\n", "wrong bytes"),
     "a version from the future": (vdb(version=2**31), "version 2147483648"),
     "a version before the first release": (vdb(version=100), "version 100"),
