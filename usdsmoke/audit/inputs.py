@@ -21,7 +21,9 @@ from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
 from usdsmoke.planning.plan import FramePlan
-from usdsmoke.planning.stage_values import stage_values
+from usdsmoke.planning.stage_values import stage_pieces, stage_values
+from usdsmoke.runs.changes import find_changes
+from usdsmoke.runs.run import find_runs
 from usdsmoke.usd.rules import switched_files, switched_variants, written_at
 from usdsmoke.usd.stage import read_source
 
@@ -163,7 +165,20 @@ def _check_stage(
         before, now = recorded.get(name, "absent"), here.get(name, "absent")
         if before != now:
             texts = [shown(text) if len(text) == 64 else text for text in (before, now)]
-            yield Change("stage-edited", str(stage), f"{name} {texts[0]}", f"{name} {texts[1]}")
+            words = _in_words(item, source, name)
+            now = f"{name} {texts[1]}" + (f", {words}" if words else "")
+            yield Change("stage-edited", str(stage), f"{name} {texts[0]}", now)
+
+
+def _in_words(item: FoundRecord, source: StageSource, name: str) -> str:
+    """What differs of a Volume ``<prim path>``; "" where the run's folder is gone."""
+    run = next((run for run in find_runs(item.folder) if run.run_id == item.record.run), None)
+    if run is None or not name.startswith("<"):
+        return ""
+    then, now = (
+        {name: values.get(name, {})} for values in (run.description["stage"], stage_pieces(source))
+    )
+    return str(find_changes({"stage": then}, {"stage": now}))
 
 
 _RANGE = ("startTimeCode", "endTimeCode")

@@ -17,6 +17,7 @@ _MOST_VOLUMES = 3  # that have a line each
 _WIDTH = 100
 _SHORTEST = 30  # letters that a shortened sentence keeps at least
 _SENTENCE_END = re.compile(r"\. (?=[A-Z])")
+_PATH = re.compile(r"</[^>]*>")
 _CLAUSE_END = re.compile(r"[,;:.](?= )")
 
 
@@ -52,7 +53,22 @@ def _unusual(plan: "Plan") -> list[str]:
     """What is unusual, most telling first."""
     hidden = [item for item in plan.omitted if not item.expected]
     requests = [volume.request_text for volume in plan.volumes if volume.request_text]
-    return [*plan.notes, *requests, *(f"left out: {_omission(item)}" for item in hidden)]
+    return _merged([*plan.notes, *requests, *(f"left out: {_omission(item)}" for item in hidden)])
+
+
+def _merged(texts: Sequence[str]) -> list[str]:
+    """Sentences that differ in a prim's path alone are one, with the number of the others.
+
+    >>> _merged(["grid heat of </a>: stays", "grid heat of </b>: stays", "</c>: is cut"])
+    ['grid heat of </a> and 1 more: stays', '</c>: is cut']
+    """
+    alike: dict[str, list[str]] = {}
+    for text in texts:
+        alike.setdefault(_PATH.sub("<>", text), []).append(text)
+    return [
+        _PATH.sub(rf"\g<0> and {len(same) - 1} more", same[0], count=1) if same[1:] else same[0]
+        for same in alike.values()
+    ]
 
 
 def _all_lines(plan: "Plan") -> list[str]:

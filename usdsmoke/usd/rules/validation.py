@@ -164,7 +164,10 @@ def check_rules(names: Iterable[str]) -> None:
             advice = f"Did you mean {' or '.join(close)}?" if close else ""
             if not close:
                 own = sorted((*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES))
-                advice = f"usdsmoke's own rules: {', '.join(own)}."
+                advice = (
+                    "Rules of OpenUSD have two parts, as they are printed: VALIDATOR.ERROR. "
+                    f"usdsmoke's own rules: {', '.join(own)}."
+                )
             raise ConfigError(f"there is no rule {name!r}. {advice}")
 
 

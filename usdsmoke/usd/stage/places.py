@@ -32,9 +32,8 @@ def place_notes(
         targets = instancer.GetRelationship("prototypes").GetForwardedTargets()
         if any(volume.GetPath().HasPrefix(path) for path in (*targets, instancer.GetPath())):
             notes.append(
-                f"<{volume.GetPath()}> is a prototype of the PointInstancer "
-                f"<{instancer.GetPath()}>: the look is made for the place of the prototype itself, "
-                "and every instance shows it"
+                f"the look of the prototype <{volume.GetPath()}> is made for its own place; the "
+                f"PointInstancer <{instancer.GetPath()}> shows it in others"
             )
     return tuple(notes)
 
