@@ -53,9 +53,10 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
     lines = [
         "# Frames that hold together",
         "",
-        f"The example plume, {windows.case.resolution} voxels across, {study.n_frames} frames,",
-        f"style `{windows.case.style}`, windows as configured. *Alone*: each frame a window of its",
-        f"own, frames {alone.case.codes[0]} to {alone.case.codes[-1]}. Temporal errors are the",
+        f"The example plume, {windows.case.resolution} voxels across,",
+        f"{len(windows.case.codes)} frames, style `{windows.case.style}`, windows as configured.",
+        f"*Alone*: each frame a window of its own, frames {alone.case.codes[0]} to",
+        f"{alone.case.codes[-1]}. Temporal errors are the",
         "share of the pattern that does not move with the smoke, in excess of an exact look-up; 1",
         "is one drawn anew. *Border*: the steps that blending has a hand in; *inside*: the others.",
         "Style distances are the optimiser's own loss of finished pictures, from views that it",
@@ -68,8 +69,8 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
         _row("windows", windows, alone),
         "",
         "| temporal error over one frame | windows / alone | mark | border / inside, mean | mark "
-        "| worst step | mark |",
-        "|---|---|---|---|---|---|---|",
+        "| worst step | mark | border / the same steps before blending, mean | worst step |",
+        "|---|---|---|---|---|---|---|---|---|",
         *(_border_row(kind, windows, alone) for kind in STYLE_OF),
         "",
         *_notes(windows, alone),
@@ -87,9 +88,15 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
         "|---|---|---|---|---|---|---|",
         *_curve_rows(runs, study),
         "",
+        f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU; a command that was",
+        "  stopped goes on with those that are missing.",
         *circumstances(words),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _cpu_minutes(runs: Runs) -> float:
+    return sum(kept.seconds * len(case.codes) for case, kept in runs.items()) / 60
 
 
 def _settings_text(way: str) -> str:
@@ -130,11 +137,13 @@ def _border_row(kind: str, windows: Kept, alone: Kept) -> str:
     steps = windows.errors[kind][1]
     touched = [number for number, code in enumerate(sorted(steps)) if code in windows.touched]
     mean, most = border_ratio(np.array([steps[code] for code in sorted(steps)]), touched)
+    added = [steps[code] / own for code, own in windows.own[kind].items()]
     cells = [
         kind,
         f"{ratio:.3f}", _verdict(ratio, MARKS["share"]),
         f"{mean:.2f}", _verdict(mean, MARKS["border"]),
         f"{most:.2f}", _verdict(most, MARKS["step"]),
+        f"{np.mean(added):.2f}", f"{max(added):.2f}",
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 

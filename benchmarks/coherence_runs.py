@@ -66,6 +66,7 @@ class Run:
     starts: tuple[int, ...] = ()  # number of the first frame of each window but the first
     touched: tuple[int, ...] = ()  # numbers n of the steps n -> n+1 that blending has a hand in
     differences: tuple[tuple[float, float], ...] = ()  # of both versions: density, emission
+    versions: Sequence[Sequence[Outcome]] = ()  # of each window, before blending
 
 
 def simulate_plume(resolution: int, n_frames: int) -> list[VolumeFrame]:
@@ -145,9 +146,7 @@ def run_windows(shot: Shot) -> Run:
     ]
     run = _joined(windows, versions)
     seconds = time.process_time() - started
-    return Run(
-        run.outcomes, seconds, coarse_seconds, run.starts, run.touched, run.differences
-    )  # fmt: skip
+    return replace(run, seconds=seconds, coarse_seconds=coarse_seconds, versions=versions)
 
 
 def _rate() -> float:

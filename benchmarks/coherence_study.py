@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks.coherence_measures import style_distances, temporal_errors
 from benchmarks.coherence_pictures import draw_panels
 from benchmarks.coherence_runs import (
+    Run,
     Shot,
     make_shot,
     run_alone,
@@ -48,8 +49,6 @@ WAYS: Mapping[str, Sequence[str]] = {
     "crisper": ("windows.steadiness=0.3", "colour.warm_rate=1"),
     "steadier": ("windows.steadiness=3", "colour.warm_rate=0.5"),
     "much steadier": ("windows.steadiness=10", "colour.warm_rate=0.35"),
-    "half the iterations": ("windows.warm_iterations=0.4",),
-    "less averaging": ("shape.smoothing=0.25", "colour.smoothing=0.1"),
 }
 
 
@@ -82,6 +81,7 @@ class Kept:
     starts: list[int]  # first frames of windows, but for the first
     touched: list[int]  # frames that blending has changed the step to
     differences: list[tuple[float, float]]  # of two versions: density, emission
+    own: dict[str, dict[int, float]]  # errors of touched steps before blending, mean of versions
 
     def mean_distance(self, kind: str, codes: Sequence[int]) -> float:
         """The mean style distance of some frames."""
@@ -107,7 +107,7 @@ class Study:
 def _whole(resolution: int, style: str, seed: int, alone: Sequence[int]) -> tuple[Case, ...]:
     return (
         Case(resolution, style, seed, ALONE, tuple(alone)),
-        Case(resolution, style, seed, WINDOWS, tuple(range(1, 25))),
+        Case(resolution, style, seed, WINDOWS, tuple(range(1, 17))),
     )
 
 
@@ -118,13 +118,13 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 
 
 _FEW = (5, 6, 9, 10)  # frames: two steps of one and two of four
-_STEADIER = ("crisper", "one window", "steadier", "much steadier")
 PLAN = Study(
     shot=_whole(64, "strokes", 0, range(6, 13)),
     curve=(
-        *_curve(40, "strokes", 0, (*_STEADIER, "half the iterations")),
-        *_curve(40, "waves", 0, ("one window",)),
-        *_curve(40, "petals", 0, ("one window",)),
+        *_curve(32, "strokes", 0, ("crisper", "one window", "steadier", "much steadier")),
+        *_curve(32, "waves", 0, ("one window", "steadier")),
+        *_curve(32, "petals", 0, ("one window",)),
+        *_curve(32, "strokes", 1, ("one window",)),
     ),
     n_frames=24,
 )
@@ -201,9 +201,25 @@ def _measure(case: Case, settings: Sequence[str], study: Study, folder: Path) ->
         [case.codes[number] for number in run.starts],
         [case.codes[number + 1] for number in run.touched],
         list(run.differences),
+        _own_errors(run, whole),
     )
     _write(folder, kept, draw_panels(run, whole))
     return kept
+
+
+def _own_errors(run: Run, shot: Shot) -> dict[str, dict[int, float]]:
+    """What the steps that blending has a hand in have within the windows that take them."""
+    found: dict[str, dict[int, list[float]]] = {"displacement": {}, "colour": {}}
+    for outcomes in run.versions:
+        errors = temporal_errors(shot.frames, Run(outcomes, 0.0), shot.scene.gamma_w)
+        for kind, by_lag in errors.items():
+            for code, error in by_lag.get(1, {}).items():
+                found[kind].setdefault(round(code), []).append(error)
+    codes = [round(run.outcomes[number + 1].source.time_code) for number in run.touched]
+    return {
+        kind: {code: float(np.mean(by_code[code])) for code in codes if code in by_code}
+        for kind, by_code in found.items()
+    }
 
 
 def _write(folder: Path, kept: Kept, panels: np.ndarray) -> None:
@@ -226,6 +242,7 @@ def _read(folder: Path, case: Case, settings: Sequence[str]) -> Kept | None:
         kind: {int(lag): _numbered(by_code) for lag, by_code in by_lag.items()}
         for kind, by_lag in values["errors"].items()
     }
+    values["own"] = {kind: _numbered(found) for kind, found in values["own"].items()}
     return Kept(**values)
 
 

@@ -71,7 +71,8 @@ def test_a_run_is_kept_and_used_again_with_the_same_settings_only(
     def measure(case: Case, settings: list[str], study: Study, folder: Path) -> Kept:
         asked.append(settings)
         errors = {"colour": {1: {2: 0.25}}}
-        kept = Kept(case, settings, {"grey": {1: 2.0, 2: 3.0}}, errors, 1.5, [2], [2], [(0.1, 0.2)])
+        distances, own = {"grey": {1: 2.0, 2: 3.0}}, {"colour": {2: 0.5}}
+        kept = Kept(case, settings, distances, errors, 1.5, [2], [2], [(0.1, 0.2)], own)
         coherence_study._write(folder, kept, np.zeros((2, 4, 4, 3), np.uint8))
         return kept
 
@@ -79,6 +80,7 @@ def test_a_run_is_kept_and_used_again_with_the_same_settings_only(
     study = Study((case,), (), 2)
     first, again = (keep_runs(study, tmp_path)[case] for _ in range(2))
     assert again.mean_distance("grey", [1, 2]) == first.mean_distance("grey", [1, 2]) == 2.5
+    assert again.own == first.own
     assert again.mean_error("colour", 1) == 0.25 and np.isnan(again.mean_error("colour", 4))
     assert asked == [["optimize.seed=3"]]
     keep_runs(Study((case,), (), 2, ("views.pool=2",)), tmp_path)
