@@ -57,6 +57,7 @@ def temporal_errors(
         scene_gamma_w: extinction per density that the emission was made with.
     """
     outcomes = {outcome.source.time_code: outcome for outcome in run.outcomes}
+    frames = [f for f in frames if min(outcomes) <= f.time_code <= max(outcomes)]
     codes = [frame.time_code for frame in frames]
     measures = {kind: Steadiness() for kind in ("displacement", "colour")}
     found: dict[str, dict[int, dict[float, float]]] = {kind: {} for kind in measures}
