@@ -1,6 +1,6 @@
 """Whether a stylized sequence holds together: frames in windows against frames alone.
 
-    python -m benchmarks.coherence [--keep FOLDER] [--quick]
+    python -m benchmarks.coherence [--keep FOLDER] [--runs N] [--quick]
 
 Stylizes the example plume with each frame alone, in windows as they are configured, and with other
 settings of steadiness and of warm starts (``coherence_study.WAYS``): style distance against
@@ -86,10 +86,10 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
         "| plume, style, seed | way | grey distance | colour distance | displacement error, over "
         "1, 4, 8 frames | colour error, over 1, 4, 8 frames | CPU s a frame |",
         "|---|---|---|---|---|---|---|",
-        *_curve_rows(runs, study),
+        *_curve_rows(runs),
         "",
-        f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU; a command that was",
-        "  stopped goes on with those that are missing.",
+        f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU.",
+        f"- Not made yet: {_missing(runs, study)}.",
         *circumstances(words),
     ]
     return "\n".join(lines) + "\n"
@@ -97,6 +97,12 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
 
 def _cpu_minutes(runs: Runs) -> float:
     return sum(kept.seconds * len(case.codes) for case, kept in runs.items()) / 60
+
+
+def _missing(runs: Runs, study: Study) -> str:
+    """The runs that have not been made yet."""
+    names = [case.name for case in (*study.shot, *study.curve) if case not in runs]
+    return ", ".join(names) or "none"
 
 
 def _settings_text(way: str) -> str:
@@ -120,10 +126,10 @@ def _row(name: str, kept: Kept, alone: Kept) -> str:
     return f"| {name} | " + " | ".join([*cells, f"{kept.seconds:.1f}"]) + " |"
 
 
-def _curve_rows(runs: Runs, study: Study) -> list[str]:
+def _curve_rows(runs: Runs) -> list[str]:
     rows = []
     alones = [kept for case, kept in runs.items() if case.way == ALONE]
-    for case in (*study.shot, *study.curve):
+    for case in runs:
         if case.way == WINDOWS:
             continue
         (alone, *_) = (kept for kept in alones if same_smoke(kept.case, case))
@@ -197,6 +203,7 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--keep", type=Path, help="folder of finished runs; default: none is kept")
+    parser.add_argument("--runs", type=int, help="make so many of the missing runs; default: all")
     parser.add_argument("--report", type=Path, default=Path("benchmarks/results/coherence.md"))
     parser.add_argument("--pictures", type=Path, default=Path("docs/pictures"))
     parser.add_argument("--quick", action="store_true", help="small, few iterations: to try it")
@@ -206,7 +213,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with tempfile.TemporaryDirectory() as name:
             kept = options.keep or Path(name)
-            runs = keep_runs(study, kept)
+            runs = keep_runs(study, kept, options.runs)
+            if not set(study.shot) <= set(runs):
+                raise ValueError("frames alone and in windows are not made yet. Raise --runs")
             for folder in (options.report.parent, options.pictures):
                 folder.mkdir(parents=True, exist_ok=True)
             publish(render_report(runs, study, words), options.report)

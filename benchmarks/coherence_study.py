@@ -47,7 +47,9 @@ WAYS: Mapping[str, Sequence[str]] = {
     ALONE: ("windows.size=1",),
     WINDOWS: (),
     "one window": (),
+    "crisper": ("windows.steadiness=0.3", "colour.warm_rate=1"),
     "steadier": ("windows.steadiness=3", "colour.warm_rate=0.5"),
+    "much steadier": ("windows.steadiness=10", "colour.warm_rate=0.35"),
 }
 
 
@@ -119,7 +121,14 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 _FEW = (5, 6, 9, 10)  # frames: two steps of one and two of four
 PLAN = Study(
     shot=_whole(64, "strokes", 0, range(6, 13)),
-    curve=_curve(32, "strokes", 0, ("one window", "steadier")),
+    curve=(
+        *_curve(32, "strokes", 0, ("one window", "steadier", "crisper", "much steadier")),
+        *_curve(64, "strokes", 0, ("one window", "steadier", "crisper", "much steadier")),
+        *_curve(64, "waves", 0, ("one window", "steadier")),
+        *_curve(64, "petals", 0, ("one window", "steadier")),
+        *_curve(64, "strokes", 1, ("one window", "steadier")),
+        *_curve(96, "strokes", 0, ("one window", "steadier")),
+    ),
     n_frames=24,
 )
 QUICK = Study(
@@ -139,20 +148,24 @@ QUICK = Study(
 )
 
 
-def keep_runs(study: Study, folder: Path) -> dict[Case, Kept]:
-    """Every run of a study that is not in the folder yet, then all of them.
+def keep_runs(study: Study, folder: Path, most: int | None = None) -> dict[Case, Kept]:
+    """The runs of a study: those in the folder, and those that are missing, which are made.
 
     Args:
         folder: is made if missing; gets a ``.json`` and a ``.npz`` file for each run.
+        most: make so many runs at most, and leave the others out; None makes all.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    found = {}
+    found, left = {}, most
     for case in (*study.shot, *study.curve):
         settings = [*study.settings, f"optimize.seed={case.seed}", *WAYS[case.way]]
         if case.way not in (ALONE, WINDOWS):
             settings += [f"windows.size={len(case.codes)}"]
         kept = _read(folder, case, settings)
         if kept is None:
+            if left == 0:
+                continue
+            left = None if left is None else left - 1
             kept = _measure(case, settings, study, folder)
             print(f"{case.name}: {kept.seconds:.1f} s a frame", file=sys.stderr, flush=True)
         found[case] = kept

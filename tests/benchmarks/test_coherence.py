@@ -83,8 +83,9 @@ def test_a_run_is_kept_and_used_again_with_the_same_settings_only(
     assert again.own == first.own
     assert again.mean_error("colour", 1) == 0.25 and np.isnan(again.mean_error("colour", 4))
     assert asked == [["optimize.seed=3"]]
-    keep_runs(Study((case,), (), 2, ("views.pool=2",)), tmp_path)
-    assert len(asked) == 2
+    other = Study((case,), (), 2, ("views.pool=2",))
+    assert keep_runs(other, tmp_path, 0) == {} and len(asked) == 1
+    assert list(keep_runs(other, tmp_path, 1)) == [case] and len(asked) == 2
 
 
 def test_borders_are_compared_with_all_other_steps() -> None:
