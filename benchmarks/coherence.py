@@ -44,6 +44,7 @@ __all__ = ["main", "render_report"]
 MARKS = {"share": 0.25, "border": 1.1, "step": 1.25, "style": 0.05}
 STYLE_OF = {"displacement": "grey", "colour": "colour"}  # pictures that show a kind's style
 MILLISECONDS = 125  # a frame of the animation: three times slower than the shot
+KEPT = Path("benchmarks/results/coherence")  # the figures of the committed table
 Runs = Mapping[Case, Kept]
 
 
@@ -189,6 +190,9 @@ def draw(runs: Runs, study: Study, kept: Path, folder: Path) -> None:
     }
     borders = windows.starts, windows.touched
     draw_flicker(errors, *borders).save(folder / "flicker.png", optimize=True)
+    if not all((kept / f"{case.name}.npz").exists() for case in study.shot):
+        print("no strip and no animation: the runs' pictures are gone", file=sys.stderr)
+        return
     panels = {way: load_panels(kept, case) for way, case in names.items()}
     strip = draw_strip(panels, *borders).quantize(dither=Image.Dither.NONE)
     strip.save(folder / "coherence_strip.png", optimize=True)
@@ -202,7 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--keep", type=Path, help="folder of finished runs; default: none is kept")
+    parser.add_argument("--keep", type=Path, help=f"finished runs, as in {KEPT}; default: none")
     parser.add_argument("--runs", type=int, help="make so many of the missing runs; default: all")
     parser.add_argument("--report", type=Path, default=Path("benchmarks/results/coherence.md"))
     parser.add_argument("--pictures", type=Path, default=Path("docs/pictures"))
