@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import scene_of
@@ -32,6 +33,24 @@ def test_an_unset_gamma_gives_the_thick_columns_their_optical_depth():
     thick = thick_column(DENSITY, np.eye(4), config)
     assert scene.gamma_w * thick == pytest.approx(3.0, rel=1e-5)
     assert scene.gamma_w_shape * thick == pytest.approx(0.7, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.eye(4), np.diag([0.1, 0.2, 0.4, 1.0]), np.diag([-1.0, 1, 2, 1]), affine(1)],
+    ids=["cubes", "bricks", "mirrored", "turned"],
+)  # fmt: skip
+def test_columns_are_those_of_the_optimisers_projection(matrix: np.ndarray) -> None:
+    config = resolve_config({"optics": {"depth": 3.0}})
+    scene = scene_of([frame_of(DENSITY, index_to_world=matrix)], config, "Y")
+    smoke = smoke_of(DENSITY, matrix)
+    pixel = max(scene.pixel_size, smoke.voxel_size)
+    view = fit_view(orbit_view(0, 0, "Y", np.zeros(3), 1, 1, pixel), smoke)
+    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
+    columns = image.apply(smoke.density.double()[:, None]).numpy()
+    columns = np.sort(columns[columns > 0])
+    dense = columns[int(0.95 * (len(columns) - 1))]
+    thick = np.percentile(columns[columns > 1e-3 * dense], config.optics.percentile)
+    assert scene.gamma_w * thick == pytest.approx(3.0, rel=1e-12)
 
 
 def test_a_set_gamma_is_per_voxel_and_becomes_per_length():
