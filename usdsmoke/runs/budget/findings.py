@@ -139,12 +139,12 @@ def _advice(row: ErrorRow, config: Config) -> tuple[str, str]:
 
 
 def _vanished(name: str, gone: float, config: Config) -> Finding:
-    """Voxels with smoke that are empty in the result."""
+    """A result with fewer voxels."""
     remedy, setting = "Set a smaller shape.reach", "shape.reach"
     if changed := _changed(config, "grids.prune", "grids.half"):
         remedy, setting = f"Unset {' and '.join(changed)}", changed[0]
     remedy += ", or look for voxels much denser than the rest or far from it"
-    cause = f"{gone:.1%} of the voxels with smoke are empty in the result"
+    cause = f"the result has {gone:.1%} fewer voxels with smoke than the source"
     return Finding(name, MASS.name, cause, remedy, setting)
 
 
