@@ -91,6 +91,13 @@ VOLUME = _group(
      "and is kept as ever",
      (OUTLIERS + "test_smoke_around_one_dense_voxel_moves_and_is_painted_as_ever",
       OUTLIERS + "test_one_dense_voxel_deletes_no_smoke_and_the_mass_of_both_is_kept")),
+    ("one voxel far away from the smoke", "finite: the smoke is moved by a share of its own size",
+     (OUTLIERS + "test_one_voxel_far_away_moves_no_smoke_out_of_its_place",)),
+    ("smoke ten times as long as wide", "finite: a finding names its opacity from all sides",
+     ("tests/unit/core/test_frame_errors.py::"
+      "test_smoke_that_is_long_in_one_direction_has_other_depths_from_its_sides",)),
+    ("a mask that selects no smoke", "finite: the source, with a finding",
+     ("tests/unit/runs/test_findings.py::test_a_shot_of_which_nothing_is_stylized_says_so",)),
     ("sheets and filaments of one or two voxels, porous smoke", "finite: moved like thick smoke",
      ("tests/unit/core/test_thin_smoke.py::test_thin_smoke_is_moved",)),
     ("background other than 0", "finite: fills only the box of the active voxels",
@@ -248,6 +255,9 @@ OPTIMISER = _group(
      "end is no worse than the start",
      (OPTIMIZE + "test_a_learning_rate_a_hundred_times_too_large_is_found_reduced_and_reported",
       EXTREMES + "test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began")),
+    ("learning rate 50 times too small", "finite: the optimiser's error is left out, and a finding "
+     "names the rate",
+     ("tests/runs/test_findings_of_runs.py::test_extreme_settings_have_their_verdicts",)),
     ("an objective that always diverges", "named error NonFiniteError: with the number of halvings",
      (OPTIMIZE + "test_a_hopeless_objective_is_a_named_error_that_counts_the_halvings",
       EXTREMES + "test_features_that_overflow_are_a_named_error")),
