@@ -288,7 +288,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add_layer(parser)
     add_flag(parser, "--restylize")
     add_settings(parser)
-    add_option(parser, "--start", metavar="FILE")
+    add_option(parser, "--start", metavar="FILE|network")
     add_flag(parser, "--half")
     add_client_options(parser)
     text = "replace NaN and infinity by this number (default: they are an error)"
