@@ -15,7 +15,7 @@ from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summar
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.opening import Course, join_run, open_run, open_run_to_assemble
+from usdsmoke.runs.opening import Course, continued, join_run, open_run, open_run_to_assemble
 from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.train import record_scenes
@@ -223,7 +223,7 @@ def run_window(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = prepare(request), progress or ignore_progress
+    job, tell = continued(prepare(request)), progress or ignore_progress
     task = job.plan.task(window)  # refused before the plan is shown
     if planned is not None:
         planned(plan_with_notes(job, whole=False))

@@ -318,6 +318,20 @@ def test_frames_that_the_stage_gets_hinder_no_repair_of_those_that_are_done(
 
 
 @pytest.mark.usefixtures("core")
+def test_tasks_of_all_frames_go_on_though_the_stage_gets_more(tmp_path: Path) -> None:
+    shot, quick = make_shot(tmp_path / "shot", n_frames=3), ("windows.size=1",)
+    whole = shot.stage.read_text()
+    shot.stage.write_text(world(volume_prim(density_prim(sequence((1, 2))))))
+    request = Request(shot.stage, shot.style, shot.output, quick)
+    run_window(request, 0)
+    shot.stage.write_text(whole)
+    assert run_window(request, 0).was_done
+    run_window(request, 1)
+    assert len(assemble(shot.output).frames) == 2
+    assert len(run(shot, *quick).frames) == 3
+
+
+@pytest.mark.usefixtures("core")
 def test_hashes_are_printed_on_request(long_shot: Shot, capsys: pytest.CaptureFixture[str]) -> None:
     run(long_shot, "stage.frames=1-2")
     for code in (1, 2):

@@ -13,11 +13,12 @@ from usdsmoke.runs.opening.choose import (
     open_run_to_assemble,
 )
 from usdsmoke.runs.opening.course import Course
-from usdsmoke.runs.opening.growth import find_growth
+from usdsmoke.runs.opening.growth import continued, find_growth
 from usdsmoke.runs.opening.refusals import refuse_result
 
 __all__ = [
     "Course",
+    "continued",
     "find_growth",
     "frames_again",
     "join_run",

@@ -14,6 +14,7 @@ from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.opening.growth import (
     Growth,
+    continued,
     find_growth,
     has_frames_of,
     result_frames,
@@ -228,7 +229,7 @@ def open_run_to_assemble(
         raise LayerError(f"there is no folder {output}. Give the folder with the windows.")
     with lock_output(output, waits=lambda: tell(WAITING)) as lock:
         run = _run_to_assemble(output, look)
-        job = prepare_job(recorded_request(output, run.request, mode), fits=False)
+        job = continued(prepare_job(recorded_request(output, run.request, mode), fits=False))
         changes = Identity(job).changes(run)
         if changes:
             raise OutputExists(

@@ -23,7 +23,7 @@ from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.runs.changes import Changes
 from usdsmoke.runs.coarse import measured_frames
-from usdsmoke.runs.identity import Identity
+from usdsmoke.runs.identity import Identity, selected_frames
 from usdsmoke.runs.manifests import (
     CoarseRecord,
     coarse_file_name,
@@ -246,6 +246,24 @@ def compare_run(job: Job, run: Run) -> Changes:
     if _done(run) <= _codes(job.plan):
         return own
     return replace(own, words=(*own.words, changes.words[0]), frames=True, only_files=False)
+
+
+def continued(job: Job) -> Job:
+    """The job of a task with the frames of the unfinished run that it is a part of.
+
+    A stage may get more frames while tasks of a run of all frames are at work.
+    """
+    if job.config.stage.frames or job.request.force:
+        return job
+    for run in find_runs(job.output):
+        frames = run.description["settings"]["stage"]["frames"]
+        if run.complete or frames == selected_frames(job.plan):
+            continue
+        with suppress(UsdSmokeError):  # the stage does not have them any more
+            before = job.with_config(_selecting(job, frames))
+            if Identity(before).is_of(run):
+                return before
+    return job
 
 
 def result_frames(job: Job, run: Run) -> str:
