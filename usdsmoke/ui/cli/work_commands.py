@@ -156,6 +156,9 @@ def _with_progress(call: Callable[..., _Result], arguments: argparse.Namespace) 
 
 
 def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None:
+    if arguments.json:  # for the log; the text ends with them
+        for text in result.warnings:
+            print(f"note: {text}", file=sys.stderr)
     show(arguments, lambda: result_as_dict(result), lambda: end_text(result, arguments.verbose))
 
 
