@@ -63,6 +63,7 @@ QUADRATURE = ErrorRow(
     without="no colour step: opacity needs no sum along the ray",
     advice="set grids.refine=2: the step along the rays is a voxel",
     setting="grids.refine",
+    most=0.5,
 )
 RESOLUTION = ErrorRow(
     name="resolution",
@@ -73,6 +74,7 @@ RESOLUTION = ErrorRow(
     without=_NO_FRAME,
     advice="set grids.refine=2, or look at the result closely: strokes are as fine as the pixels",
     setting="grids.refine",
+    most=0.5,
 )
 PIXEL_FILTER = ErrorRow(
     name="pixel filter",
@@ -93,6 +95,7 @@ TRANSPORT = ErrorRow(
     without=_NO_SHAPE,
     advice="set grids.refine=2, or a smaller shape.reach",
     setting="shape.reach",
+    most=0.5,
 )
 LINEAR_TRANSPORT = ErrorRow(
     name="optimiser's transport",
@@ -103,6 +106,7 @@ LINEAR_TRANSPORT = ErrorRow(
     without="no shape step, or the same scheme",
     advice="set a smaller shape.reach",
     setting="shape.reach",
+    most=0.5,
 )
 
 
