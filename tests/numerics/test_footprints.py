@@ -9,7 +9,6 @@ from tests.fixtures.smoke_fixtures import frame_of
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.views import project
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import colour_map, column_map
 from usdsmoke.core.views.scene import fit_view, frame_views, measure_scene
@@ -88,25 +87,6 @@ def test_constant_smoke_has_no_holes_and_hardly_ripples(
     error = found[inside] / exact[inside] - 1
     assert np.sqrt((error**2).mean()) < 0.005
     assert np.abs(error).max() < 0.02
-
-
-@pytest.mark.parametrize("direction", [(45, 0), (33, 14)])
-def test_colours_take_fewer_points_and_hardly_change(
-    direction: tuple[float, float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Pictures that are divided by their opacity; stripes of six voxels."""
-    smoke = box_of((32, 32, 32), (1.0, 1.0, 1.0))
-    view, made = view_of(smoke, *direction), []
-    colours = torch.sin(smoke.ijk.float() * (2 * np.pi / 6))
-    for ripple in (project.COLOUR_RIPPLE, project.RIPPLE):
-        monkeypatch.setattr(project, "COLOUR_RIPPLE", ripple)
-        image, alpha = colour_map(smoke.positions, smoke.density, smoke.edges, 0.3, view, 1.0)
-        seen = image.apply(colours) / alpha[..., None].clamp_min(1e-6)
-        made.append((image.pixel.numel(), seen, alpha > 0.9))
-    (few, found, inside), (many, wanted, _) = made
-    change = (found - wanted)[inside].square().mean().sqrt()
-    assert few < 0.7 * many
-    assert 0 < float(change) < 0.05 * float(wanted[inside].std())
 
 
 def test_a_long_voxel_keeps_its_mass_and_its_colour() -> None:

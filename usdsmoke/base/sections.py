@@ -90,7 +90,7 @@ class ViewsConfig(Section):
     count: int = setting(
         1, "views rendered in every iteration; the paper uses 9", ge=1, le=64, request="viewCount")
     pool: int = setting(
-        24, "number of different views to draw from", ge=1, le=512, request="viewPool")
+        16, "number of different views to draw from", ge=1, le=512, request="viewPool")
     sampling: Literal["fixed", "uniform", "poisson"] = setting(
         "poisson", "how the views are spread over the ranges of azimuth and elevation",
         request="viewSampling")

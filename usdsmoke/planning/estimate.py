@@ -58,7 +58,7 @@ BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and the arrays of t
 BOX_BYTES_WARM = 90  # velocity, also in voxels per second; displacements of the frames beside it
 MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
-VIEW_BYTES = 64  # eight pixels and weights: views all round split a voxel in two
+VIEW_BYTES = 40  # four pixels and weights
 PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 
 START = 3.0  # loading torch, learning the filters
@@ -71,7 +71,7 @@ PIXEL_TIME = 5.0e-6
 VOXEL_TIME = 2.5e-7
 BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
-VIEW_TIME = 4.0e-7
+VIEW_TIME = 7.0e-7
 PAINT_TIME = 2.0e-6
 LEARN_TIME = 5.0e-6
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them

@@ -171,7 +171,7 @@ def test_total_variation_smooths_the_picture(smoke, views):
             ViewPool(views), start, targets.at(1), targets.background, Descent(0.05, 25)
         )
         rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
-    assert rough[1] < 0.36 * rough[0]
+    assert rough[1] < 0.32 * rough[0]
 
 
 def test_no_smoke_colour_is_changed_by_no_iterations(smoke):

@@ -56,6 +56,18 @@ def test_adjoint_is_exact_in_any_view_and_transform(kind, seed, mirrored):
         assert float(seen.abs().max()) > 1e-3
 
 
+@pytest.mark.parametrize("most", [3, 1000])
+def test_a_picture_is_added_up_from_parts_of_the_voxels(most, monkeypatch):
+    smoke = smoke_of(puff(9), affine(0))
+    monkeypatch.setattr(project, "MOST_SUMS", most)
+    for image in maps_of(smoke, look_at(smoke, "orthographic")):
+        x = random(len(smoke.ijk), 3)
+        whole = image.apply(x)
+        with monkeypatch.context() as parts:
+            parts.setattr(project, "SCATTERED_ROWS", 50)
+            assert torch.allclose(image.apply(x), whole, rtol=1e-12, atol=1e-14)
+
+
 def test_autograd_goes_through_the_same_adjoint():
     smoke = smoke_of(puff(9))
     for image in maps_of(smoke, look_at(smoke, "orthographic")):
@@ -67,10 +79,7 @@ def test_autograd_goes_through_the_same_adjoint():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("gamma_w", [1e-12, 0.01, 1.0, 1e6])
-def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(
-    gamma_w, kind, monkeypatch
-):
-    monkeypatch.setattr(project, "COLOUR_RIPPLE", project.RIPPLE)  # as column maps have
+def test_white_smoke_gives_its_opacity_and_that_is_one_minus_what_passes(gamma_w, kind):
     smoke = smoke_of(puff(9), affine(1))
     view = look_at(smoke, kind)
     image, alpha = colour_map(

@@ -18,7 +18,6 @@ import numpy as np
 from usdsmoke.core.views.cameras import View
 
 RIPPLE = 0.005  # rms, of constant smoke
-COLOUR_RIPPLE = 0.02  # the same where a picture is divided by its opacity, which ripples with it
 DEPTH = 16  # voxels of smoke along the ray, over which waves average out
 MOST_EXTRA = 3  # parts of an edge beyond those that leave no hole
 _MODES = np.array([mode for mode in np.ndindex(9, 9, 9) if mode != (4, 4, 4)]) - 4
@@ -44,17 +43,15 @@ def _ripple(
     return math.sqrt(float((height[~is_layer] ** 2).sum()))
 
 
-def voxel_points(edges: np.ndarray, view: View, pixel: float, ripple: float = RIPPLE) -> np.ndarray:
+def voxel_points(edges: np.ndarray, view: View, pixel: float) -> np.ndarray:
     """Where in a voxel it is splatted: offsets from its centre, [n 3], stage units.
 
     Args:
         edges: of a voxel, [3 3] rows, stage units.
         view: gives the directions.
         pixel: edge of a pixel at the smoke, stage units.
-        ripple: that constant smoke may have, rms, relative.
     """
-    axes = _numbers(view.right), _numbers(view.up)
-    parts = _fewest_parts(_numbers(edges), *axes, pixel, ripple)
+    parts = _fewest_parts(_numbers(edges), _numbers(view.right), _numbers(view.up), pixel)
     places = [(np.arange(n) + 0.5) / n - 0.5 for n in parts]
     return np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3) @ edges
 
@@ -65,11 +62,7 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
 
 @lru_cache(maxsize=1024)
 def _fewest_parts(
-    edges: tuple[float, ...],
-    right: tuple[float, ...],
-    up: tuple[float, ...],
-    pixel: float,
-    ripple: float,
+    edges: tuple[float, ...], right: tuple[float, ...], up: tuple[float, ...], pixel: float
 ) -> tuple[int, int, int]:
     """Numbers of parts of a voxel's edges."""
     rows, axes = np.reshape(edges, (3, 3)), np.array([right, up, np.cross(up, right)])
@@ -80,6 +73,6 @@ def _fewest_parts(
     found: dict[tuple[int, int, int], float] = {}
     for parts in choices:
         found[parts] = _ripple(rows, axes, parts, pixel)
-        if found[parts] <= ripple:
+        if found[parts] <= RIPPLE:
             return parts
     return min(found, key=lambda parts: found[parts])

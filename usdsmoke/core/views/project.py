@@ -24,14 +24,15 @@ from torch import Tensor
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.footprint import COLOUR_RIPPLE, RIPPLE, voxel_points
+from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
 MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
-SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once
+SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once, at least
+MOST_SUMS = 32  # such pictures, which are in memory together
 CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
 
 
@@ -71,7 +72,8 @@ def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
             ]
         )
 
-    parts = chunks(len(image.pixel), SCATTERED_ROWS, values.device)
+    n_rows = max(SCATTERED_ROWS, -(-len(image.pixel) // MOST_SUMS))
+    parts = chunks(len(image.pixel), n_rows, values.device)
     found = values.new_zeros(values.shape[1], n_pixels)
     for sums in run_tasks([partial(add_up, part) for part in parts]):
         found += sums
@@ -211,9 +213,7 @@ def _hats(place: Tensor, length: int) -> list[tuple[Tensor, Tensor]]:
     return found
 
 
-def split_points(
-    positions: Tensor, edges: np.ndarray, view: View, ripple: float = RIPPLE
-) -> tuple[Tensor, int]:
+def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
     """The points that voxels [N 3] are splatted at, [N n 3] flattened, and n."""
     pixel = view.pixel_size
     if view.focal is not None:  # pixels of every size: the largest ones, of the farthest smoke
@@ -223,7 +223,7 @@ def split_points(
         if depth <= 0:
             return positions, 1
         pixel = depth / view.focal
-    offsets = voxel_points(edges, view, pixel, ripple)
+    offsets = voxel_points(edges, view, pixel)
     if len(offsets) == 1:
         return positions, 1
     moved = positions[:, None] + torch.as_tensor(offsets, device=positions.device)
@@ -277,7 +277,7 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    points, n_points = split_points(positions, edges, view, COLOUR_RIPPLE)
+    points, n_points = split_points(positions, edges, view)
     foot, dtype = project_voxels(points, view, density.dtype), density.dtype
     if len(positions) == 0:
         empty = SparseImage(view.height, view.width, foot.pixel, foot.weight)
