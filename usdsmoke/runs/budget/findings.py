@@ -7,6 +7,7 @@ from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.planning.plan import VolumePlan
+from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.light_findings import find_depth, find_light, find_scene
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
@@ -32,13 +33,13 @@ _OUTWEIGH = (  # settings that can keep the shape step from moving anything
     "losses.style",
     "optimize.strength",
 )
-_TERMS = (  # weights that can keep the colour step from the style
-    "losses.nearest",
-    "losses.content",
-    "losses.histogram",
-    "losses.laplacian",
-    "losses.photorealism",
-    "losses.total_variation",
+_TERMS = (  # weights of losses that can keep the colour step from the style
+    "nearest",
+    "content",
+    "histogram",
+    "laplacian",
+    "photorealism",
+    "total_variation",
 )
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
@@ -222,7 +223,7 @@ def _has_low_rate(step: str, config: Config) -> bool:
 
 def _has_high_rate(config: Config) -> bool:
     """Whether steps are so large that colours jump between black and white."""
-    return config.colour.learning_rate > Config().colour.learning_rate
+    return config.colour.learning_rate > EXTREME_RATE * Config().colour.learning_rate
 
 
 def _short_way(name: str, step: str, way: float) -> Finding:
@@ -253,8 +254,10 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     setting, remedy = "colour.iterations", "raise colour.iterations"
     if config.optimize.iterations is not None:
         remedy += ", or optimize.iterations"
-    if changed := _changed(config, *_TERMS):
-        setting, remedy = changed[0], f"use the default of {', '.join(changed)}, or {remedy}"
+    usual = Config().losses
+    if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
+        setting = f"losses.{raised[0]}"
+        remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
     if _has_high_rate(config):
         setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
     yield Finding(
