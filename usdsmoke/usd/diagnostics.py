@@ -131,17 +131,17 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
 
 
 def _make_stage(file_path: str) -> str:
-    files = shlex.quote(sequence_pattern(file_path))
+    files = shlex.quote(_sequence(file_path))
     return (
         f"Make a stage with: usdsmoke stage {files} -o STAGE.usda --meters-per-unit 1 (1 for files "
         "in metres, 0.01 for centimetres)"
     )
 
 
-def sequence_pattern(file_path: str) -> str:
+def _sequence(file_path: str) -> str:
     """The pattern of a numbered file and its neighbours; any other name as it is.
 
-    >>> sequence_pattern("cache/plume.0012.vdb")
+    >>> _sequence("cache/plume.0012.vdb")
     'cache/plume.####.vdb'
     """
     return _NUMBER.sub(lambda match: "#" * len(match[0]), file_path)

@@ -62,8 +62,6 @@ class ByteReader:
     def take(self, count: int, what: str) -> bytes:
         """The next bytes."""
         left = self._size - self.position
-        if not self._size:
-            raise self.damage("it is empty (0 bytes)")
         if count > left:
             raise self.damage(
                 f"{what} takes {count} bytes from byte {self.position}, but the file has "

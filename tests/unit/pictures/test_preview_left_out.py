@@ -67,7 +67,7 @@ def test_a_damaged_volume_hides_no_others_in_named_frames(pair: Path) -> None:
     bad = volume_prim(density_prim("asset filePath = @./cache/bad.vdb@"), "bad")
     stage.write_text(world(volume_prim(density_prim(f"asset filePath = @{source}@")) + bad))
     drawn = preview(stage, pair.with_name("a.png"), frames="1", width=16)
-    assert any("/World/bad" in note and "empty" in note for note in drawn.notes)
+    assert any("/World/bad" in note and "0 bytes" in note for note in drawn.notes)
     with pytest.raises(DamagedFile):
         preview(stage, pair.with_name("a.png"), prims=["/World/bad"], frames="1", width=16)
 

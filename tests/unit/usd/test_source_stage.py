@@ -62,12 +62,6 @@ def test_nothing_is_wrong_with_it(tmp_path):
     assert validate(make(tmp_path).file) == []
 
 
-def test_a_glob_that_the_shell_expands_is_told_as_a_pattern(tmp_path, capsys):
-    files = [str(tmp_path / f"plume.000{n}.vdb") for n in (1, 2)]
-    assert main(["stage", *files, "-o", "a.usda", "--meters-per-unit", "1"]) == 1
-    assert f"'{tmp_path / 'plume.####.vdb'}'" in capsys.readouterr().err
-
-
 def test_a_surface_is_named(tmp_path):
     smoke = make(tmp_path)
     assert smoke.level_sets == () and "no field can be a density" not in source_stage_text(smoke)

@@ -65,7 +65,6 @@ def _add_stage(commands: Any) -> None:
     parser = add_command(commands, "stage", "make a stage from VDB files")
     parser.add_argument(
         "pattern",
-        nargs="+",
         metavar="FILES",
         help="a .vdb file, or a quoted pattern such as 'plume.####.vdb' or 'plume.$F4.vdb'",
     )

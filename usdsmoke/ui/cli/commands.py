@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usdsmoke.base.errors import ConfigError, count_text
+from usdsmoke.base.errors import count_text
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.resolve import Settings, resolve_config, settings_yaml
@@ -47,17 +47,10 @@ def run_inspect(arguments: argparse.Namespace) -> int:
 
 def run_stage(arguments: argparse.Namespace) -> int:
     """``usdsmoke stage``; the exit code."""
-    from usdsmoke.usd.diagnostics import sequence_pattern
     from usdsmoke.usd.source_stage import write_source_stage
 
-    pattern, *others = arguments.pattern
-    if others:
-        raise ConfigError(
-            f"{1 + len(others)} files are given. Give one pattern in quotes: "
-            f"'{sequence_pattern(pattern)}'."
-        )
     made = write_source_stage(
-        pattern,
+        arguments.pattern,
         arguments.output,
         arguments.meters_per_unit,
         arguments.up_axis,
@@ -79,8 +72,6 @@ def run_validate(arguments: argparse.Namespace) -> int:
         for item in mended:
             print(f"mended: {item.rule}: <{item.prim_path}>: {item.message}", file=sys.stderr)
         print(f"mended: {count_text(len(mended), 'finding')}", file=sys.stderr)
-        for finding in mended:
-            print(f"  {finding.rule} <{finding.prim_path}>", file=sys.stderr)
         arguments.stage = arguments.mend if mended else arguments.stage
     of_source: list[Finding] = []
     if arguments.look_only:
