@@ -122,7 +122,7 @@ _FEW = (5, 6, 9, 10)  # frames: two steps of one and two of four
 PLAN = Study(
     shot=_whole(64, "strokes", 0, range(6, 13)),
     curve=(
-        *_curve(32, "strokes", 0, ("one window", "steadier", "crisper", "much steadier")),
+        *_curve(32, "strokes", 0, ("steadier", "one window", "crisper", "much steadier")),
         *_curve(64, "strokes", 0, ("one window", "steadier", "crisper", "much steadier")),
         *_curve(64, "waves", 0, ("one window", "steadier")),
         *_curve(64, "petals", 0, ("one window", "steadier")),
