@@ -306,7 +306,7 @@ def test_frames_that_the_stage_gets_hinder_no_repair_of_those_that_are_done(
     shot.stage.write_text(whole.replace("(\n", "(\nendTimeCode = 6\n", 1))
     core.stylized.clear()
     assert [change.kind for change in verify(first.look_layer)] == ["stage-frames"]
-    with pytest.raises(OutputExists, match="already holds this result"):
+    with pytest.raises(OutputExists):
         run(shot, *quick, "stage.frames=1-4")
     assert len(run(shot, *quick, "stage.frames=2").frames) == 4  # redone
     assert core.stylized == [2]
