@@ -164,6 +164,7 @@ def test_a_moved_volume_is_a_changed_stage(finished: Finished) -> None:
     layer.Export(str(finished[0].stage))
     change = only(finished)
     assert change.kind == "stage-edited" and change.expected.startswith("</World/smoke> ")
+    assert "(a transform)" in change.found
 
 
 def test_what_the_volume_has_nothing_to_do_with_may_change(finished: Finished) -> None:
