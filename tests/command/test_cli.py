@@ -227,7 +227,8 @@ def test_inspect_reports_problems_in_place_and_exits_with_1(
     problems = [f["fields"]["density"].get("problem", "") for f in found["volumes"][0]["frames"]]
     assert problems[0] == problems[2] == "" and "smoke.0002.vdb" in problems[1]
     assert main(["inspect", str(shot.stage)]) == 1
-    assert f"problem: {problems[1]}" in capsys.readouterr().out
+    problem = f"problem: field </World/smoke/density>, timeCode 2: {problems[1]}"
+    assert problem in capsys.readouterr().out
 
 
 @needs_usd(26, 5)
