@@ -1,5 +1,6 @@
 """Values as JSON: frozen dataclasses and back, checked by their type hints, and any others."""
 
+import json
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -30,6 +31,20 @@ class JsonRecord:
         """
         record: _Record = _adapter(cls).validate_python(dict(values))
         return record
+
+
+def read_json(text: str | bytes) -> Any:
+    """The values of a text that may be damaged.
+
+    Raises:
+        ValueError: it is no JSON, or nested too deeply.
+    """
+    try:
+        values = json.loads(text)
+        json.dumps(values)  # whoever uses them can go as deep
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return values
 
 
 def plain_values(value: Any) -> Any:

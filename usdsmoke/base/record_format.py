@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from usdsmoke.base.errors import FileUnreadable, LayerError
-from usdsmoke.base.json_records import JsonRecord
+from usdsmoke.base.json_records import JsonRecord, read_json
 
 RECORD_FORMAT = 1  # rises when a field changes its meaning
 RECORD_FILE = "provenance.json"  # in the folder of a run
@@ -158,7 +158,7 @@ class RunRecord(JsonRecord):
             LayerError: the text is no record, or one of another format.
         """
         try:
-            values = json.loads(text)
+            values = read_json(text)
             found = values["format"]
             if found == RECORD_FORMAT:
                 return cls.from_json(values)

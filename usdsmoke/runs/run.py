@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.json_records import read_json
 from usdsmoke.base.locks import hold_file
 from usdsmoke.base.naming import DEFAULT_LOOK, RUN_RECORD, RUNS_FOLDER, find_run_files
 from usdsmoke.base.publish import (
@@ -343,7 +344,7 @@ def _read_json(file_path: Path) -> dict[str, Any]:
     Raises:
         ValueError: the file was damaged or edited since.
     """
-    values = json.loads(file_path.read_text(encoding="utf-8"))
+    values = read_json(file_path.read_text(encoding="utf-8"))
     digest = values.pop(_DIGEST)
     if digest != _digest(values):
         raise ValueError(f"{file_path} is damaged")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
@@ -249,7 +250,7 @@ def _begun(
         return new, None
     try:
         carried, text = load_checkpoint(run.checkpoint_path(number))
-        record = WindowRecord(**json.loads(text))
+        record = WindowRecord(**read_json(text))
         changed = [n for n, f in record.frames.items() if not run.is_unchanged(n, f["sha256"])]
     except (OSError, ValueError, TypeError, KeyError) as error:
         why = f"is damaged ({error})"

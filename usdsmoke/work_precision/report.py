@@ -14,6 +14,7 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.errors import ConfigError, Interrupted, OutputExists, WriteFailed
+from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.base.resolve import FilePath, Settings, Styles
@@ -325,7 +326,7 @@ def _report_folder(target: Path, names: Collection[str]) -> Iterator[list[str]]:
 def _files_of(target: Path) -> list[str]:
     """The files that belong to the report in a folder."""
     try:
-        names = json.loads((target / DATA).read_text(encoding="utf-8"))["files"]
+        names = read_json((target / DATA).read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
         return []
     if not isinstance(names, list):

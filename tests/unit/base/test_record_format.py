@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from usdsmoke.base.errors import FileUnreadable, LayerError
+from usdsmoke.base.json_records import read_json
 from usdsmoke.base.record_format import (
     RECORD_FORMAT,
     Extinction,
@@ -101,3 +102,11 @@ def test_hash_file_is_sha256_of_the_bytes(tmp_path):
 def test_a_file_that_cannot_be_hashed_is_named(tmp_path):
     with pytest.raises(FileUnreadable, match=r"none\.png.*No such file"):
         hash_file(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[" * 2_000 + "]" * 2_000, '{"a":' * 5_000])
+def test_json_that_is_nested_beyond_all_use_is_damaged(text: str) -> None:
+    with pytest.raises(ValueError):
+        read_json(text)
+    with pytest.raises(LayerError, match="record"):
+        RunRecord.from_text(text, "look.usda")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from usdsmoke.base.json_records import read_json
+
 _KINDS = {"F32": np.float32, "F16": np.float16, "F64": np.float64}
 _NOTES = "__metadata__"
 
@@ -25,7 +27,7 @@ def read_safetensors(file_path: Path) -> tuple[dict[str, np.ndarray], dict[str, 
     length = int.from_bytes(data[:8], "little")
     if not 2 <= length <= len(data) - 8:
         raise ValueError(f"the table claims {length} bytes of {len(data)}")
-    table = json.loads(data[8 : 8 + length])
+    table = read_json(data[8 : 8 + length])
     notes = {str(name): str(text) for name, text in table.pop(_NOTES, {}).items()}
     found = {}
     for name, entry in table.items():
