@@ -43,7 +43,7 @@ def test_one_rewritten_source_file_redoes_its_window_alone(
     assert main(long_shot.arguments(*more, "--jobs", "1")) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "smoke.0006.vdb has other content" in said
-    assert "to do again: timeCodes 5-8" in said and "kept: timeCodes 1-4,9-12," in said
+    assert "to do: timeCodes 5-8" in said and "kept: timeCodes 1-4,9-12," in said
     assert core.stylized == [5, 6, 7, 8]
     (found,) = find_records(long_shot.output)
     files = [found.place(frame.file) for frame in found.record.frames]

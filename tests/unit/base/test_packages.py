@@ -49,7 +49,6 @@ def run_without(hidden: tuple[str, ...], words: list[str]) -> tuple[int, str]:
     [
         (("torch",), "pip install torch"),
         (("PIL",), "pip install pillow"),
-        (("OpenEXR",), "pip install OpenEXR"),
         (("openvdb", "pyopenvdb"), "openvdb"),
         (("pxr",), "pip install usd-core"),
         (("pydantic",), "pip install pydantic"),
@@ -64,6 +63,13 @@ def test_one_line_names_the_package_and_the_fix(
     assert code == 1 and fix in text
     assert len(text.strip().splitlines()) == 1 and "Traceback" not in text
     assert not (tmp_path / "out").exists()
+
+
+def test_only_what_writes_exr_files_needs_openexr(made: Shot, tmp_path: Path) -> None:
+    preview = ["preview", str(made.stage), "--frames", "1", "-o"]
+    code, text = run_without(("OpenEXR",), [*preview, str(tmp_path / "a.exr")])
+    assert code == 1 and "pip install OpenEXR" in text and len(text.splitlines()) == 1
+    assert run_without(("OpenEXR",), [*preview, str(tmp_path / "a.png")])[0] == 0
 
 
 def test_packages_that_are_there_pass() -> None:

@@ -132,7 +132,9 @@ def test_without_a_colour_step_there_is_no_emission():
 def test_without_a_shape_step_the_density_is_the_source_s_own():
     result = run_core([FRAME], quick_config(**COLOUR))[0]
     assert result.density is FRAME.density
-    assert result.report.to_json().keys() == {"voxels", "extinction", "colour"}
+    assert result.report.to_json().keys() == {
+        "voxels", "extinction", "depth", "depth_by_side", "colour"
+    }  # fmt: skip
 
 
 def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized):
