@@ -23,7 +23,7 @@ EXCEPTIONS: dict[str, str] = {}
 BESIDE_FACES = {
     "pictures.drawing": "needs the core, and whoever reads a style image does not",
     "pictures.preview": "needs OpenUSD",
-    "pictures.preview_smoke": "needs OpenUSD",
+    "pictures.preview_volumes": "needs OpenUSD",
 }
 
 

@@ -6,10 +6,11 @@
 - `contact_sheet`: pictures in rows, with labels and style images
 - `drawing`: smoke as pixels, for previews and contact sheets
 - `preview`: draws a stage's smoke
-- `preview_request`, `preview_smoke`, `preview_grids`: what a preview shows, and of which Volumes
+- `preview_request`, `preview_volumes`: what a preview shows, and of which Volumes
+- `preview_smoke`, `preview_grids`: the smoke of these Volumes
 - `preview_files`: its pictures on disk
 
-`drawing`, `preview` and `preview_smoke` are imported by themselves: they need the core and OpenUSD.
+`drawing` and the modules of `preview` are imported by themselves: they need the core and OpenUSD.
 Nothing needs torch but the light of a look that scatters it.
 """
 

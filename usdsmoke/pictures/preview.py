@@ -35,7 +35,8 @@ from usdsmoke.pictures.preview_request import (
     PreviewRequest,
     check_pixels,
 )
-from usdsmoke.pictures.preview_smoke import Smoke, find_smoke, is_uneven
+from usdsmoke.pictures.preview_smoke import Smoke, is_uneven
+from usdsmoke.pictures.preview_volumes import find_smoke
 from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
 
 if TYPE_CHECKING:
@@ -146,7 +147,9 @@ def _preview(request: PreviewRequest, progress: Callable[[int, int], None] | Non
 
 def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
     """The frames to draw, all of them or a few."""
-    codes = look.time_codes if request.frames else look.readable(look.time_codes)
+    config = request.stage_config
+    needs_all = bool(config.frames) and not config.allow_missing
+    codes = look.readable(look.time_codes, needs_all)
     if request.turntable is not None:
         if not request.frames:
             few = spread(codes)

@@ -7,17 +7,13 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdVol
+from pxr import Usd
 
 from usdsmoke.base.errors import (
-    AssetNotResolved,
-    FieldNotFound,
-    GridError,
     PlanError,
     UsdSmokeError,
 )
 from usdsmoke.base.machine import GIB, available_memory_gib
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes, spread
 from usdsmoke.base.volume import (
@@ -42,7 +38,7 @@ from usdsmoke.pictures.preview_grids import (
     share_lattice,
 )
 from usdsmoke.usd.schema import EMISSION_PER_DENSITY
-from usdsmoke.usd.stage import ComposedVolume, composed_volumes, find_volumes
+from usdsmoke.usd.stage import ComposedVolume, composed_volumes
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import read_grids
 
@@ -61,6 +57,7 @@ class Smoke:
     extinctions: dict[str, float] = field(default_factory=dict)  # used last, by Volume
     notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
     passed_over: tuple[type[UsdSmokeError], ...] = ()  # errors that leave a Volume out of a frame
+    without_file: tuple[float, ...] = ()  # requested, and some Volume lacks its file
     _unread: dict[str, dict[float, str]] = field(default_factory=dict)  # why, by Volume and time
     _scenes: dict[str, Scene] = field(default_factory=dict)
     _drawn: dict[tuple[object, ...], DenseField] = field(default_factory=dict)  # read last
@@ -68,7 +65,9 @@ class Smoke:
     @property
     def time_codes(self) -> list[float]:
         """All timeCodes that were selected, of any animated Volume; of a static stage its one."""
-        return _time_codes(self.selected)
+        if any(volume.animated for volume in self.selected.volumes) or not self.without_file:
+            return sorted({*drawn_codes(self.selected), *self.without_file})
+        return list(self.without_file)
 
     @property
     def left_out(self) -> list[str]:
@@ -82,8 +81,11 @@ class Smoke:
             sentences.append(f"left out: <{path}> at {name_time_codes(sorted(reasons))}: {first}")
         return sentences
 
-    def readable(self, time_codes: Sequence[float]) -> list[float]:
+    def readable(self, time_codes: Sequence[float], needs_all: bool = False) -> list[float]:
         """The timeCodes without those at which every Volume in sight is left out.
+
+        Args:
+            needs_all: whether each of them has to be readable, instead of one of them.
 
         Raises:
             StageError, GridError: a field cannot be used and is not passed over; or none is left.
@@ -91,9 +93,10 @@ class Smoke:
         if not self.passed_over:
             return list(time_codes)
         found = [code for code in time_codes if self.shown(code) or not self._unread_at(code)]
-        if not found:
+        if not found or (needs_all and len(found) < len(time_codes)):
             self.passed_over = ()
-            self.shown(time_codes[0])  # raises
+            for code in time_codes:
+                self.shown(code)  # raises
         return found
 
     def shown(self, time_code: float) -> list[ComposedVolume]:
@@ -105,7 +108,7 @@ class Smoke:
         found = []
         for volume in self.selected.volumes:
             try:
-                shown = _composed(self.stage, self.selected, volume, time_code)
+                shown = compose_one(self.stage, self.selected, volume, time_code)
                 found += [self._with_light(item) for item in shown]
             except self.passed_over as error:
                 self._pass_over(volume.prim_path, time_code, error)
@@ -150,7 +153,7 @@ class Smoke:
         """
         drawn = set(time_codes)
         corners = []
-        times = sorted(drawn | set(_time_codes(self.whole)))
+        times = sorted(drawn | set(drawn_codes(self.whole)))
         for time_code, volume in product(times, self.whole.volumes):
             try:
                 corners += self._corners(volume, time_code, time_code in drawn)
@@ -307,7 +310,7 @@ class Smoke:
 
     def _corners(self, volume: VolumeSource, time_code: float, may_read: bool) -> list[np.ndarray]:
         """Of a Volume's box at one timeCode, [8 3]."""
-        shown = _composed(self.stage, self.whole, volume, time_code)
+        shown = compose_one(self.stage, self.whole, volume, time_code)
         boxes = [field_box(item.density, self.config if may_read else None) for item in shown]
         return [box_corners(*box) for box in boxes if box is not None]
 
@@ -321,70 +324,15 @@ def _grid_key(source: FieldSource) -> tuple[object, ...]:
     return source.file_path, source.grid_name, source.grid_index
 
 
-def _composed(
+def compose_one(
     stage: Usd.Stage, source: StageSource, volume: VolumeSource, time_code: float
 ) -> list[ComposedVolume]:
     """What one Volume shows: the faults of the others are not met."""
     return composed_volumes(stage, replace(source, volumes=(volume,)), time_code)
 
 
-def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
-    """The Volumes of a stage at the requested timeCodes.
-
-    Args:
-        stage: from ``open_stage``.
-        config: which Volumes, timeCodes and fields; no timeCodes means all there are.
-
-    Raises:
-        StageError: no Volume, an unknown one, a timeCode or file that is not there; or a look
-            layer without its source.
-    """
-    problems: list[str] = []
-    named = [path for path in config.prims if _is_volume(stage, path)]
-    if named and len(named) == len(config.prims):  # what is named must be there
-        selected = _find(stage, config)
-    else:  # all Volumes, or those of a group
-        selected = _find(stage, config, problems)
-        if not {volume.prim_path for volume in selected.volumes}.issuperset(named):
-            selected = _find(stage, config)
-    whole, faults = selected, list[str]()
-    if config.frames:
-        try:
-            whole = _find(stage, config.replace(frames=""), faults)
-        except (AssetNotResolved, FieldNotFound):
-            whole = selected  # files of frames that are not requested may be missing
-        if len(problems) > len(faults):  # not of a Volume that cannot be drawn at all
-            selected = _find(stage, config)
-    passed_over = _passed_over(config, len(selected.volumes))
-    smoke = Smoke(stage, selected, whole, passed_over=passed_over)
-    for path, reason in selected.omitted.items():
-        smoke.notes[f"<{path}> is not drawn: {reason}"] = None
-    notes = [*selected.missing, *problems]
-    smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
-    smoke.notes |= dict.fromkeys(selected.unopened)
-    smoke.notes |= {note: None for volume in selected.volumes for note in volume.notes}
-    return smoke
-
-
-def _passed_over(config: StageConfig, n_volumes: int) -> tuple[type[UsdSmokeError], ...]:
-    """What leaves a Volume out of a frame, instead of refusing the preview."""
-    if not config.frames:
-        return AssetNotResolved, GridError
-    missing = (AssetNotResolved,) if config.allow_missing else ()
-    return (*missing, GridError) if n_volumes > 1 and not config.prims else missing
-
-
-def _is_volume(stage: Usd.Stage, path: str) -> bool:
-    prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
-    return not prim or bool(prim.IsA(UsdVol.Volume))  # find_volumes refuses what is not there
-
-
-def _find(stage: Usd.Stage, config: StageConfig, problems: list[str] | None = None) -> StageSource:
-    """Ignores the Volumes' requests: an invalid request hides no smoke."""
-    return find_volumes(stage, config, with_requests=False, problems=problems)
-
-
-def _time_codes(source: StageSource) -> list[float]:
+def drawn_codes(source: StageSource) -> list[float]:
+    """Those of the animated Volumes; of a static stage its one."""
     animated = [volume for volume in source.volumes if volume.animated]
     return sorted(
         {frame.time_code for volume in animated or source.volumes for frame in volume.frames}

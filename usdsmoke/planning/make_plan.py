@@ -38,7 +38,7 @@ from usdsmoke.planning.frames import (
     find_frame_velocity,
     is_copied,
 )
-from usdsmoke.planning.materials import hidden_looks
+from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
@@ -97,7 +97,7 @@ def make_plan(
         omitted=list_omitted(source, config, volumes),
         estimate=replace(estimate, seconds=estimate.seconds + sum(training)),
         notes=(*list_remarks(volumes), *filter(None, map(_pays, volumes, costs, training))),
-        warnings=hidden_looks(volumes),
+        warnings=material_warnings(volumes),
     )
 
 

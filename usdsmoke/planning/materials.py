@@ -27,8 +27,14 @@ def materials_needed(volumes: Iterable[VolumePlan]) -> list[str]:
     ]
 
 
-def hidden_looks(volumes: Iterable[VolumePlan]) -> tuple[str, ...]:
-    """The looks that bound materials hide, with the remedy: a sentence for each kind."""
+def material_warnings(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
+    """That bound materials hide looks, or show them too dark or too bright, with the remedy."""
+    wrong = [text for volume in volumes for text in _wrong_brightness(volume)]
+    return (*_hidden_looks(volumes), *dict.fromkeys(wrong))
+
+
+def _hidden_looks(volumes: Iterable[VolumePlan]) -> list[str]:
+    """A sentence for each kind."""
     kinds: dict[tuple[str, str, bool], list[tuple[str, str]]] = {}
     for volume in volumes:
         colours = volume.config.colour_grids
@@ -37,7 +43,7 @@ def hidden_looks(volumes: Iterable[VolumePlan]) -> tuple[str, ...]:
             kind = (*hiding_words(hiding[0], colours), hiding[0].can_replace)
             places = (volume.source.prim_path, hiding[0].prim_path)
             kinds.setdefault(kind, []).append(places)
-    return tuple(_hidden(*kind, places) for kind, places in kinds.items())
+    return [_hidden(*kind, places) for kind, places in kinds.items()]
 
 
 def _hidden(what: str, renderers: str, can_replace: bool, places: Sequence[tuple[str, str]]) -> str:
@@ -53,13 +59,12 @@ def _first_of(paths: Sequence[str]) -> str:
     return f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if paths[1:] else "")
 
 
-def brightness_remark(volume: VolumePlan) -> list[str]:
-    """That a bound material shows the look too dark or too bright."""
+def _wrong_brightness(volume: VolumePlan) -> list[str]:
     if not _has_colour(volume) or _binds(volume):
         return []
     mode = volume.config.layer.emission_mode
     found = [brightness_words(material, mode) for material in volume.source.materials]
-    return [text for text in found if text]
+    return [f"{text}." for text in found if text]
 
 
 def _binds(volume: VolumePlan) -> bool:

@@ -12,7 +12,7 @@ from usdsmoke.base.time_codes import (
     parse_frames,
     select_frames,
 )
-from usdsmoke.planning.materials import brightness_remark, lights_remark
+from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.windows import followed_codes
 
@@ -42,7 +42,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_unmoved(volume),
             *_overlap(volume),
         ]
-        found += [*brightness_remark(volume), *lights_remark(volume.config, volume)]
+        found += lights_remark(volume.config, volume)
     return tuple(dict.fromkeys(found))
 
 

@@ -302,7 +302,8 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
         f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
         "frames of the shot alike in another folder, set "
         f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}"
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}, both per voxel (gamma_w is per "
+        "stage unit)"
     )
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from usdsmoke.core.steps.pictures import ColourView
     from usdsmoke.core.steps.targets import StyleTargets
-    from usdsmoke.pictures.preview_smoke import Smoke
+    from usdsmoke.pictures.preview_volumes import Smoke
 
 SIZE = 96  # pixels of the longer side: the path tracer draws about 50 000 rays a second
 VIEWS = (0.0, 120.0, 240.0)  # degrees around the up axis, from the front
@@ -79,7 +79,7 @@ def check_final(
     """
     check_packages("torch", "mitsuba")
     prepare_torch_environment()
-    from usdsmoke.pictures.preview_smoke import find_smoke
+    from usdsmoke.pictures.preview_volumes import find_smoke
 
     started = time.perf_counter()
     config = resolve_config(settings).with_values({"views.image_size": SIZE})

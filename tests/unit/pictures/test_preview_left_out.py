@@ -14,7 +14,7 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.errors import AssetNotResolved, DamagedFile, FieldNotFound
+from usdsmoke.base.errors import AssetNotResolved, DamagedFile, FieldNotFound, StageError
 from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
@@ -58,6 +58,46 @@ def test_frames_that_are_named_have_their_files_unless_they_may_be_missing(pair:
     preview(pair, target, prims=[ONE, TWO], frames="1-2", allow_missing=True, width=16)
     with pytest.raises(FieldNotFound, match=BAD):
         preview(pair, target, prims=[ONE, BAD, "/World/fx"], width=16)
+
+
+@pytest.mark.parametrize("frames", ["2", "1-2"])
+@pytest.mark.parametrize("allow_missing", [False, True])
+def test_a_missing_file_at_a_named_frame_hides_no_other_volume(
+    pair: Path, frames: str, allow_missing: bool
+) -> None:
+    target = pair.with_name("a.png")
+    for prims in ((), ("/World/fx",)):
+        drawn = preview(
+            pair, target, prims=prims, frames=frames, allow_missing=allow_missing, width=16
+        )
+        assert drawn.time_codes[-1] == 2 and ONE in drawn.extinctions
+        for path in (TWO, BAD):
+            assert len([note for note in drawn.notes if f"<{path}>" in note]) == 1
+    with pytest.raises(AssetNotResolved, match="0002"):
+        preview(pair, target, prims=[TWO], frames="1-2", width=16)
+    with pytest.raises(StageError, match="timeCode 9"):
+        preview(pair, target, frames="1-9", width=16)
+
+
+def test_a_named_frame_without_any_file_is_refused(pair: Path) -> None:
+    (pair.parent / "cache/smoke.0002.vdb").unlink()
+    target = pair.with_name("a.png")
+    for frames in ("2", "1-2"):
+        with pytest.raises(StageError, match="0002"):
+            preview(pair, target, frames=frames, width=16)
+    assert preview(pair, target, frames="1-2", allow_missing=True, width=16).time_codes == (1,)
+
+
+def test_a_still_volume_is_drawn_at_a_frame_at_which_the_others_have_no_file(
+    tmp_path: Path,
+) -> None:
+    write_sequence(tmp_path, (1, 3))
+    still = volume_prim(density_prim("asset filePath = @./cache/smoke.0001.vdb@"), "still")
+    moving = volume_prim(density_prim(sequence((1, 2, 3))), "moving")
+    stage = write_text(tmp_path / "shot.usda", world(still + moving))
+    drawn = preview(stage, tmp_path / "a.png", frames="2", width=16)
+    assert drawn.time_codes == (2,) and set(drawn.extinctions) == {"/World/still"}
+    assert len([note for note in drawn.notes if "/World/moving" in note]) == 1
 
 
 def test_a_damaged_volume_hides_no_others_in_named_frames(pair: Path) -> None:

@@ -99,6 +99,20 @@ def test_the_plan_names_the_material_that_it_will_write(shot: Shot) -> None:
     assert plan_of(shot.stage).warnings == ()
 
 
+def test_a_material_that_multiplies_emission_by_density_is_a_warning_with_the_remedy(
+    shot: Shot,
+) -> None:
+    bind(shot.stage)
+    reads = 'string inputs:emission_channel = "emission"\n string inputs:emission_mode = "density"'
+    text = shot.stage.read_text().replace('string inputs:channel = "density"', reads)
+    shot.stage.write_text(text.replace("outputs:volume.connect", "outputs:arnold:volume.connect"))
+    plan = plan_of(shot.stage)
+    (warning,) = plan.warnings
+    assert "</World/theirs>" in warning and "--emission-mode perDensity" in warning
+    assert warning in " ".join(line.strip() for line in plan_text(plan).splitlines())
+    assert plan_of(shot.stage, "layer.emission_mode=perDensity").warnings == ()
+
+
 @pytest.mark.usefixtures("core")
 def test_a_run_begins_its_end_with_the_hidden_look_and_the_remedy(
     shot: Shot, capsys: pytest.CaptureFixture[str]

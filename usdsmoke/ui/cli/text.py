@@ -70,7 +70,7 @@ def result_text(result: "StylizeResult") -> str:
 def _extinctions(extinctions: Mapping[str, float]) -> list[tuple[str, str]]:
     """The factor that a material built by hand needs: a row for each Volume."""
     return [
-        ("gamma_w", f"{value:.4g} of <{path}>: extinction = gamma_w * density")
+        ("gamma_w", f"{value:.4g} per stage unit, of <{path}>: extinction = gamma_w * density")
         for path, value in extinctions.items()
     ]
 
