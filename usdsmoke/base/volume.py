@@ -120,6 +120,9 @@ class BoundMaterial:
     readers: Mapping[str, tuple[str, ...]]
     can_replace: bool  # False: a binding of an ancestor or a collection wins over the Volume's own
     multiplies: tuple[str, ...] = ()  # contexts that multiply a look's emission by the density
+    # The number by which a shader that shows a look multiplies the density, by context; without
+    # those that a network drives.
+    densities: Mapping[str, float] = field(default_factory=dict)
 
     def hidden_in(self, colours: Collection[str]) -> tuple[str, ...]:
         """The contexts in which a look with these colour grids is not seen; ("",) without shaders.

@@ -13,6 +13,7 @@ from usdsmoke.usd.materials import (
     brightness_words,
     hiding_advice,
     hiding_words,
+    opacity_words,
 )
 
 _SCATTERING = "scattering (optics.albedo)"
@@ -65,6 +66,18 @@ def _wrong_brightness(volume: VolumePlan) -> list[str]:
     mode = volume.config.layer.emission_mode
     found = [brightness_words(material, mode) for material in volume.source.materials]
     return [f"{text}." for text in found if text]
+
+
+def opacity_remarks(volume: VolumePlan, extinction: float) -> list[str]:
+    """That a bound material shows the look with another opacity than it was made for.
+
+    Args:
+        extinction: gamma_w, per stage unit.
+    """
+    if not _has_colour(volume) or _binds(volume):
+        return []
+    found = [opacity_words(material, extinction) for material in volume.source.materials]
+    return [text for text in found if text]
 
 
 def _binds(volume: VolumePlan) -> bool:

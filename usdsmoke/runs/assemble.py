@@ -13,6 +13,7 @@ from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
+from usdsmoke.planning.materials import opacity_remarks
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.remarks import measured_on_part
 from usdsmoke.runs.budget import (
@@ -361,6 +362,11 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         f"suit them. On a part of one, {scene['misfit']}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if scene.get("misfit")
+    ]
+    found += [
+        text
+        for volume, scene in zip(plan.volumes, run.scenes, strict=True)
+        for text in opacity_remarks(volume, scene["gamma_w"])
     ]
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):

@@ -8,6 +8,7 @@ the material or of a node graph that it is connected to. In Storm an input that 
 
 import re
 from collections.abc import Collection, Iterator
+from typing import Any
 
 from pxr import Usd, UsdShade
 
@@ -24,6 +25,8 @@ _NAME = re.compile(r"[\w:]+")
 # emission_channel, RenderMan's varname, MoonRay's emission_grid.
 _NAMES_GRID = re.compile(r"field|channel|geomprop|primvar|varname|grid|attr", re.IGNORECASE)
 _INPUT = "inputs:"
+_ARNOLD = "arnold:standard_volume"
+_SAME_OPACITY = 2.0  # times the extinction: less may be a choice
 ALL_RENDERERS = "renderers"  # of ``hiding_words``
 _RENDERERS = {
     "": "renderers without a shader of their own",
@@ -51,7 +54,9 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
         readers = {context: _colours_read(prims) for context, prims in shaders.items()}
         multiplies = tuple(name for name, prims in shaders.items() if _multiplies(prims))
         weaker = _is_weaker(relationship, volume)
-        found[path] = BoundMaterial(path, readers, weaker, multiplies)
+        numbers = {name: _density(prims) for name, prims in shaders.items()}
+        densities = {name: number for name, number in numbers.items() if number is not None}
+        found[path] = BoundMaterial(path, readers, weaker, multiplies, densities)
     return tuple(found.values())
 
 
@@ -128,6 +133,26 @@ def brightness_words(material: BoundMaterial, emission_mode: str) -> str:
     )
 
 
+def opacity_words(material: BoundMaterial, extinction: float) -> str:
+    """That a renderer shows a look with another opacity than it was made for; "" where none does.
+
+    Args:
+        extinction: that the look is made for, in the renderer's unit of length, per density.
+
+    >>> opacity_words(BoundMaterial("/m", {}, True, densities={"arnold": 1.0}), 67.6)
+    'the material </m> multiplies the density by 1 in Arnold, and the look is made for 67.6. Set \
+inputs:density of its shader to 67.6'
+    """
+    for name, number in material.densities.items() if extinction > 0 else ():
+        if not extinction / _SAME_OPACITY <= number <= extinction * _SAME_OPACITY:
+            return (
+                f"the material <{material.prim_path}> multiplies the density by {number:.4g} in "
+                f"{_RENDERERS.get(name, name)}, and the look is made for {extinction:.4g}. Set "
+                f"inputs:density of its shader to {extinction:.4g}"
+            )
+    return ""
+
+
 def hiding_advice(can_replace: bool) -> str:
     """What makes a hidden look seen, as a sentence without its full stop.
 
@@ -163,9 +188,25 @@ def _multiplies(shaders: Collection[Usd.Prim]) -> bool:
     return bool(_colours_read(shaders)) and any(_mode(prim) == "density" for prim in shaders)
 
 
+def _density(shaders: Collection[Usd.Prim]) -> float | None:
+    """By what Arnold's shader multiplies the density; None where that is not known."""
+    ours = [prim for prim in shaders if _token(prim, "info:id") == _ARNOLD]
+    if not ours or not _colours_read(shaders):
+        return None
+    attribute = ours[0].GetAttribute("inputs:density")
+    if not attribute or not (attribute.HasAuthoredValue() or attribute.HasAuthoredConnections()):
+        return 1.0
+    value = _value(attribute)
+    return float(value) if isinstance(value, float | int) else None
+
+
 def _mode(shader: Usd.Prim) -> str:
     """Arnold's emission mode; "" where it is not authored."""
-    attribute = shader.GetAttribute("inputs:emission_mode")
+    return _token(shader, "inputs:emission_mode")
+
+
+def _token(shader: Usd.Prim, name: str) -> str:
+    attribute = shader.GetAttribute(name)
     return _text(attribute) if attribute else ""
 
 
@@ -208,13 +249,17 @@ def _names_grid(shader: Usd.Prim, attribute: str) -> bool:
 
 
 def _text(attribute: Usd.Attribute) -> str:
-    """The text that an input has, maybe by way of other inputs; "" for any other value."""
+    value = _value(attribute)
+    return value if isinstance(value, str) else ""
+
+
+def _value(attribute: Usd.Attribute) -> Any:
+    """What an input has, maybe by way of other inputs; None where a shader makes it."""
     stage, seen = attribute.GetStage(), set()
     while (paths := attribute.GetConnections()) and paths[0] not in seen:
         source = stage.GetAttributeAtPath(paths[0])
         if not source or not source.GetName().startswith(_INPUT):
-            return ""  # made by a shader
+            return None
         seen.add(paths[0])
         attribute = source
-    value = attribute.Get()
-    return value if isinstance(value, str) else ""
+    return attribute.Get()

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from pxr import Sdf
+from pxr import Gf, Sdf
 
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.fixtures.usd_fixtures import density_prim, sequence, volume_prim, world
@@ -13,6 +13,7 @@ from usdsmoke.planning.plan import Plan
 from usdsmoke.ui.cli.main import main
 from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.usd.layer_record import read_record
+from usdsmoke.usd.rules.volume_rules import check_look_seen
 from usdsmoke.usd.stage import find_volumes, open_stage
 
 MATERIAL = """
@@ -127,6 +128,22 @@ def test_a_run_begins_its_end_with_the_hidden_look_and_the_remedy(
     result = run(shot, force=True)
     assert f"warning: {result.plan.warnings[0]}" == first
     assert result.warnings[0] == result.plan.warnings[0]
+
+
+@pytest.mark.usefixtures("core")
+def test_the_end_and_the_gate_name_a_shader_that_is_too_thin(shot: Shot) -> None:
+    bind(shot.stage)
+    text = shot.stage.read_text().replace('"SomeVolume"', '"arnold:standard_volume"')
+    reads = 'inputs:emission_channel = "emission"\n float inputs:density = 0.5'
+    text = text.replace('inputs:channel = "density"', reads)
+    shot.stage.write_text(text.replace("outputs:volume.connect", "outputs:arnold:volume.connect"))
+    result = run(shot)
+    gamma_w = f"{result.extinction['/World/smoke']:.4g}"
+    words = f"multiplies the density by 0.5 in Arnold, and the look is made for {gamma_w}"
+    assert result.root_stage and any(words in text for text in result.warnings)
+    stage = open_stage(result.root_stage)
+    volume = stage.GetPrimAtPath("/World/smoke")
+    assert any(words in item.message for item in check_look_seen(volume, Gf.Interval()))
 
 
 def test_the_record_of_a_run_has_the_material_s_settings(shot: Shot, core: FakeCore) -> None:

@@ -3,7 +3,12 @@
 import pytest
 from pxr import Usd
 
-from usdsmoke.usd.materials import brightness_words, find_materials, hiding_words
+from usdsmoke.usd.materials import (
+    brightness_words,
+    find_materials,
+    hiding_words,
+    opacity_words,
+)
 
 STAGE = """#usda 1.0
 def Volume "smoke" (prepend apiSchemas = ["MaterialBindingAPI"])
@@ -75,3 +80,19 @@ def test_a_shader_that_multiplies_emission_by_density_is_told_for_absolute_emiss
     told = brightness_words(found, "absolute")
     assert bool(told) == is_told and (not told or "Arnold" in told)
     assert not brightness_words(found, "perDensity")
+
+
+@pytest.mark.parametrize(("density", "is_told"), [
+    ("", True), ("\nfloat inputs:density = 6.7", True), ("\nfloat inputs:density = 60", False),
+    ("\nfloat inputs:density.connect = </theirs.inputs:number>", False),
+    ("\nfloat inputs:density.connect = </theirs/driver.outputs:out>", False),
+])  # fmt: skip
+def test_a_shader_that_multiplies_density_by_a_number_far_from_the_look_s_is_told(density, is_told):
+    stage = Usd.Stage.CreateInMemory()
+    driver = 'float inputs:number = 67\ndef Shader "driver" {\nfloat outputs:out\n}\n'
+    shaders = driver + ARNOLD % (CHANNEL + density)
+    stage.GetRootLayer().ImportFromString(STAGE.replace("SHADERS", shaders))
+    (found,) = find_materials(stage.GetPrimAtPath("/smoke"))
+    told = opacity_words(found, 67.6)
+    assert bool(told) == is_told and (not told or "67.6" in told)
+    assert not opacity_words(found, found.densities.get("arnold", 1.0))

@@ -14,6 +14,7 @@ from usdsmoke.usd.materials import (
     hiding_advice,
     hiding_material,
     hiding_words,
+    opacity_words,
 )
 from usdsmoke.usd.rules.facts import (
     FieldFacts,
@@ -25,7 +26,7 @@ from usdsmoke.usd.rules.facts import (
     is_velocity,
     sample_grid,
 )
-from usdsmoke.usd.schema import EMISSION_MODE, LOOK_API, STYLE_API
+from usdsmoke.usd.schema import EMISSION_MODE, EXTINCTION_PER_DENSITY, LOOK_API, STYLE_API
 from usdsmoke.usd.units import is_stretched, units_since
 from usdsmoke.usd.values import file_name
 from usdsmoke.usd.volume_requests import has_request, ignored_attributes, request_problems
@@ -151,7 +152,9 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     material = hiding_material(volume, colours)
     if material is None:
         mode = str(volume.GetAttribute(EMISSION_MODE).Get())
-        found = [brightness_words(bound, mode) for bound in find_materials(volume)]
+        bound = find_materials(volume)
+        found = [brightness_words(material, mode) for material in bound]
+        found += [opacity_words(material, _made_for(volume)) for material in bound]
         path = str(volume.GetPath())
         return [Problem(Severity.WARN, path, f"{text}.") for text in found if text]
     what, renderers = hiding_words(material, colours)
@@ -163,6 +166,13 @@ def check_look_seen(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     )
     severity = Severity.ERROR if is_everywhere else Severity.WARN
     return [Problem(severity, str(volume.GetPath()), message)]
+
+
+def _made_for(volume: Usd.Prim) -> float:
+    """The extinction per density of a look at its first timeCode, in the Volume's own unit."""
+    extinction = volume.GetAttribute(EXTINCTION_PER_DENSITY)
+    scale, _ = units_since(volume)
+    return float(extinction.Get(Usd.TimeCode.EarliestTime()) or 0.0) / scale
 
 
 def check_look_units(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
