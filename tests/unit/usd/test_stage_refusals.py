@@ -22,6 +22,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
 from usdsmoke.base.sections import StageConfig
+from usdsmoke.usd.look.root import copy_stage_metadata
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.stage import find_volumes, open_stage
 
@@ -112,6 +113,13 @@ def test_a_first_or_last_time_that_is_no_number_is_refused(tmp_path, name, value
     write_sequence(tmp_path, [1])
     body = volume_prim(density_prim(sequence([1])))
     refuse(tmp_path, body, StageError, rf"{name} of .*shot\.usda is", header=header)
+
+
+def test_metadata_of_another_type_cannot_be_copied(tmp_path):
+    source, layer = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
+    source.ImportFromString("#usda 1.0\n(\n    startTimeCode = <>\n)\n")
+    with pytest.raises(StageError, match="startTimeCode of .*type"):
+        copy_stage_metadata(Usd.Stage.Open(source), layer, tmp_path)
 
 
 def test_a_text_that_is_no_utf8_is_a_problem_of_the_stage(tmp_path):

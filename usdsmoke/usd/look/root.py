@@ -21,7 +21,7 @@ from typing import Any
 
 from pxr import Sdf, Tf, Usd, UsdGeom
 
-from usdsmoke.base.errors import LayerError
+from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import (
     ASSET_SOURCE,
     ORIGINAL,
@@ -58,12 +58,23 @@ def copy_stage_metadata(stage: Usd.Stage, layer: Sdf.Layer, folder: Path) -> Non
 
     Args:
         folder: where ``layer`` will be.
+
+    Raises:
+        StageError: a value has another type than its key.
     """
     root = stage.GetRootLayer()
     left_out = {*_NOT_COPIED, *([] if stage.GetDefaultPrim() else ["defaultPrim"])}
     for key in root.pseudoRoot.ListInfoKeys():
-        if key not in left_out:
-            layer.pseudoRoot.SetInfo(key, _reanchored(root.pseudoRoot.GetInfo(key), root, folder))
+        if key in left_out:
+            continue
+        value = root.pseudoRoot.GetInfo(key)
+        try:
+            layer.pseudoRoot.SetInfo(key, _reanchored(value, root, folder))
+        except TypeError:  # a damaged file has a value of any type
+            raise StageError(
+                f"{key} of {root.identifier} has a value of another type ({value!s:.80}). Correct "
+                "the layer's metadata."
+            ) from None
     layer.pseudoRoot.SetInfo("upAxis", UsdGeom.GetStageUpAxis(stage))
     layer.pseudoRoot.SetInfo("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage))
     layer.timeCodesPerSecond = stage.GetTimeCodesPerSecond()
