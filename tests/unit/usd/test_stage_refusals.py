@@ -118,7 +118,7 @@ def test_a_first_or_last_time_that_is_no_number_is_refused(tmp_path, name, value
 def test_metadata_of_another_type_cannot_be_copied(tmp_path):
     source, layer = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
     source.ImportFromString("#usda 1.0\n(\n    startTimeCode = <>\n)\n")
-    with pytest.raises(StageError, match="startTimeCode of .*type"):
+    with pytest.raises(StageError, match=r"startTimeCode of .*type"):
         copy_stage_metadata(Usd.Stage.Open(source), layer, tmp_path)
 
 
