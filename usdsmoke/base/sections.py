@@ -309,9 +309,14 @@ class OptimizeConfig(Section):
         None, "memory that a run may need; unset: the machine's memory", gt=0, unit="GiB")
 
     @property
+    def paints(self) -> bool:
+        """Whether a network gives the colours that frames without a neighbour start from."""
+        return bool(self.start) and "colour" in self.steps
+
+    @property
     def trains(self) -> bool:
         """Whether the run trains the network that its frames start from."""
-        return self.start == OWN_NETWORK and "colour" in self.steps
+        return self.start == OWN_NETWORK and self.paints
 
     @property
     def start_file(self) -> str:

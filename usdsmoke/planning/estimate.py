@@ -242,9 +242,8 @@ def _frame_seconds(
     seconds = FRAME + FILE_TIME * active
     if not _is_optimized(frame, config):
         return seconds
-    is_painted = bool(config.optimize.start) and "colour" in config.optimize.steps
     is_first = frame.window_start and octaves[1] == 1.0
-    if network_alone(config) or (is_painted and is_first):
+    if network_alone(config) or (config.optimize.paints and is_first):
         seconds += PAINT_TIME * active / speed
     if by_themselves(config):
         return seconds

@@ -29,7 +29,7 @@ def check_features(config: FeaturesConfig, here: bool = True) -> None:
 
 def start_needed(config: Config) -> list[str]:
     """The network that frames start from, as what a run needs."""
-    if not (config.optimize.start and "colour" in config.optimize.steps):
+    if not config.optimize.paints:
         return []
     if config.optimize.trains:
         return [

@@ -174,7 +174,7 @@ def _train_own(
 def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
     """Why the network that frames should start from does not suit a Volume; "" where it does."""
     config, frames = volume.config, measured_frames(volume)
-    if not (config.optimize.start and "colour" in config.optimize.steps and frames):
+    if not (config.optimize.paints and frames):
         return ""
     from usdsmoke.core.training.frames import find_misfit
     from usdsmoke.core.views.scene import Scene

@@ -10,9 +10,9 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.usd.crates import check_crates
+from usdsmoke.usd.values import FRAME_PATTERN
 
 _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
-_PATTERN = re.compile(r"#|%0?\d*d|\$F|<F\d*>")  # of a frame's number
 _NUMBER = re.compile(r"\d+(?=\.vdb$)", re.IGNORECASE)
 _LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
 _GRAMMAR = re.compile(r" matching .*pxrInternal.* at '", re.DOTALL)  # a rule's C++ type
@@ -111,7 +111,7 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
         with open(found, "rb") as stream:
             stream.read(1)
     except (FileNotFoundError, NotADirectoryError):
-        if _PATTERN.search(os.path.basename(file_path)) and file_path.lower().endswith(".vdb"):
+        if FRAME_PATTERN.search(os.path.basename(file_path)) and file_path.lower().endswith(".vdb"):
             return f"{file_path} names VDB files, not a stage. {_make_stage(file_path)}"
         return f"there is no file {file_path}. Check the path."
     except IsADirectoryError:

@@ -138,8 +138,7 @@ def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[in
 
 def network_alone(config: Config) -> bool:
     """Whether frames are what a network paints, each by itself."""
-    is_painted = bool(config.optimize.start) and "colour" in config.optimize.steps
-    return is_painted and not any(step_iterations(config, "colour"))
+    return config.optimize.paints and not any(step_iterations(config, "colour"))
 
 
 def by_themselves(config: Config) -> bool:

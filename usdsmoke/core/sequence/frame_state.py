@@ -225,7 +225,7 @@ def make_context(
     device, generator, alone = choose_device(config.optimize), None, by_themselves(config)
     if config.optimize.start and scene.misfit:
         config = without_network(config)
-    if config.optimize.start and "colour" in config.optimize.steps:
+    if config.optimize.paints:
         generator = Generator.from_file(Path(config.optimize.start)).to(device)
     targets = make_targets(styles, scene, config, device)
     watch = partial(_watcher, progress, n_frames, [])

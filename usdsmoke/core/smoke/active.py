@@ -77,7 +77,7 @@ class ActiveSmoke(Placed):
         edge = float(len(self.ijk) * np.prod(sides)) ** (1 / sides.size)
         return min(self.longest_side, MOST_EXTENT * edge)
 
-    @property
+    @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest active index, [3] each."""
         return self.ijk.amin(0).cpu().numpy(), self.ijk.amax(0).cpu().numpy()
