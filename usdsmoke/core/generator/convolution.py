@@ -69,8 +69,10 @@ def _gathered_product(values: Tensor, neighbours: Tensor, weight: Tensor) -> Ten
 
     def multiply(part: slice) -> None:
         rows = _gather(table, neighbours[part])
-        n_missing = max(FEWEST - len(rows), 0)
-        found[part] = (F.pad(rows, (0, 0, 0, n_missing)) @ flat)[: len(rows)]
+        n = len(rows)
+        if n < FEWEST:  # without this look, all rows would be copied
+            rows = F.pad(rows, (0, 0, 0, FEWEST - n))
+        found[part] = (rows @ flat)[:n]
 
     share_rows(multiply, len(values), ROWS, values.device)
     return found
