@@ -91,6 +91,48 @@ def test_one_voxel_far_away_moves_no_smoke_out_of_its_place():
     assert transport.folded < 0.005 and transport.unread < 0.01
 
 
+REMAINS = {"crumbs": (120, 0.02), "a wisp": (64, 0.05), "few voxels": (2, 0.5)}
+
+
+@cache
+def with_remains(name: str, axis: int) -> np.ndarray:
+    """A puff of 14 voxels a side, and what is left of other smoke, up to three boxes away."""
+    number, amount = REMAINS[name]
+    density, generator = np.zeros((60, 14, 14), np.float32), np.random.default_rng(5)
+    density[:14] = puff(14)
+    places = generator.integers([20, 0, 0], density.shape, (number, 3))
+    density[tuple(places.T)] = density[59, 7, 7] = amount
+    return np.moveaxis(density, 0, axis)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("name", REMAINS)
+def test_remains_far_away_change_neither_extinction_nor_reach(name, axis):
+    density = with_remains(name, axis)
+    alone = np.where(np.indices(density.shape)[axis] < 14, density, 0)
+    plain, remains = (scene_of([frame_of(x)], CONFIG) for x in (alone, density))
+    assert remains.gamma_w == pytest.approx(plain.gamma_w, rel=1e-6)
+    assert remains.gamma_w_shape == pytest.approx(plain.gamma_w_shape, rel=1e-6)
+    assert plain.widened == 1 and remains.widened > 1.5
+    assert smoke_of(density).extent == pytest.approx(smoke_of(alone).extent)
+
+
+@pytest.mark.parametrize("smoke", ["puff", "core", "two", "sheet", "filament"])
+def test_smoke_without_remains_is_all_main_part(smoke):
+    """Also two puffs of one size, and a core in thin smoke."""
+    density = puff(20, cut=1e-3)
+    if smoke == "core":
+        density[8:11, 8:11, 8:11] *= 300
+    elif smoke == "two":
+        density = np.concatenate([density, np.zeros((60, 20, 20), np.float32), density])
+    elif smoke == "sheet":
+        density = np.ones((40, 1, 40), np.float32)
+    elif smoke == "filament":
+        density = np.ones((100, 1, 1), np.float32)
+    voxels = smoke_of(density).voxels
+    assert voxels.main_part() is voxels
+
+
 def test_a_rank_is_never_the_largest_of_two_or_more():
     assert ranked(torch.tensor([]), 0.99) == 0
     assert ranked(torch.tensor([3.0]), 0.99) == 3

@@ -206,6 +206,14 @@ def test_an_extinction_that_does_not_suit_the_smoke_is_named(
     assert finding.setting == wanted and finding.place.startswith("/")
 
 
+@pytest.mark.parametrize(("widened", "named"), [(1.0, 0), (1.2, 0), (4.2, 1)])
+def test_voxels_far_away_that_make_pictures_coarse_are_named(
+    widened: float, named: int, tmp_path: Path
+) -> None:
+    budget = budget_of(tmp_path, [GOOD], SCENE | {"widened": widened})
+    assert [finding.setting for finding in budget.findings] == ["views.image_size"] * named
+
+
 @pytest.mark.parametrize(
     ("depth", "settings", "wanted"),
     [

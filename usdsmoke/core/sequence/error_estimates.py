@@ -103,7 +103,7 @@ def depth_by_side(frame: PaintedFrame, depth: float | None) -> tuple[float, floa
     views, up_axis = frame.config.views, frame.scene.up_axis
     if depth is None or views.camera or frame.smoke.thin_axis is not None:
         return None
-    voxels = frame.smoke.voxels
+    voxels = frame.smoke.voxels.main_part()
     spread = np.cov(voxels.positions.T, aweights=bounded(voxels).density, ddof=0)
     squares, axes = np.linalg.eigh(spread + voxels.edges.T @ voxels.edges / 12)
     squares = np.maximum(squares, 1e-12 * squares.max())  # round-off, where smoke is far apart

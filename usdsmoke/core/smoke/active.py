@@ -65,17 +65,19 @@ class ActiveSmoke(Placed):
         ends[:-1] = begins[1:]
         return self.take(begins | ends).positions.cpu().numpy()
 
-    @property
+    @cached_property
     def extent(self) -> float:
-        """The longest side, stage units, but at most ``MOST_EXTENT`` edges of a cube (of a square,
-        for a slab) that is as large as all voxels: a stray voxel far away makes no smoke large.
+        """The longest side of the main part, stage units, but at most ``MOST_EXTENT`` edges of
+        a cube (of a square, for a slab) that is as large as its voxels: stray voxels far away make
+        no smoke large.
         """
-        low, high = self.box
+        main = self.voxels.main_part()
+        low, high = main.box
         sides = np.linalg.norm(self.index_to_stage[:3, :3], axis=1)[high > low]
         if not sides.size:
-            return self.longest_side
-        edge = float(len(self.ijk) * np.prod(sides)) ** (1 / sides.size)
-        return min(self.longest_side, MOST_EXTENT * edge)
+            return main.longest_side
+        edge = float(len(main.ijk) * np.prod(sides)) ** (1 / sides.size)
+        return min(main.longest_side, MOST_EXTENT * edge)
 
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -51,6 +51,9 @@ class Scene:
     camera: CameraSource | None = None  # of the current frame; None: around up
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
     thick_share: float = 1.0  # share of all columns with smoke that are as thick
+    # Of the pictures' longer side over what it is without remains far from the smoke, where pixels
+    # are larger because of these; else 1.
+    widened: float = 1.0
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
@@ -252,6 +255,7 @@ def measure_scene(
     size. Where it leaves the thick columns fainter than an opacity of 0.7, the pictures are exposed
     to that: the paper divides each by its own maximum, after which exposure jumps with the frame.
     With cameras, columns are those that they see, and no pixel is finer than their nearest ones.
+    Remains far from the smoke widen the pictures, but are no columns.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -267,16 +271,15 @@ def measure_scene(
         stops = optics.exposure or 0.0
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
-    longest = max(_longest_side(smoke, views, up_axis, camera) for smoke, camera in filled)
+    longest, near = _picture_sides(filled, views, up_axis)
     parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
     visible = [(part, camera) for part, camera in parts if not part.is_empty]
     shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
-    coarse = max(pixel_size, voxel)
-    found = [
-        _columns(smoke, _middle_view(smoke, views, up_axis, coarse, camera))
-        for smoke, camera in visible or filled
-    ]
+    fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
+    coarse = max(fine, voxel)
+    main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
+    found = [_columns(s, _middle_view(s, views, up_axis, coarse, camera)) for s, camera in main]
     columns = [dense for dense, _ in found]
     thick = float(np.median([np.percentile(c, optics.percentile) for c in columns]))
     share = float(np.median([(dense >= thick).sum() / n for dense, n in found]))
@@ -288,13 +291,14 @@ def measure_scene(
         )
     )
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
+    widened = longest / near if fine < pixel_size else 1.0
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
     image_size = math.ceil(longest / pixel_size - 1e-6)
     return Scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
-        thick=thick, thick_share=share, stops=optics.exposure or 0.0,
+        thick=thick, thick_share=share, widened=widened, stops=optics.exposure or 0.0,
     )  # fmt: skip
 
 
@@ -308,7 +312,7 @@ def thick_column(
         scene: its own, with its camera.
     """
     coarse = max(scene.pixel_size, scene.reference_voxel_size)
-    voxels = smoke.voxels
+    voxels = smoke.voxels.main_part()
     view = _middle_view(voxels, views, scene.up_axis, coarse, scene.camera)
     return float(np.percentile(_columns(voxels, view)[0], percentile))
 
@@ -363,6 +367,18 @@ def _pixel_size(
     asked = round(longest / views.image_size / fine)
     resolved = min(math.ceil(finest / fine - 1e-6), math.floor(longest / LEAST_PIXELS / fine))
     return fine * max(1, asked, resolved)
+
+
+def _picture_sides(
+    filled: Sequence[tuple[Voxels, CameraSource | None]], views: ViewsConfig, up_axis: str
+) -> tuple[float, float]:
+    """Longest side of all pictures, stage units, of the smoke and of its main part."""
+    sides = [
+        [_longest_side(part, views, up_axis, camera) for part in (smoke, smoke.main_part())]
+        for smoke, camera in filled
+    ]
+    longest, near = np.max(sides, axis=0).tolist()
+    return longest, near
 
 
 def _longest_side(

@@ -9,6 +9,7 @@ from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.planned import PlannedVolume
+from usdsmoke.runs.budget.rows import RESOLUTION
 
 FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
@@ -20,6 +21,7 @@ DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
+WIDENED = 1.5  # times: strokes are as much coarser
 
 
 def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
@@ -37,6 +39,16 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
             f"Compare the result with the source; lower optics.percentile or set "
             f"optics.{chosen[0]}",
             f"optics.{chosen[0]}",
+        )
+    widened = scene.get("widened", 1.0)
+    if widened > WIDENED:
+        yield Finding(
+            place,
+            RESOLUTION.name,
+            f"pictures are {widened:.1f} times as wide as most of the smoke, because a few voxels "
+            "lie far from it: their pixels are larger than voxels",
+            "Remove those voxels from the source, or set a larger views.image_size",
+            "views.image_size",
         )
     for name, depth in _depths(volume, scene).items():
         if depth > DEEPEST or depth < (UNSEEN / 2 if name == "gamma" else FAINTEST):
