@@ -15,6 +15,8 @@ DOCUMENT = Path(__file__).parent.parent / "docs" / "stability.md"
 
 EXTREMES = "tests/unit/core/test_stylize_extremes.py::"
 STYLIZE = "tests/unit/core/test_stylize.py::"
+SIGHT = "tests/unit/core/test_sight.py::"
+CAMERA_RUNS = "tests/unit/runs/test_camera_runs.py::"
 OUTLIERS = "tests/unit/core/test_outliers.py::"
 FAST = "tests/unit/core/test_fast_smoke.py::"
 OPTIMIZE = "tests/unit/core/test_optimize.py::"
@@ -98,6 +100,14 @@ VOLUME = _group(
      (OUTLIERS + "test_remains_far_away_change_neither_extinction_nor_reach",
       "tests/unit/runs/test_findings.py::"
       "test_voxels_far_away_that_make_pictures_coarse_are_named")),
+    ("a camera inside the smoke", "finite: it sees colours, and plan and finding warn that strokes "
+     "do not fit into its picture",
+     (SIGHT + "test_a_camera_in_the_smoke_sees_colours_and_the_report_tells_how_close_it_is",
+      CAMERA_RUNS + "test_the_plan_names_frames_whose_camera_stands_in_the_smoke")),
+    ("a near clipping plane that cuts the smoke, or hides all of it", "finite: what is cut off "
+     "stays as in the source, and a finding tells how much",
+     (SIGHT + "test_smoke_before_the_near_clipping_plane_is_counted",
+      SIGHT + "test_a_frame_beyond_the_clipping_planes_is_left_out_and_says_so")),
     ("smoke ten times as long as wide", "finite: a finding names its opacity from all sides",
      ("tests/unit/core/test_frame_errors.py::"
       "test_smoke_that_is_long_in_one_direction_has_other_depths_from_its_sides",)),

@@ -95,6 +95,14 @@ class LightReport:
 
 
 @dataclass(frozen=True)
+class SightReport:
+    """What stands between a shot's camera and the smoke that it looks at."""
+
+    close: float  # of the picture, hidden by smoke of which a voxel fills an eighth of its width
+    clipped: float  # of the mass that the film shows, that before or behind the clipping planes
+
+
+@dataclass(frozen=True)
 class FrameErrors:
     """What is estimated or measured of a finished frame; None where it does not apply."""
 
@@ -162,6 +170,7 @@ class FrameReport(JsonRecord):
     voxels_outside_camera: int | None = None  # of these; None where the camera does not matter
     warnings: tuple[str, ...] = ()
     left_out: str = ""  # why nothing is done; "" for a frame that is stylized
+    sight: SightReport | None = None  # None without a camera
     extinction: float = 0.0  # 1/stage unit per density
     # Optical depth of thick columns in the pictures of the last step; None where it is not measured
     # or the extinction is set.

@@ -14,6 +14,7 @@ from usdsmoke.base.time_codes import (
 )
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
+from usdsmoke.planning.visibility import is_inside
 from usdsmoke.planning.windows import followed_codes
 
 # Times the default learning rate. On the example plume of 32 voxels 16 times it ends 6 % worse, 100
@@ -41,6 +42,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_tiny_style(volume),
             *_unmoved(volume),
             *_overlap(volume),
+            *_inside(volume),
         ]
         found += lights_remark(volume.config, volume)
     return tuple(dict.fromkeys(found))
@@ -138,6 +140,23 @@ def _rate(volume: VolumePlan) -> list[str]:
     return [
         f"colour.learning_rate={rate:g} is {rate / usual:.3g} times the default: one step crosses "
         f"the whole range of colours. Set {usual:g}, or look closely at the result"
+    ]
+
+
+def _inside(volume: VolumePlan) -> list[str]:
+    """Frames whose camera may have smoke right before it."""
+    inside = [
+        frame.source
+        for frame in volume.frames
+        if is_inside(frame.source, frame.source.fields[volume.source.density], frame.grid)
+    ]
+    if not inside:
+        return []
+    codes = name_time_codes(frame.time_code for frame in inside)
+    return [
+        f"the camera stands in the box of <{volume.source.prim_path}> at {codes}: smoke right "
+        "before it hides the picture and is too close for strokes. Move the camera, or cut this "
+        "smoke off with its near clipping plane (clippingRange)"
     ]
 
 

@@ -27,11 +27,22 @@ def visible_share(
     camera, points = frame.camera, _box_points(density, grid)
     if camera is None or points is None:
         return 1.0
-    frustum = frustum_of(camera, config.views.camera_margin)
     corners, inside = points
+    frustum = frustum_of(camera, config.views.camera_margin, _longest_edge(density, grid))
     if frustum.misses(corners):
         return 0.0
     return max(float((frustum.shares(inside) > 0).mean()), 1 / len(inside))
+
+
+def is_inside(frame: FrameSource, density: FieldSource, grid: GridHeader) -> bool:
+    """Whether a frame's camera stands in a density's box."""
+    points = _box_points(density, grid)
+    if frame.camera is None or points is None:
+        return False
+    corners = points[0]
+    axes = corners[[4, 2, 1]] - corners[0]
+    place = np.linalg.solve(axes.T, np.asarray(frame.camera.camera_to_stage)[3, :3] - corners[0])
+    return bool(((place >= 0) & (place <= 1)).all())
 
 
 def pixel_sizes(
@@ -56,8 +67,14 @@ def pixel_sizes(
 def _nearest_pixel(camera: CameraSource, points: np.ndarray, config: Config) -> float:
     frustum = frustum_of(camera, config.views.camera_margin)
     seen = points[frustum.shares(points) > 0]
-    depth = float(frustum.depths(seen).min()) if len(seen) else np.inf
+    depth = max(float(frustum.depths(seen).min()), 0.0) if len(seen) else np.inf
     return pixel_footprint(camera, depth, config.views.camera_width)
+
+
+def _longest_edge(density: FieldSource, grid: GridHeader) -> float:
+    """Of a voxel, stage units."""
+    matrix = np.asarray(grid.index_to_world, float) @ np.asarray(density.field_to_stage, float)
+    return float(np.linalg.norm(matrix[:3, :3], axis=1).max())
 
 
 def _lengths(corners: np.ndarray, box: tuple[int, int, int]) -> tuple[float, float]:

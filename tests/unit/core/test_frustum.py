@@ -65,9 +65,10 @@ def test_the_border_falls_smoothly_from_one_to_zero_and_lies_outside(parallel):
     assert distances[-1] == pytest.approx(0.5 * MARGIN * width / slant)
 
 
+@pytest.mark.parametrize("voxel", [0.0, 1.5])
 @pytest.mark.parametrize("parallel", [False, True])
-def test_where_a_distance_is_not_negative_the_share_is_zero(parallel):
-    frustum = frustum_of(camera_at(parallel), 0.2)
+def test_where_a_distance_is_not_negative_the_share_is_zero(parallel, voxel):
+    frustum = frustum_of(camera_at(parallel), 0.2, voxel)
     points = np.random.default_rng(2).uniform(-12, 12, (100_000, 3)) + frustum.eye
     outside = frustum.distances(points) >= 0
     assert 0.01 < outside.mean() < 0.999
@@ -83,6 +84,22 @@ def test_the_clipping_planes_cut_with_a_border():
     assert frustum.shares(depths[:, None] * middle) == pytest.approx([0, 1, 1, 0, 0.5], abs=1e-9)
 
 
+@pytest.mark.parametrize("parallel", [False, True])
+def test_voxels_around_an_eye_in_the_smoke_are_seen(parallel):
+    """Renderers interpolate between them: along all axes a border is at least two voxels wide."""
+    camera = dataclasses.replace(camera_at(parallel, turned=False), clipping_range=(1e-6, 9.0))
+    camera = dataclasses.replace(camera, horizontal_offset=0.0, vertical_offset=0.0)
+    around = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+    frustum = frustum_of(camera, MARGIN, 1.0)
+    assert frustum.shares(around).min() > 0.5
+    assert frustum.distances(around).max() < 0
+    assert not frustum.misses(around)
+    assert not frustum.shares(np.array([[0, 0, 2.1], [0, 4.0, -0.1], [-4.0, 0, -0.1]])).any()
+    wide = np.array([[0.0, 0.0, -8.0], [2.0, 1.0, -8.0], [3.0, 0.0, -8.5]])
+    far = frustum_of(camera, 1.0)  # where its border is wider than that, nothing changes
+    assert np.array_equal(frustum_of(camera, 1.0, 1.0).shares(wide), far.shares(wide))
+
+
 def test_nothing_behind_a_pinhole_is_seen_whatever_its_clipping_range():
     camera = dataclasses.replace(camera_at(turned=False), clipping_range=(-10.0, 10.0))
     points = np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, -1]])
@@ -91,9 +108,10 @@ def test_nothing_behind_a_pinhole_is_seen_whatever_its_clipping_range():
     assert list(frustum_of(parallel, MARGIN).shares(points)) == [1, 1, 1]
 
 
+@pytest.mark.parametrize("voxel", [0.0, 1.0])
 @pytest.mark.parametrize("parallel", [False, True])
-def test_a_body_that_surely_lies_outside_has_no_point_inside(parallel):
-    frustum = frustum_of(camera_at(parallel), MARGIN)
+def test_a_body_that_surely_lies_outside_has_no_point_inside(parallel, voxel):
+    frustum = frustum_of(camera_at(parallel), MARGIN, voxel)
     generator = np.random.default_rng(4)
     cube = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), -1).reshape(-1, 3)
     dense = generator.uniform(0, 1, (400, 3))

@@ -7,12 +7,13 @@ import pytest
 
 from tests.fixtures.camera_fixtures import DENSITY, FRAME, MIDDLE, N, looking, seen_by
 from tests.fixtures.counters import Elements
-from tests.fixtures.smoke_fixtures import frame_of, masked, puff
+from tests.fixtures.smoke_fixtures import frame_of, masked, puff, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.views.frustum import frustum_of
+from usdsmoke.core.views.visibility import sight_of
 
 
 def half_camera(distance: float = 60.0) -> CameraSource:
@@ -25,7 +26,7 @@ def shares(camera: CameraSource, frame: VolumeFrame = FRAME) -> dict[tuple[int, 
     """The frustum's share by voxel of the smoke."""
     margin = quick_config().views.camera_margin
     index = np.argwhere(frame.density.values > 0)
-    found = frustum_of(camera, margin).shares(index.astype(float))
+    found = frustum_of(camera, margin, 1.0).shares(index.astype(float))
     return {tuple(i): float(s) for i, s in zip(index.tolist(), found, strict=True)}
 
 
@@ -69,7 +70,7 @@ def test_outside_the_frustum_the_source_stays_bit_for_bit_and_has_no_colour(half
 def test_nothing_grows_outside_where_there_was_no_smoke(half):
     camera, source = half_camera(), by_voxel(FRAME.density)
     new = np.array([voxel for voxel in by_voxel(half.density) if voxel not in source], float)
-    assert len(new) and frustum_of(camera, 0.05).shares(new).all()
+    assert len(new) and frustum_of(camera, 0.05, 1.0).shares(new).all()
 
 
 def test_mass_is_kept_among_what_is_seen(half):
@@ -116,6 +117,42 @@ def test_a_frame_wholly_outside_is_left_out_and_stays_as_it_is():
     assert result.report.left_out == "outside the camera's frustum"
     assert by_voxel(result.density) == by_voxel(FRAME.density)
     assert not result.emission.values.any()
+
+
+@pytest.mark.parametrize("depth", [0.0, 6.0])
+def test_a_camera_in_the_smoke_sees_colours_and_the_report_tells_how_close_it_is(depth):
+    """In the middle, and where it touches the smoke: the voxels around it are painted."""
+    eye = np.add(MIDDLE, [0, 0, depth])
+    camera = dataclasses.replace(looking(eye, np.add(eye, [0, 0, -30])), clipping_range=(0.01, 1e4))
+    result = run_core([seen_by(camera)])[0]
+    emission = by_voxel(result.emission)
+    around = [tuple(v) for v in np.argwhere(DENSITY > 0) if np.abs(v - eye).max() < 1]
+    assert len(around) == 8
+    assert all(max(emission.get(voxel, (0.0,))) > 0 for voxel in around)
+    assert result.report.sight.close > 0.95
+
+
+def test_a_camera_before_the_smoke_has_nothing_in_its_way(half):
+    assert half.report.sight.close == half.report.sight.clipped == 0
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_smoke_before_the_near_clipping_plane_is_counted(parallel):
+    eye = np.add(MIDDLE, [0, 0, 40])
+    camera = looking(eye, MIDDLE, film=400.0 if parallel else 72.0, parallel=parallel)
+    for near in (40.2, 38.2):
+        cut = dataclasses.replace(camera, clipping_range=(near, 1e4))
+        k = np.arange(N)[None, None, :]
+        wanted = (DENSITY * (eye[2] - k < near)).sum() / DENSITY.sum()
+        found = sight_of(smoke_of(DENSITY), cut, 1.0)
+        assert 0.1 < wanted < 0.9 and found.clipped == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_frame_beyond_the_clipping_planes_is_left_out_and_says_so():
+    camera = looking(np.add(MIDDLE, [0, 0, 60]), MIDDLE)
+    for clip in ((200.0, 1e4), (0.1, 20.0)):
+        result = run_core([seen_by(dataclasses.replace(camera, clipping_range=clip))])[0]
+        assert "clipping planes" in result.report.left_out
 
 
 def test_a_camera_and_a_mask_multiply():

@@ -24,6 +24,7 @@ from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import Plan
+from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.runs.identity import describe_run
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -90,6 +91,10 @@ def reasons(plan: Plan) -> dict[str, str]:
     return {item.what: item.reason for item in plan.omitted}
 
 
+# Tangent at which the effect has ended, by voxel along j: a twentieth of the film, or two voxels.
+END = 0.25 + np.maximum(0.05 * 0.5, 2 * 0.5 / (0.5 * np.arange(N)[:, None] + 20))
+
+
 def rig_film(rig_x: float) -> np.ndarray:
     """Tangent across the picture of every voxel, [i j k], worked out by hand."""
     i, j, _ = np.indices((N, N, N))
@@ -115,7 +120,7 @@ def test_the_plan_tells_what_the_camera_leaves_out(shot: Shot) -> None:
     first, second, third = plan.volumes[0].frames
     side = np.linspace(-0.25, 7.75, 500)  # the file has all 16 x 16 x 16 voxels active
     film = side[:, None] / (side + 20)
-    assert first.size.visible == pytest.approx((film < 0.275).mean(), abs=0.03)
+    assert first.size.visible == pytest.approx((film < 0.25 + 1 / (side + 20)).mean(), abs=0.03)
     assert second.size.visible == third.size.visible == 0
     said = reasons(plan)
     assert said["the effect at timeCodes 2,3 of </World/smoke>"] == "outside the camera's frustum"
@@ -126,6 +131,17 @@ def test_the_plan_tells_what_the_camera_leaves_out(shot: Shot) -> None:
     plain = job_of(shot, "views.camera=").plan
     assert "views.camera" in reasons(plain)["the shot's camera"]
     assert plan.estimate.seconds < plain.estimate.seconds
+
+
+def test_the_plan_names_frames_whose_camera_stands_in_the_smoke(shot: Shot) -> None:
+    def inside(place: str) -> list[str]:
+        text = shot.stage.read_text().replace("(0, -10, 2)", place)
+        shot.stage.write_text(text)
+        return [text for text in list_remarks(job_of(shot).plan.volumes) if "clippingRange" in text]
+
+    assert not inside("(0, -10, 2)")
+    (remark,) = inside("(0, 2, 2)")  # 10 and 50 along x: the second is beyond the box
+    assert "timeCode 1:" in remark
 
 
 def test_detail_that_a_narrow_shot_cannot_show_is_left_out(shot: Shot) -> None:
@@ -187,7 +203,7 @@ def test_written_voxels_outside_the_picture_are_the_sources_bit_for_bit(shot: Sh
         fields = read_grids(shown_files(result.root_stage)[code], wanted, GridsConfig())
         density, emission = map(dense, fields)
         film = np.abs(rig_film(rig_x))
-        outside = film > 0.25 + 0.05 * 0.5 + 1e-6
+        outside = film > END + 1e-6
         assert outside.any() and np.array_equal(density[outside], source[outside])
         assert not emission[outside].any()
         inside = (film < 0.25) & (density > 0)
@@ -203,7 +219,7 @@ def test_the_frames_report_counts_what_was_left_out(shot: Shot) -> None:
     result = run(shot, *SETTINGS, f"views.camera={PATH}")
     record = (result.frames[0].parent / "run.json").read_text(encoding="utf-8")
     film, source = np.abs(rig_film(10.0)), puff(N)
-    n_outside = int(((film > 0.275 - 1e-9) & (source > 0)).sum())
+    n_outside = int(((film > END - 1e-9) & (source > 0)).sum())
     assert f'"voxels_outside_camera": {n_outside}' in record
     assert f'"voxels_outside_camera": {int((source > 0).sum())}' in record
     assert record.count('"left_out": "outside the camera\'s frustum"') == 2

@@ -13,6 +13,7 @@ from usdsmoke.base.frame_report import (
     Estimate,
     FrameErrors,
     FrameReport,
+    SightReport,
     StepReport,
     TemporalErrors,
     TransportReport,
@@ -204,6 +205,24 @@ def test_an_extinction_that_does_not_suit_the_smoke_is_named(
 ) -> None:
     (finding,) = budget_of(tmp_path, [GOOD], SCENE | change, settings).findings
     assert finding.setting == wanted and finding.place.startswith("/")
+
+
+@pytest.mark.parametrize(
+    ("sight", "wanted"),
+    [
+        (None, []),
+        (SightReport(0.0, 0.0), []),
+        (SightReport(0.05, 0.005), []),
+        (SightReport(0.3, 0.0), ["inside"]),
+        (SightReport(0.0, 0.2), ["clipping"]),
+    ],
+)
+def test_smoke_right_before_a_camera_or_its_clipping_planes_is_named(
+    sight: SightReport | None, wanted: list[str], tmp_path: Path
+) -> None:
+    found = budget_of(tmp_path, [replace(GOOD, sight=sight)]).findings
+    assert len(found) == len(wanted)
+    assert all(word in finding.cause for word, finding in zip(wanted, found, strict=True))
 
 
 @pytest.mark.parametrize(("widened", "named"), [(1.0, 0), (1.2, 0), (4.2, 1)])

@@ -32,7 +32,13 @@ from usdsmoke.core.steps.shape import max_displacement
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
 from usdsmoke.core.views.lighting import Lighting, light_smoke
 from usdsmoke.core.views.scene import Scene, frame_scene
-from usdsmoke.core.views.visibility import EffectMask, Visibility, effect_mask, frame_visibility
+from usdsmoke.core.views.visibility import (
+    EffectMask,
+    Visibility,
+    effect_mask,
+    frame_visibility,
+    sight_of,
+)
 
 Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
@@ -293,7 +299,10 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
     warnings = (*_density_warnings(density, source), *_mask_warnings(frame, mask))
-    report = FrameReport(len(source.ijk), n_outside, warnings, left_out, scene.gamma_w)
+    sight = None
+    if frame.camera is not None and len(source.ijk):
+        sight = sight_of(source, frame.camera, scene.gamma_w)
+    report = FrameReport(len(source.ijk), n_outside, warnings, left_out, sight, scene.gamma_w)
     if visibility is not None and not left_out:
         source, smoke = visibility.padded(source), visibility.visible(source)
     return OpenedFrame(
@@ -326,7 +335,7 @@ def _why_left_out(
     if len(source.ijk) == 0:
         return "empty frame"
     if visibility is not None and not bool(visibility.at(source.positions).any()):
-        return "outside the camera's frustum"
+        return visibility.why_nothing(source)
     if mask is not None and not bool(mask.at(source.positions).any()):
         where = "the camera sees smoke" if visibility is not None else "there is smoke"
         return f"the mask is 0 wherever {where}"

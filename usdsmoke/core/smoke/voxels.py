@@ -36,6 +36,11 @@ class Placed:
         return self.index_to_stage[:3, :3]
 
     @property
+    def longest_edge(self) -> float:
+        """Of a voxel, stage units."""
+        return float(np.linalg.norm(self.edges, axis=1).max())
+
+    @property
     def voxel_volume(self) -> float:
         """Stage unit^3."""
         return float(abs(np.linalg.det(self.edges)))
@@ -92,6 +97,18 @@ class Voxels(Placed):
     def take(self, chosen: np.ndarray) -> "Voxels":
         """Some of the voxels; chosen is [N] bool."""
         return Voxels(self.ijk[chosen], self.density[chosen], self.index_to_stage)
+
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """The density of the voxels around points [P 3] of the stage, [P]; 0 outside of all."""
+        low, high = self.box
+        to_index = np.linalg.inv(self.index_to_stage)
+        place = points @ to_index[:3, :3] + to_index[3, :3]
+        place = np.rint(place.clip(low - 1.0, high + 1.0)).astype(np.int64)
+        shape = high - low + 3
+        keys, wanted = (np.ravel_multi_index((x - low + 1).T, shape) for x in (self.ijk, place))
+        order = np.argsort(keys)
+        found = order[np.searchsorted(keys, wanted, sorter=order).clip(max=len(keys) - 1)]
+        return np.where(keys[found] == wanted, self.density[found], 0.0)
 
     def main_part(self) -> "Voxels":
         """The smoke without remains that lie far from the rest; itself where there are none.

@@ -4,12 +4,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.base.frame_report import SightReport
+from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.voxels import Voxels
 from usdsmoke.core.views.frustum import Frustum, frustum_of
 
 VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines and filters read it
+_NO_BORDER = 1e-9
+_CLOSE = 8.0  # voxels across the picture: fewer show no strokes
+_RAYS, _SAMPLES = (16, 12), 64  # across and up the film; along a ray
 STEEPEST_SHARE = 1.125  # at the fraction t of the border the share is at most this times t
 
 
@@ -37,6 +43,14 @@ class Visibility:
         """The smoke in the picture or in its border, which is painted."""
         return smoke.take(self.at(smoke.positions) > 0)
 
+    def why_nothing(self, smoke: ActiveSmoke) -> str:
+        """Why none of the smoke is visible."""
+        positions = smoke.positions.cpu().numpy()
+        if self._frustum.unclipped().shares(positions).any():
+            near, far = self._frustum.near, self._frustum.far
+            return f"outside the camera's clipping planes ({near:g} and {far:g})"
+        return "outside the camera's frustum"
+
     def padded(self, smoke: ActiveSmoke) -> ActiveSmoke:
         """The visible smoke, which moves, and the smoke around it, which may follow."""
         distances = self._frustum.distances(smoke.positions.cpu().numpy())
@@ -56,17 +70,55 @@ def frame_visibility(
     """
     if frame.camera is None or len(smoke.ijk) == 0:
         return None
-    frustum = frustum_of(frame.camera, margin)
+    voxel = smoke.longest_edge
+    frustum = frustum_of(frame.camera, margin, voxel)
     positions = smoke.positions.cpu().numpy()
     shares = frustum.shares(positions)
     if (shares == 1).all():
         return None
-    voxel = float(np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1).max())
     # displacement fades with the share: only voxels inside the border read smoke from outside it
     nearest = float(frustum.depths(positions[shares > 0]).min()) if shares.any() else 0.0
     border = frustum.border * (1.0 if frustum.is_orthographic else nearest)
+    border = max(border, frustum.least_border)
     beyond = max(0.0, STEEPEST_SHARE * max_displacement - border)
     return Visibility(frustum, VISIBLE_PADDING * voxel + beyond)
+
+
+def sight_of(smoke: ActiveSmoke, camera: CameraSource, gamma_w: float) -> SightReport:
+    """What stands between a camera and the smoke that it looks at.
+
+    Args:
+        smoke: of the whole frame, not empty.
+        camera: of the frame.
+        gamma_w: extinction per density, 1/stage unit.
+    """
+    voxels, frustum = bounded(smoke.voxels), frustum_of(camera, _NO_BORDER)
+    shown = frustum.unclipped().shares(voxels.positions) * voxels.density
+    total = float(shown.sum(dtype=np.float64))
+    kept = float((frustum.shares(voxels.positions) * voxels.density).sum(dtype=np.float64))
+    return SightReport(_close_share(voxels, frustum, gamma_w), 1 - kept / total if total else 0.0)
+
+
+def _close_share(voxels: Voxels, frustum: Frustum, gamma_w: float) -> float:
+    """The share of rays through the film of which smoke that is close hides more than half."""
+    edge, depths = voxels.longest_edge, frustum.depths(voxels.positions)
+    depth = _CLOSE * edge / float(frustum.high[0] - frustum.low[0])
+    if frustum.is_orthographic:
+        depth = np.inf if depth > 1 else -np.inf
+    near = max(frustum.near, float(depths.min()) - edge)
+    far = min(depth, frustum.far, float(depths.max()) + edge)
+    if far <= near:
+        return 0.0
+    sides = [np.linspace(a, b, n) for a, b, n in zip(frustum.low, frustum.high, _RAYS, strict=True)]
+    film = np.stack(np.meshgrid(*sides), -1).reshape(-1, 1, 2)
+    step = (far - near) / _SAMPLES
+    along = near + step * (np.arange(_SAMPLES)[None, :, None] + 0.5)
+    across = film * (np.ones_like(along) if frustum.is_orthographic else along)
+    places = np.concatenate(np.broadcast_arrays(across, along), -1)[..., :3]
+    lengths = step * (1.0 if frustum.is_orthographic else np.sqrt(1 + (film**2).sum(-1)))
+    densities = voxels.nearest(places.reshape(-1, 3) @ frustum.axes + frustum.eye)
+    hidden = gamma_w * (densities.reshape(len(film), -1) * lengths).sum(1) > np.log(2)
+    return float(hidden.mean())
 
 
 class EffectMask:

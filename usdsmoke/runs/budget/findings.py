@@ -19,6 +19,7 @@ from usdsmoke.runs.budget.rows import (
     SHAPE_OPTIMISER,
     ErrorRow,
 )
+from usdsmoke.runs.budget.sight_findings import find_sight
 
 UNMOVED = 1e-3  # of the largest allowed displacement: less is not seen
 VANISHED = 0.01  # of the voxels
@@ -66,6 +67,8 @@ def _find_idle(volume: PlannedVolume) -> Iterator[Finding]:
     remedy, setting = "Check its densities", ""
     if "mask" in volume.idle:
         remedy, setting = "Check values, place and scale of the mask", "stage.mask"
+    elif "clipping" in volume.idle:
+        remedy, setting = "Change the camera's clippingRange, or unset views.camera", "views.camera"
     elif "camera" in volume.idle:
         remedy, setting = "Check where the camera looks, or unset views.camera", "views.camera"
     row = _OPTIMISERS["colour" if "colour" in config.optimize.steps else "shape"]
@@ -119,6 +122,7 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
     if report.temporal is None:  # a warm frame starts where its neighbour ended
         yield from _find_way(name, report, config)
     yield from find_light(name, report)
+    yield from find_sight(name, report)
     for row in ROWS:
         figure = row.of_frame(report)
         if figure is not None and not abs(figure.value) <= row.most:
