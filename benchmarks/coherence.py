@@ -50,18 +50,47 @@ Runs = Mapping[Case, Kept]
 
 def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
     """The tables as Markdown."""
-    alone, windows = (runs[case] for case in study.shot)
     lines = [
         "# Frames that hold together",
         "",
-        f"The example plume, {windows.case.resolution} voxels across,",
-        f"{len(windows.case.codes)} frames, style `{windows.case.style}`, windows as configured.",
-        f"*Alone*: each frame a window of its own, frames {alone.case.codes[0]} to",
-        f"{alone.case.codes[-1]}. Temporal errors are the",
-        "share of the pattern that does not move with the smoke, in excess of an exact look-up; 1",
-        "is one drawn anew. *Border*: the steps that blending has a hand in; *inside*: the others.",
-        "Style distances are the optimiser's own loss of finished pictures, from views that it",
-        "never had, means of the same frames. All is measured after blending.",
+        "The example plume in windows as configured. *Alone*: each frame a window of its own.",
+        "Temporal errors are the share of the pattern that does not move with the smoke, in excess",
+        "of an exact look-up; 1 is one drawn anew. *Border*: the steps that blending has a hand",
+        "in; *inside*: the others. Style distances are the optimiser's own loss of finished",
+        "pictures, from views that it never had, means of the frames that both have. All is",
+        "measured after blending. CPU seconds are without estimates of errors.",
+    ]
+    for alone, windows in study.shots:
+        if {alone, windows} <= runs.keys():
+            lines += _shot_lines(runs[alone], runs[windows])
+    lines += [
+        "",
+        "## Other settings",
+        "",
+        "One window, without a coarse step and blending. A way changes settings of both steps;",
+        "displacements do not depend on those of colour. Percentages: farther from the style than",
+        "the same frames alone; ratios: of their error.",
+        "",
+        *(f"- *{way}*: {_settings_text(way)}." for way in WAYS if way not in (ALONE, WINDOWS)),
+        "",
+        "| plume | way | grey distance | colour distance | displacement error, over "
+        "1, 4, 8 frames | colour error, over 1, 4, 8 frames | CPU s a frame |",
+        "|---|---|---|---|---|---|---|",
+        *_curve_rows(runs),
+        "",
+        f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU.",
+        f"- Not made yet: {_missing(runs, study)}.",
+        *circumstances(words),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _shot_lines(alone: Kept, windows: Kept) -> list[str]:
+    """A section on one shot."""
+    case = windows.case
+    return [
+        "",
+        f"## {_smoke(case)}, {len(case.codes)} frames",
         "",
         "| | grey distance | colour distance | displacement error, over 1, 4, 8 frames "
         "| colour error, over 1, 4, 8 frames | CPU s a frame |",
@@ -75,25 +104,12 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
         *(_border_row(kind, windows, alone) for kind in STYLE_OF),
         "",
         *_notes(windows, alone),
-        "",
-        "## Other settings",
-        "",
-        "One window, without a coarse step and blending. A way changes settings of both steps;",
-        "displacements do not depend on those of colour. Percentages: farther from the style than",
-        "the same frames alone; ratios: of their error.",
-        "",
-        *(f"- *{way}*: {_settings_text(way)}." for way in WAYS if way not in (ALONE, WINDOWS)),
-        "",
-        "| plume, style, seed | way | grey distance | colour distance | displacement error, over "
-        "1, 4, 8 frames | colour error, over 1, 4, 8 frames | CPU s a frame |",
-        "|---|---|---|---|---|---|---|",
-        *_curve_rows(runs),
-        "",
-        f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU.",
-        f"- Not made yet: {_missing(runs, study)}.",
-        *circumstances(words),
     ]
-    return "\n".join(lines) + "\n"
+
+
+def _smoke(case: Case) -> str:
+    """What a run and those that it is compared with have in common."""
+    return f"{case.resolution} voxels, `{case.style}`, seed {case.seed}"
 
 
 def _cpu_minutes(runs: Runs) -> float:
@@ -102,7 +118,7 @@ def _cpu_minutes(runs: Runs) -> float:
 
 def _missing(runs: Runs, study: Study) -> str:
     """The runs that have not been made yet."""
-    names = [case.name for case in (*study.shot, *study.curve) if case not in runs]
+    names = [case.name for case in study.cases if case not in runs]
     return ", ".join(names) or "none"
 
 
@@ -134,8 +150,7 @@ def _curve_rows(runs: Runs) -> list[str]:
         if case.way == WINDOWS:
             continue
         (alone, *_) = (kept for kept in alones if same_smoke(kept.case, case))
-        name = f"{case.resolution} voxels, `{case.style}`, {case.seed} | {case.way}"
-        rows.append(_row(name, runs[case], alone))
+        rows.append(_row(f"{_smoke(case)} | {case.way}", runs[case], alone))
     return rows
 
 
@@ -163,7 +178,8 @@ def _notes(windows: Kept, alone: Kept) -> list[str]:
         verdict = _verdict(abs(found / other - 1), MARKS["style"], "±5 %")
         changes.append(f"{kind} {found / other - 1:+.1%} ({verdict})")
     return [
-        f"- Style distance, windows against alone: {', '.join(changes)}.",
+        f"- Alone: frames {', '.join(map(str, alone.case.codes))}. Style distance of the same",
+        f"  frames in windows: {', '.join(changes)}.",
         f"- The two versions of a frame in an overlap differ by {density:.1%} in density and",
         f"  {emission:.1%} in emission, on average.",
         f"- Worst steps: displacement to frame {_worst(windows, 'displacement')}, colour to frame",
@@ -182,15 +198,15 @@ def _verdict(value: float, limit: float, text: str = "") -> str:
 
 
 def draw(runs: Runs, study: Study, kept: Path, folder: Path) -> None:
-    """The pictures of the shot in windows beside frames alone."""
-    names = {case.way: case for case in study.shot}
+    """The pictures of the first shot, in windows beside frames alone."""
+    names = {case.way: case for case in study.shots[0]}
     windows = runs[names[WINDOWS]]
     errors = {
         way: {kind: runs[case].errors[kind][1] for kind in STYLE_OF} for way, case in names.items()
     }
     borders = windows.starts, windows.touched
     draw_flicker(errors, *borders).save(folder / "flicker.png", optimize=True)
-    if not all((kept / f"{case.name}.npz").exists() for case in study.shot):
+    if not all((kept / f"{case.name}.npz").exists() for case in study.shots[0]):
         print("no strip and no animation: the runs' pictures are gone", file=sys.stderr)
         return
     panels = {way: load_panels(kept, case) for way, case in names.items()}
@@ -218,7 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as name:
             kept = options.keep or Path(name)
             runs = keep_runs(study, kept, options.runs)
-            if not set(study.shot) <= set(runs):
+            if not set(study.shots[0]) <= set(runs):
                 raise ValueError("frames alone and in windows are not made yet. Raise --runs")
             for folder in (options.report.parent, options.pictures):
                 folder.mkdir(parents=True, exist_ok=True)

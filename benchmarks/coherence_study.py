@@ -98,43 +98,51 @@ class Kept:
 class Study:
     """The runs of one command."""
 
-    shot: tuple[Case, ...]  # windows as configured
+    shots: tuple[tuple[Case, Case], ...]  # alone, and in windows as configured
     curve: tuple[Case, ...]  # other settings, on fewer frames and in one window
     n_frames: int
     settings: tuple[str, ...] = ()  # of all runs
     style_size: int = 512
 
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """All runs, in the order in which they are made."""
+        return (*(case for shot in self.shots for case in shot), *self.curve)
 
-def _whole(resolution: int, style: str, seed: int, alone: Sequence[int]) -> tuple[Case, ...]:
+
+def _shot(
+    resolution: int, style: str, seed: int, n_frames: int, alone: Sequence[int]
+) -> tuple[Case, Case]:
     return (
         Case(resolution, style, seed, ALONE, tuple(alone)),
-        Case(resolution, style, seed, WINDOWS, tuple(range(1, 17))),
+        Case(resolution, style, seed, WINDOWS, tuple(range(1, n_frames + 1))),
     )
 
 
 def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple[Case, ...]:
     window = tuple(range(5, 13))
-    alone = Case(resolution, style, seed, ALONE, _FEW)
-    return (alone, *(Case(resolution, style, seed, way, window) for way in ways))
+    return tuple(Case(resolution, style, seed, way, window) for way in ways)
 
 
-_FEW = (5, 6, 9, 10)  # frames: two steps of one and two of four
+FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
 PLAN = Study(
-    shot=_whole(64, "strokes", 0, range(6, 13)),
-    curve=(
-        *_curve(32, "strokes", 0, ("steadier", "one window", "crisper", "much steadier")),
-        *_curve(64, "strokes", 0, ("one window", "steadier", "crisper", "much steadier")),
-        *_curve(64, "waves", 0, ("one window", "steadier")),
-        *_curve(64, "petals", 0, ("one window", "steadier")),
-        *_curve(64, "strokes", 1, ("one window", "steadier")),
-        *_curve(96, "strokes", 0, ("one window", "steadier")),
+    shots=(
+        _shot(64, "strokes", 0, 24, (*FEW, 18, 19)),
+        _shot(96, "strokes", 0, 16, FEW),
+        _shot(64, "waves", 0, 16, FEW),
+        _shot(64, "strokes", 1, 16, FEW),
+        _shot(64, "petals", 0, 16, FEW),
     ),
+    curve=_curve(64, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
     n_frames=24,
+    settings=("optimize.error_budget=false",),
 )
 QUICK = Study(
-    shot=(
-        Case(24, "strokes", 0, ALONE, (1, 2, 3, 4, 5, 6)),
-        Case(24, "strokes", 0, WINDOWS, (1, 2, 3, 4, 5, 6)),
+    shots=(
+        (
+            Case(24, "strokes", 0, ALONE, (1, 2, 3, 4, 5, 6)),
+            Case(24, "strokes", 0, WINDOWS, (1, 2, 3, 4, 5, 6)),
+        ),
     ),
     curve=(Case(24, "strokes", 0, "steadier", (2, 3, 4)),),
     n_frames=6,
@@ -157,7 +165,7 @@ def keep_runs(study: Study, folder: Path, most: int | None = None) -> dict[Case,
     """
     folder.mkdir(parents=True, exist_ok=True)
     found, left = {}, most
-    for case in (*study.shot, *study.curve):
+    for case in study.cases:
         settings = [*study.settings, f"optimize.seed={case.seed}", *WAYS[case.way]]
         if case.way not in (ALONE, WINDOWS):
             settings += [f"windows.size={len(case.codes)}"]

@@ -77,13 +77,13 @@ def test_a_run_is_kept_and_used_again_with_the_same_settings_only(
         return kept
 
     monkeypatch.setattr(coherence_study, "_measure", measure)
-    study = Study((case,), (), 2)
+    study = Study((), (case,), 2)
     first, again = (keep_runs(study, tmp_path)[case] for _ in range(2))
     assert again.mean_distance("grey", [1, 2]) == first.mean_distance("grey", [1, 2]) == 2.5
     assert again.own == first.own
     assert again.mean_error("colour", 1) == 0.25 and np.isnan(again.mean_error("colour", 4))
     assert asked == [["optimize.seed=3"]]
-    other = Study((case,), (), 2, ("views.pool=2",))
+    other = Study((), (case,), 2, ("views.pool=2",))
     assert keep_runs(other, tmp_path, 0) == {} and len(asked) == 1
     assert list(keep_runs(other, tmp_path, 1)) == [case] and len(asked) == 2
 
