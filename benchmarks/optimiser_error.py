@@ -83,7 +83,7 @@ def measure_step(
     planned = [max(1, round(share * n)) for n in getattr(config, step).iterations]
     found, ends = _run(frame, style, _tolerant(config, tolerance), step, planned)
     done = tuple(end.iteration + 1 for end in ends)
-    figures = tail_figures(ends, config.views.pool, config.views.count)
+    figures = tail_figures(step, ends, config.views.pool, config.views.count)
     longer = [LONGER * n for n in done]
     far, _ = _run(frame, style, _tolerant(config, 0.0), step, longer)
     near_loss, far_loss = (_judge(frame, style, config, step, it) for it in (found, far))

@@ -1,8 +1,11 @@
 """Estimated errors against true ones, on problems where these are known."""
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from usdsmoke.core.fields.richardson import step_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.sequence import picture_errors
+from usdsmoke.core.sequence.error_estimates import USUALLY_LEFT
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
@@ -215,6 +219,10 @@ def test_transport_of_little_smoke_has_a_finite_estimate(shape: tuple[int, int, 
     assert 0 <= warp_error(values, u, warp(values, u, scheme="cubic").clamp_min(0), "cubic") < 5
 
 
+USUAL = USUALLY_LEFT["colour"]
+STEP_LOSSES = Path(__file__).with_name("step_losses.json")
+
+
 def bowl(conditioning: float, noise: float) -> tuple[Tensor, Callable[[int], Tensor]]:
     """200 unknowns from chance, and 10 + half their weighted squares, with noise on the 10."""
     generator = torch.Generator().manual_seed(1)
@@ -238,19 +246,29 @@ def test_what_a_bowl_s_loss_still_has_to_fall(
     end = list(minimize(loss, [unknowns], Descent(rate, n)))[-1]
     weights = torch.logspace(0, -math.log10(conditioning), 200, dtype=torch.float64)
     left = float(0.5 * (weights * unknowns.detach() ** 2).sum())
-    assert agree(remaining_decrease(end.losses, end.rates), left)
+    assert agree(remaining_decrease(end.losses, end.rates, USUAL), left)
+
+
+@pytest.mark.parametrize("run", json.loads(STEP_LOSSES.read_text()), ids=lambda run: run["smoke"])
+def test_what_steps_still_have_to_fall_is_told_within_a_factor_of_2(run: dict[str, Any]) -> None:
+    """Recorded runs, and their ends and those of runs four times as long, each over a passage."""
+    rates = run["rate"] * np.array(run["shares"])
+    told = remaining_decrease(run["losses"], list(rates), USUALLY_LEFT[run["step"]])
+    assert 0.5 < told / (run["end"] - run["far_end"]) < 2
 
 
 def test_a_bowl_whose_bottom_is_reached_has_nothing_left() -> None:
     unknowns, loss = bowl(3.0, 0.0)
     end = list(minimize(loss, [unknowns], Descent(0.05, 300)))[-1]
-    assert remaining_decrease(end.losses, end.rates) < 1e-3 * (end.losses[0] - end.losses[-1])
+    assert remaining_decrease(end.losses, end.rates, USUAL) < 1e-3 * (
+        end.losses[0] - end.losses[-1]
+    )
 
 
 def test_few_losses_or_some_that_are_not_finite_tell_nothing() -> None:
-    assert math.isnan(remaining_decrease([1.0] * 29, [1.0] * 29))
-    assert math.isnan(remaining_decrease([1.0] * 29 + [math.inf], [1.0] * 30))
-    assert remaining_decrease([1.0] * 30, [1.0] * 30) < 1e-9
+    assert math.isnan(remaining_decrease([1.0] * 29, [1.0] * 29, USUAL))
+    assert math.isnan(remaining_decrease([1.0] * 29 + [math.inf], [1.0] * 30, USUAL))
+    assert remaining_decrease([1.0] * 30, [1.0] * 30, USUAL) < 1e-9
 
 
 @pytest.mark.parametrize(("pool", "count"), [(16, 1), (12, 1), (16, 4)])

@@ -147,7 +147,7 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         problem = frame.problem(frame.source)
         steadiness = 0.0 if before is None else config.windows.steadiness
         unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share, steadiness)
-        report = replace(report, shape=_step_report(ends, frame, started))
+        report = replace(report, shape=_report("shape", ends, frame, started))
     kept = Carried(frame.time_code, unclamped)
     return advance(
         frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report, is_cold=is_cold
@@ -220,7 +220,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         is_warm = paint is not None or context.generator is not None
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         report = replace(report, light=light_report(problem, painted, colours))
-        report = replace(report, colour=_step_report(ends, frame, started))
+        report = replace(report, colour=_report("colour", ends, frame, started))
     kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
@@ -385,7 +385,7 @@ def _iterations(step: str, frame: OpenedFrame, is_warm: bool) -> list[int]:
     return [0 if number < n_done else n for number, n in enumerate(iterations)]
 
 
-def _step_report(ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:
+def _report(step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:
     """How the octaves of a step ended."""
     views = frame.config.views
     pool = pool_size(views, frame.source.thin_axis is not None)
@@ -396,5 +396,5 @@ def _step_report(ends: Sequence[Minimum], frame: OpenedFrame, started: float) ->
         rollbacks=sum(end.rollbacks for end in ends),
         restored=sum(end.restored for end in ends),
         ended=tuple(end.reason for end in ends),
-        **tail_figures(ends, pool, views.count),
+        **tail_figures(step, ends, pool, views.count),
     )

@@ -5,7 +5,6 @@ Plain numbers, no tensors: a few milliseconds for hundreds of iterations.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,27 +13,30 @@ LONGER = 4.0  # times as long: the run that a loss is compared with
 _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole way
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
 _BOWL = 0.03  # weight of an exponential beside a tail of the other kind
-_ALIKE = 4  # iterations that count as one: the same views come again
-_LEAST = 1e-3  # of the largest prediction; what a mean of logarithms takes for 0
+_GAINS, _N_GAINS = (1e-5, 1.0), 60  # of the loss: what is looked for
+_SPREAD = 0.7  # of the logarithm of what other runs had left
+_MOST_USUAL = 0.5  # of the loss
 _SHORTEST = 8  # iterations that separate a spread from a slope
 
 
-def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float:
+def remaining_decrease(losses: Sequence[float], rates: Sequence[float], usual: float) -> float:
     """By how much a run with four times as many iterations would end lower, in the loss's unit.
 
-    Tails L + A / (1 + s / a) and L + A exp(-s / T) with A >= 0 are fitted by least squares to all
-    but the first quarter of the history for several a and T, and followed to four times the length.
-    Here s is the length of all steps so far: the optimiser's rate r falls towards the end, and
-    counted in iterations any loss would seem to converge.
+    The tails L + B r + A / (1 + s / a) and L + B r + A exp(-s / T) with B >= 0 are fitted by least
+    squares to all but the first quarter of the history, for several a, T and A > 0. s is the length
+    of all steps so far. B r is what the optimiser's rate r keeps the loss from its floor: it goes
+    as the rate falls, in a longer run as well, so nothing of it is left.
 
-    Style losses fall like the first kind, a quadratic bowl like the second. What they predict is
-    averaged, in logarithms, with the weights w exp(-(S - S_least) / 2 v), S the sum of squares,
-    v = 8 S_least / (n - 3), w = 1 for the first kind and 0.03 for the second: a clean history is
-    taken at its word, and a noisy one gets the mean of all tails that it allows, never 0.
+    What the tails predict is averaged, in logarithms. A tail's weight is w p exp(-(S - S_least) /
+    2 v), with S the sum of squares and v = S_least / (n - 4). Style losses fall like the first
+    kind, with w = 1, a quadratic bowl like the second, with w = 0.03. p is what other runs had
+    left: a logarithmic normal distribution around ``usual`` / s of the loss, at most a half. So a
+    clean history is taken at its word, and one that scatters more than it falls is told as usual.
 
     Args:
         losses: one an iteration, in order.
         rates: the step that followed each, > 0.
+        usual: share of the loss that other runs had left where their rates add up to 1.
 
     Returns:
         >= 0; NaN with fewer than ``FEWEST`` numbers, or with one that is not finite.
@@ -43,25 +45,43 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float]) -> float
     if len(values) < FEWEST or not np.isfinite(values).all():
         return math.nan
     first, whole = len(values) // 4, ways[-1]
-    ways = np.concatenate([[0.0], ways[:-1]])  # before each of the losses
-    here, tail = ways[first:] / whole, values[first:]
-    left = 1 - here[0]
+    tail = values[first:]
+    if not np.ptp(tail) > 1e-12 * np.abs(tail).max():
+        return 0.0
+    here = np.concatenate([[0.0], ways[:-1]])[first:] / whole  # before each of the losses
+    rate = np.asarray(rates, float)[first:] / max(rates)
+    gains = np.geomspace(*_GAINS, _N_GAINS) * tail.mean()
+    squares = np.stack([_squares(shape, gain, gains, rate, tail) for shape, gain in _tails(here)])
+    least = float(squares.min())
+    variance = max(least / max(len(tail) - 4, 1), (1e-12 * float(np.abs(tail).max())) ** 2)
+    kinds = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
+    middle = min(usual / whole, _MOST_USUAL) * tail.mean()
+    odds = -0.5 * (np.log(gains / middle) / _SPREAD) ** 2 + np.log(kinds)[:, None]
+    odds -= (squares - least) / (2 * variance)
+    weights = np.exp(odds - odds.max())
+    return float(np.exp((weights * np.log(gains)).sum() / weights.sum()))
+
+
+def _tails(here: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Shapes of tails at ways, and how far each falls from here to ``LONGER`` times the way."""
     shapes = [(1 / (1 + here / a), 1 / (1 + 1 / a) - 1 / (1 + LONGER / a)) for a in _HALVINGS]
     for decay in _DECAYS:
-        t = decay * left
+        t = decay * (1 - here[0])
         shapes.append((np.exp((1 - here) / t), -math.expm1((1 - LONGER) / t)))
-    fits = [_fit(shape, tail) for shape, _ in shapes]
-    least = min(fit.squares for fit in fits)
-    variance = max(least / max(len(tail) - 3, 1), (1e-12 * float(np.abs(tail).max())) ** 2)
-    variance *= _ALIKE
-    if variance == 0:
-        return 0.0
-    pairs = list(zip(shapes, fits, strict=True))
-    falls = np.array([gain * fit.height(variance / _ALIKE) for (_, gain), fit in pairs])
-    weights = np.repeat([1.0, _BOWL], [len(_HALVINGS), len(_DECAYS)])
-    weights *= [math.exp((least - fit.squares) / (2 * variance)) for fit in fits]
-    logarithms = np.log(np.maximum(falls, _LEAST * falls.max()))
-    return float(np.exp(weights @ logarithms / weights.sum()))
+    return shapes
+
+
+def _squares(
+    shape: np.ndarray, gain: float, gains: np.ndarray, rate: np.ndarray, tail: np.ndarray
+) -> np.ndarray:
+    """Sums of the squares that tails of one shape leave, with the best L and B, by their gain."""
+    shape, rate, tail = (values - values.mean() for values in (shape, rate, tail))
+    rest = tail - (gains / gain)[:, None] * shape
+    weight = float(rate @ rate)
+    if weight > 0:
+        rest = rest - np.maximum(rest @ rate / weight, 0.0)[:, None] * rate
+    found: np.ndarray = np.square(rest).sum(axis=1)
+    return found
 
 
 def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
@@ -87,37 +107,6 @@ def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
     # an iteration's mean over `count` views varies sqrt(count) times less than a view
     deviation = _detrended(passage) * math.sqrt(min(count, pool))
     return deviation / math.sqrt(views) / abs(float(passage.mean()))
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Of the tail L + A shape."""
-
-    factor: float  # A, of either sign
-    weight: float  # sum of the squares of the shape around its mean
-    squares: float  # sum of squares that is left with A >= 0
-    most: float  # of A: no style loss falls below 0
-
-    def height(self, variance: float) -> float:
-        """Mean of A, known to be >= 0, if the losses scatter so: small, not 0, where they rise."""
-        spread = math.sqrt(variance / self.weight)
-        z = self.factor / spread
-        below = math.erfc(-z / math.sqrt(2)) / 2
-        if below > 1e-200:
-            mean = self.factor + spread * math.exp(-z * z / 2) / math.sqrt(2 * math.pi) / below
-        else:
-            mean = -spread / z
-        return min(mean, self.most)
-
-
-def _fit(shape: np.ndarray, tail: np.ndarray) -> _Fit:
-    """By least squares."""
-    centred, around = shape - shape.mean(), tail - tail.mean()
-    weight = float(centred @ centred)
-    factor = float(centred @ around) / weight
-    squares = float(((around - max(factor, 0.0) * centred) ** 2).sum())
-    most = float(tail.mean() / shape.mean()) if tail.mean() > 0 else math.inf
-    return _Fit(factor, weight, squares, most)
 
 
 def _detrended(values: np.ndarray) -> float:
