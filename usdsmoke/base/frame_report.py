@@ -172,9 +172,9 @@ class FrameReport(JsonRecord):
     left_out: str = ""  # why nothing is done; "" for a frame that is stylized
     sight: SightReport | None = None  # None without a camera
     extinction: float = 0.0  # 1/stage unit per density
-    # Optical depth of thick columns in the pictures of the last step; None where it is not measured
-    # or the extinction is set.
+    # Optical depth of thick columns in the pictures of the last step; None: not measured.
     depth: float | None = None
+    gamma_is_set: bool = False  # for the last step; else the smoke has chosen the extinction
     depth_by_side: tuple[float, float] | None = None  # least and most over the views, about
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step

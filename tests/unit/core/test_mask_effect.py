@@ -236,3 +236,15 @@ def test_the_extinction_is_the_whole_smoke_s_and_not_the_mask_s():
     frames = [FRAME, masked(half_mask())]
     scenes = [scene_of([frame], quick_config(), "Y") for frame in frames]
     assert scenes[0] == scenes[1]
+
+
+def test_a_mask_that_slides_over_resting_smoke_is_no_flicker():
+    """Only smoke that both masks select is compared, in displacement as in colour."""
+    density, frames = puff(20), []
+    for number in range(3):
+        mask = np.zeros_like(density)
+        mask[4 + 3 * number : 10 + 3 * number] = 1
+        frames.append(masked(mask, frame_of(density, 1.0 + number)))
+    config = quick_config(shape={"iterations": [8], "reach": 0.05}, colour={"iterations": [8]})
+    _, *later = run_core(frames, config)
+    assert all(0 < result.report.temporal.displacement < 0.6 for result in later)

@@ -252,6 +252,28 @@ def test_a_frame_far_from_the_depth_that_is_asked_for_is_named(
     assert all(finding.place.endswith(".0002.vdb") for finding in found)
 
 
+@pytest.mark.parametrize("settings", [[], ["optics.frames=1"]])
+def test_a_frame_that_chose_the_extinction_itself_is_given_another_depth(
+    settings: list[str], tmp_path: Path
+) -> None:
+    reports = [replace(GOOD, depth=600.0)] * (1 + len(settings))
+    finding, *_ = budget_of(tmp_path, reports, settings=settings).findings
+    assert finding.setting == "optics.depth" and "optics.depth=1.5 " in finding.remedy
+    set_by_hand = replace(GOOD, depth=600.0, gamma_is_set=True)
+    assert budget_of(tmp_path / "set", [set_by_hand], settings=settings).findings == ()
+
+
+@pytest.mark.parametrize(("depth", "wanted"), [(30.0, "grids.refine"), (600.0, "optics.gamma")])
+def test_pictures_of_smoke_that_is_too_opaque_are_not_mended_by_finer_voxels(
+    depth: float, wanted: str
+) -> None:
+    report = replace(
+        GOOD, depth=depth, gamma_is_set=True, errors=FrameErrors(resolution=Estimate(0.8))
+    )
+    (finding,) = find_frame("a.vdb", report, Config())
+    assert finding.setting == wanted and wanted in finding.remedy
+
+
 @pytest.mark.parametrize(("light", "named"), [(1.0, 0), (1e6, 1), (1e-6, 1)])
 def test_light_that_leaves_no_albedo_or_no_emission_is_named(
     light: float, named: int, tmp_path: Path

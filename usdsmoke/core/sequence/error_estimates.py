@@ -78,34 +78,34 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
 def thick_depth(frame: PaintedFrame) -> float | None:
     """Optical depth of the frame's thick columns in the pictures of the last step.
 
-    Thick is the default of ``optics.percentile``, also if it is set. None where the extinction is
-    set, and for a frame that is left out. Also without ``optimize.error_budget``: 12 ms for a
-    million voxels.
+    Thick is the default of ``optics.percentile``, also if it is set. None for a frame that is left
+    out. Also without ``optimize.error_budget``: 60 ms for a million voxels.
     """
+    scene, views = frame.scene, frame.config.views
+    if not frame.in_effect or len(frame.smoke.ijk) == 0:
+        return None
+    gamma_w = scene.gamma_w_shape if frame.paint is None else scene.gamma_w
+    return gamma_w * thick_column(frame.smoke, views, scene, OpticsConfig().percentile)
+
+
+def gamma_is_set(frame: PaintedFrame) -> bool:
+    """Whether the last step's extinction is set; else the smoke has chosen it."""
     optics = frame.config.optics
-    gamma, gamma_w = optics.gamma, frame.scene.gamma_w
-    if frame.paint is None:
-        gamma, gamma_w = optics.gamma_shape, frame.scene.gamma_w_shape
-    if not frame.in_effect or gamma is not None:
-        return None
-    if len(frame.smoke.ijk) == 0:
-        return None
-    percentile = OpticsConfig().percentile
-    return gamma_w * thick_column(frame.smoke, frame.config.views, frame.scene, percentile)
+    return (optics.gamma_shape if frame.paint is None else optics.gamma) is not None
 
 
 def depth_by_side(frame: PaintedFrame, depth: float | None) -> tuple[float, float] | None:
     """Least and most of ``thick_depth`` over the directions of the views, about.
 
     The smoke is taken for an ellipsoid with its spread, whose chord through the middle is
-    (d S^-1 d)^(-1/2) along d, with the covariance S. None where ``thick_depth`` is, for a slab, and
-    with a camera.
+    (d S^-1 d)^(-1/2) along d, with the covariance S. None where ``thick_depth`` is, for a slab,
+    with a camera, and where the extinction is set.
 
     Args:
         depth: ``thick_depth`` of the frame.
     """
     views, up_axis = frame.config.views, frame.scene.up_axis
-    if depth is None or views.camera or frame.smoke.thin_axis is not None:
+    if depth is None or views.camera or gamma_is_set(frame) or frame.smoke.thin_axis is not None:
         return None
     voxels = frame.smoke.voxels.main_part()
     spread = np.cov(voxels.positions.T, aweights=bounded(voxels).density, ddof=0)

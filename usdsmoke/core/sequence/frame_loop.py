@@ -8,7 +8,7 @@ frame does not change how frames follow each other.
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import starmap
@@ -36,6 +36,7 @@ from usdsmoke.core.sequence.frame_state import (
     WindowContext,
     advance,
     open_frame,
+    selected,
 )
 from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
@@ -204,8 +205,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     """The frame with its colours."""
     started = time.perf_counter()
     before, report, is_cold = _connected(context, frame, before)
-    share = None if frame.mask is None else frame.mask.at(frame.smoke.positions)
-    painted = frame.smoke if share is None else frame.smoke.take(share > 0)
+    painted = selected(frame.smoke, frame.mask)
     if (known := context.known_of(frame)) is not None:
         colours = known.colours
     else:
@@ -301,14 +301,14 @@ def _temporal_errors(
     transit = None
     if before is not None and not frame.is_cold:
         transit = context.transit(before, frame)
-    moved: Mapping[int, float] = {}
-    coloured: Mapping[int, float] = {}
+    moved, coloured = dict[int, float](), dict[int, float]()
     if frame.displacement is not None:
-        values = frame.displacement.at(frame.source.positions)
+        source = selected(frame.source, frame.mask)
+        values = frame.displacement.at(source.positions)
         along = frame.displacement.lattice.from_stage(values)  # which turn with the Volume
-        moved = moves.compare(frame.source, along, transit)
+        moved = dict(moves.compare(source, along, transit))
     if frame.paint is not None:
-        coloured = colours.compare(*frame.paint, transit)
+        coloured = dict(colours.compare(*frame.paint, transit))
     else:
         colours.restart()
     return TemporalErrors.of(moved, coloured)

@@ -312,6 +312,11 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     )  # fmt: skip
 
 
+def selected(smoke: ActiveSmoke, mask: EffectMask | None) -> ActiveSmoke:
+    """The voxels that a mask selects, at least in part; all without one."""
+    return smoke if mask is None else smoke.take(mask.at(smoke.positions) > 0)
+
+
 def _density_warnings(density: DenseField, source: ActiveSmoke) -> tuple[str, ...]:
     """What of a density does not count as smoke."""
     values, found = density.values, list[str]()

@@ -12,7 +12,12 @@ from usdsmoke.base.naming import EMISSION, SCATTERING
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
-from usdsmoke.core.sequence.error_estimates import depth_by_side, frame_errors, thick_depth
+from usdsmoke.core.sequence.error_estimates import (
+    depth_by_side,
+    frame_errors,
+    gamma_is_set,
+    thick_depth,
+)
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
 from usdsmoke.core.sequence.start import Carried, CoarseStart
@@ -113,9 +118,11 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         extinction = frame.scene.gamma_w * strength * frame.painted.density
         for field in painted:
             _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
-    errors, depth = frame_errors(frame), thick_depth(frame)
-    by_side = depth_by_side(frame, depth)
-    report = replace(frame.report, errors=errors, depth=depth, depth_by_side=by_side)
+    depth = thick_depth(frame)
+    report = replace(
+        frame.report, errors=frame_errors(frame), depth=depth, gamma_is_set=gamma_is_set(frame),
+        depth_by_side=depth_by_side(frame, depth),
+    )  # fmt: skip
     return StylizedFrame(
         frame.time_code, frame.density, painted, report, frame.moved_by, frame.checkpoint
     )  # fmt: skip

@@ -9,12 +9,14 @@ from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
-from usdsmoke.runs.budget.light_findings import find_depth, find_light, find_scene
+from usdsmoke.runs.budget.light_findings import DEEPEST, find_depth, find_light, find_scene
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
     MASS,
     MOTIONLESS,
+    QUADRATURE,
+    RESOLUTION,
     ROWS,
     SHAPE_OPTIMISER,
     ErrorRow,
@@ -55,8 +57,9 @@ def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
         for frame, report in zip(volume.plan.frames, volume.reports, strict=True)
         if report is not None
     }
+    alone = len(volume.plan.frames) == 1
     for name in reports:
-        yield from find_written(name, reports, before.get(name), volume.plan.config)
+        yield from find_written(name, reports, before.get(name), volume.plan.config, alone)
 
 
 def _find_idle(volume: PlannedVolume) -> Iterator[Finding]:
@@ -81,7 +84,11 @@ def frames_before(plan: VolumePlan) -> dict[str, str]:
 
 
 def find_written(
-    name: str, reports: Mapping[str, FrameReport], before: str | None, config: Config
+    name: str,
+    reports: Mapping[str, FrameReport],
+    before: str | None,
+    config: Config,
+    is_alone: bool = False,
 ) -> Iterator[Finding]:
     """What a frame tells by itself, and beside the frame before.
 
@@ -90,12 +97,13 @@ def find_written(
         reports: by file name, its own and that of the frame before, if there is one already.
         before: file name of the frame before; None for none.
         config: of the Volume.
+        is_alone: there is no other frame.
     """
-    report = reports[name]
+    report, optics = reports[name], config.optics
     if report.left_out:
         return
     yield from find_frame(name, report, config)
-    yield from find_depth(name, report, config.optics)
+    yield from find_depth(name, report, optics, is_alone or bool(optics.frames))
     earlier = reports.get(before) if before else None
     if before and earlier is not None and not earlier.left_out:
         yield from _find_pair((before, earlier), (name, report))
@@ -130,12 +138,17 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
                 name,
                 row.name,
                 f"{row.name} is {abs(figure.value):.1%} of {row.relative_to}, above {row.most:.0%}",
-                *_advice(row, config),
+                *_advice(row, config, report),
             )
 
 
-def _advice(row: ErrorRow, config: Config) -> tuple[str, str]:
+def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, str]:
     """Remedy and setting; of those that cost accuracy in storage, the ones that are set."""
+    if row in (QUADRATURE, RESOLUTION) and (report.depth or 0.0) > DEEPEST:
+        name = "shape" if report.colour is None else ""
+        name = f"{'gamma' if report.gamma_is_set else 'depth'}{name and '_' + name}"
+        remedy = f"Set a smaller optics.{name}: a voxel of this smoke hides all that is behind it"
+        return remedy, f"optics.{name}"
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
         return f"Unset {' and '.join(changed)}", changed[0]
     if row is COLOUR_OPTIMISER and _has_high_rate(config):

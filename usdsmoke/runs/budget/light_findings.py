@@ -108,9 +108,18 @@ def _depths(volume: PlannedVolume, scene: Mapping[str, Any]) -> dict[str, float]
     }
 
 
-def find_depth(name: str, report: FrameReport, optics: OpticsConfig) -> Iterator[Finding]:
-    """Whether the extinction that the shot's smoke chose suits a frame's."""
-    if report.depth is None:
+def find_depth(
+    name: str, report: FrameReport, optics: OpticsConfig, is_measured: bool = False
+) -> Iterator[Finding]:
+    """Whether the extinction that the shot's smoke chose suits a frame's.
+
+    Args:
+        name: of the frame's file.
+        report: of a frame that is stylized.
+        optics: of the Volume.
+        is_measured: the frame is known to be one of those that chose the extinction.
+    """
+    if report.depth is None or report.gamma_is_set:
         return
     if report.depth_by_side is not None:
         yield from _find_sides(name, *report.depth_by_side)
@@ -122,6 +131,9 @@ def find_depth(name: str, report: FrameReport, optics: OpticsConfig) -> Iterator
     what = "a picture of it is its front alone" if is_deep else "it hardly shows in a picture"
     if optics.percentile != OpticsConfig().percentile:
         remedy, setting = "Unset optics.percentile", "optics.percentile"
+    elif is_measured:  # its columns differ: some are much denser, or it was moved
+        better = wanted * wanted / report.depth
+        remedy, setting = f"Set optics.{asked}={better:.2g} for {wanted:g} there", f"optics.{asked}"
     else:
         amount = "dense" if is_deep else "thin"
         remedy, setting = f"Set optics.frames to frames as {amount} as this one", "optics.frames"

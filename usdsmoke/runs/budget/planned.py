@@ -156,6 +156,8 @@ def _unusual_ways(volumes: Sequence[VolumePlan]) -> list[str]:
     }
     if moving and speeds != {1.0}:
         texts.append("compared at windows.pattern_speed times the smoke's velocity")
+    if any(config.stage.mask or config.views.camera for config, _ in pairs):
+        texts.append("where mask and camera select smoke in both frames")
     if any(volume.overlap_frames for volume in volumes):
         texts.append("in overlaps, each window is measured separately")
     return texts

@@ -193,8 +193,9 @@ def _temporal(kind: str, step: str, setting: str, n: int) -> ErrorRow:
         why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_chain(n),
         without=f"no chain of {n + 1} frames, or no {step} step",
         temporal=(field, step) if n == 1 else None,
-        most=1.2,  # noise drawn anew: 1
-        advice=f"change {setting}, or look at the sequence",
+        most=0.8,  # a pattern drawn anew: 1
+        advice=f"look at the sequence; if it flickers, check that the smoke has the right "
+        f"velocity, or change {setting}",
         setting=setting,
     )
 

@@ -37,4 +37,5 @@ class WindowFindings:
             name: of the frame's file.
         """
         self._reports[name] = report
-        return find_written(name, self._reports, self._before.get(name), self._volume.plan.config)
+        plan, before = self._volume.plan, self._before.get(name)
+        return find_written(name, self._reports, before, plan.config, len(plan.frames) == 1)
