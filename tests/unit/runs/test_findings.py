@@ -122,6 +122,12 @@ SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
             ["grids.prune=0.5"],
         ),
         ({}, "optimiser, shape", ["shape.reach=1e-05"]),
+        (FAST, "optimiser, colour", ["optimize.iterations=30"]),
+        (
+            {"colour": StepReport(loss=(1.5,), remaining=1.2)},
+            "optimiser, colour",
+            ["optimize.iterations=30"],
+        ),
         (SLOW, "optimiser, colour", ["colour.learning_rate=0.001"]),
         (FAST, "optimiser, colour", ["colour.learning_rate=1000.0"]),
         (FAST, "optimiser, colour", ["losses.nearest=1000000.0"]),
@@ -139,6 +145,7 @@ def test_the_setting_that_is_named_is_the_one_that_was_changed(
     [
         ("the mask is 0 wherever there is smoke", [], ["stage.mask"]),
         ("outside the camera's frustum", [], ["views.camera"]),
+        ("outside the camera's clipping planes (10 and 100)", [], ["views.camera"]),
         ("empty frame", [], [""]),
         ("losses.style is 0", ["losses.style=0"], []),
         ("strength 0", ["optimize.strength=0"], []),

@@ -106,7 +106,7 @@ def find_written(
     yield from find_depth(name, report, optics, is_alone or bool(optics.frames))
     earlier = reports.get(before) if before else None
     if before and earlier is not None and not earlier.left_out:
-        yield from _find_pair((before, earlier), (name, report))
+        yield from _find_pair((before, earlier), (name, report), config)
 
 
 def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
@@ -153,6 +153,9 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
         return f"Unset {' and '.join(changed)}", changed[0]
     if row is COLOUR_OPTIMISER and _has_high_rate(config):
         return "Use the default of colour.learning_rate", "colour.learning_rate"
+    if row in (SHAPE_OPTIMISER, COLOUR_OPTIMISER):
+        setting = _length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
+        return f"Set more {setting}", setting
     return _sentence(row.advice), row.setting
 
 
@@ -231,6 +234,11 @@ def _find_way(name: str, report: FrameReport, config: Config) -> Iterator[Findin
         yield _small_reach(name, config.shape.reach)
 
 
+def _length_of(step: str, config: Config) -> str:
+    """The setting that makes a step longer."""
+    return f"{step if config.optimize.iterations is None else 'optimize'}.iterations"
+
+
 def _has_low_rate(step: str, config: Config) -> bool:
     """Whether the learning rate of a step is below its default."""
     rate: float = getattr(config, step).learning_rate
@@ -268,9 +276,8 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
-    setting, remedy = "colour.iterations", "raise colour.iterations"
-    if config.optimize.iterations is not None:
-        remedy += ", or optimize.iterations"
+    setting = _length_of("colour", config)
+    remedy = f"raise {setting}"
     usual = Config().losses
     if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
@@ -298,7 +305,7 @@ def _small_reach(name: str, reach: float) -> Finding:
 
 
 def _find_pair(
-    before: tuple[str, FrameReport], frame: tuple[str, FrameReport]
+    before: tuple[str, FrameReport], frame: tuple[str, FrameReport], config: Config
 ) -> Iterator[Finding]:
     """What two neighbouring frames tell: which of both ends much worse."""
     sides = [before, frame]
@@ -306,14 +313,15 @@ def _find_pair(
         ends = [_end(report, step) for _, report in sides]
         for mine, theirs in ((0, 1), (1, 0)):
             if ends[theirs] > 0 and ends[mine] > UNLIKE * ends[theirs]:
+                setting = _length_of(step, config)
                 yield Finding(
                     sides[mine][0],
                     _OPTIMISERS[step],
                     f"the {step} step ends at {ends[mine] / ends[theirs]:.1f} times the loss of "
                     f"{sides[theirs][0]}",
                     "Look at both frames. If they are unlike, cut the shot between them; else set "
-                    f"more {step}.iterations",
-                    f"{step}.iterations",
+                    f"more {setting}",
+                    setting,
                 )
 
 
