@@ -91,7 +91,7 @@ def test_one_voxel_far_away_moves_no_smoke_out_of_its_place():
     assert transport.folded < 0.005 and transport.unread < 0.01
 
 
-REMAINS = {"crumbs": (120, 0.02), "a wisp": (64, 0.05), "few voxels": (2, 0.5)}
+REMAINS = {"crumbs": (120, 0.02), "a wisp": (64, 0.05), "few voxels": (2, 0.5), "much": (20, 0.3)}
 
 
 @cache

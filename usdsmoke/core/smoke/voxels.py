@@ -10,8 +10,8 @@ from usdsmoke.base.volume import DenseField
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
 
 
-OUTER = 0.03  # of the smoke, at both ends of an axis: what may lie far from the rest
-MOST_LENGTH = 2.0  # times the length of what lies between: a real plume has 1.8, puffs 1.2 to 2
+OUTER = 0.05  # of the smoke, at both ends of an axis: what may lie far from the rest
+MOST_LENGTH = 2.5  # times the length of what lies between: a real plume has 2, puffs 1.2 to 2.3
 CORE = 0.9  # rank of the voxels above which a denser one weighs no more
 
 
@@ -113,9 +113,9 @@ class Voxels(Placed):
     def main_part(self) -> "Voxels":
         """The smoke without remains that lie far from the rest; itself where there are none.
 
-        Along each axis the smoke without 3 % at both ends has a length, and voxels up to half of
-        that beyond it belong to the main part. The densest tenth of the voxels weighs no more than
-        the thinnest of these: a dense core does not make its surroundings remains.
+        Along each axis the smoke without 5 % at both ends has a length, and voxels up to three
+        quarters of that beyond it belong to the main part. The densest tenth of the voxels weighs
+        no more than the thinnest of these: a dense core does not make its surroundings remains.
         """
         weights = np.minimum(self.density, np.quantile(self.density, CORE, method="lower"))
         near = np.ones(len(self.ijk), bool)
