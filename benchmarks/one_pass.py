@@ -5,9 +5,10 @@
 For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does, and
 paints a frame that it has not seen, and one of another shot: the real plume, its voxels merged in
 blocks of two, where its file is there. Beside it stand cold starts of the colour step, a start from
-the frame before, and the network with iterations of the finest octave after it. Density is as it is
-in the files. Losses and scores are means over views that no run has, and over the seeds. Everything
-runs on one thread.
+the frame before, and the network with iterations of the finest octave after it. ``--own`` trains
+another network on the real plume itself, a shot of one frame. Density is as it is in the files.
+Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
+thread.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from benchmarks.coherence_runs import simulate_plume
 from benchmarks.control_scenes import paint_styles
 from benchmarks.equal_judge import Judge, read_real_plume
 from benchmarks.long_shot import STEP, fit_line
+from benchmarks.one_pass_pictures import Gallery
 from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
@@ -53,7 +55,7 @@ N_FRAMES = 9  # of the plume; the last one is never trained on
 HELD_OUT = 4  # number of the frame that training is judged by
 N_VIEWS, SEED = 8, 0x0A11  # unseen ones
 COLD = ((15, 15, 15), (30, 30, 30), (120, 120, 120))
-AFTER = (8, 16, 32, 64)
+AFTER = (8, 32, 64)
 WARM = 96  # iterations behind the neighbour's colours, as by default
 MEASURES = ("patch", "colour", "spectrum", "edges")
 FRAMES_PER_SECOND = 24.0
@@ -99,12 +101,12 @@ def measure_frame(
     generator: Generator,
     seeds: Sequence[int],
     ways: Ways = Ways(),
-    score: Callable[[torch.Tensor], tuple[float, ...]] | None = None,
+    score: Callable[[str, torch.Tensor], tuple[float, ...]] | None = None,
 ) -> list[Row]:
     """Noise, cold starts, the neighbour, the network, and the network with iterations.
 
     Args:
-        score: of display-encoded colours [N 3].
+        score: of a way's display-encoded colours [N 3].
     """
     views = problem.config.views.replace(pool=N_VIEWS)
     judged = replace(problem, config=problem.config.replace(views=views))
@@ -126,7 +128,7 @@ def measure_frame(
             spent.append(time.process_time() - begin)
             with torch.no_grad():
                 losses.append(float(judge.loss(found, 0)))
-            scores.append(score(found) if score is not None else ())
+            scores.append(score(way, found) if score is not None else ())
         means = tuple(map(statistics.mean, zip(*scores, strict=True)))
         return Row(way, statistics.mean(losses), statistics.mean(spent), means)
 
@@ -183,7 +185,11 @@ def _fit(
 
 
 def _curves(
-    name: str, frames: Sequence[VolumeFrame], other: VolumeFrame | None, given: argparse.Namespace
+    name: str,
+    frames: Sequence[VolumeFrame],
+    other: VolumeFrame | None,
+    gallery: Gallery,
+    given: argparse.Namespace,
 ) -> Iterator[str]:
     """The lines of the table for a style: an image file, or the name of an example."""
     style = read_style_image(Path(name)).pixels if "." in name else paint_styles([name])[name]
@@ -192,40 +198,52 @@ def _curves(
     yield _line(name, f"training, {trained.n_iterations} iterations", Row("", 0.0, seconds))
     problem = _problem(frames[-1], style, _measure(frames, config), config)
     work = problem, trained.generator, Ways(neighbour=_carried(frames[-2:], style, problem))
-    yield from _rows(f"{name}, example plume", frames[-1], style, work, given)
+    yield from _rows(f"{name}, example plume", (frames[-1], style), work, gallery, given)
     if other is not None:
         own = _config(max(other.density.values.shape))
-        problem = _problem(other, style, _measure([other], own), own)
+        scene = _measure([other], own)
+        problem = _problem(other, style, scene, own)
         work = problem, trained.generator, Ways()
-        yield from _rows(f"{name}, real plume", other, style, work, given)
+        yield from _rows(f"{name}, real plume", (other, style), work, gallery, given)
+        if given.own:
+            trained, seconds = _fit([other], style, (scene, own), given.iterations)
+            where = f"{name}, real plume, own network"
+            what = f"training, {trained.n_iterations} iterations"
+            yield _line(where, what, Row("", 0.0, seconds))
+            work = problem, trained.generator, Ways(cold=())
+            yield from _rows(where, (other, style), work, gallery, given)
     if given.shown and name == Path(given.styles[0]).stem:
         yield from _coherence(name, style, frames, trained.generator, config)
 
 
 def _rows(
     where: str,
-    frame: VolumeFrame,
-    style: np.ndarray,
+    pair: tuple[VolumeFrame, np.ndarray],
     work: tuple[StepProblem, Generator, Ways],
+    gallery: Gallery,
     given: argparse.Namespace,
 ) -> Iterator[str]:
-    problem, generator, ways = work
+    (frame, style), (problem, generator, ways) = pair, work
     scene, config, smoke = problem.scene, problem.config, problem.smoke
     judge = Judge(frame, style, scene, config, "colour", MEASURES)
     place = tuple((smoke.ijk.numpy() - np.asarray(frame.density.ijk_min)).T)
 
-    def score(colours: torch.Tensor) -> tuple[float, ...]:
+    gallery.add_style(where, style)
+
+    def score(way: str, colours: torch.Tensor) -> tuple[float, ...]:
         light = np.zeros((*frame.density.values.shape, 3), np.float32)
         light[place] = decode_srgb(colours) * (scene.gamma_w * smoke.density)[:, None]
         emission = replace(frame.density, name="emission", values=light, background=(0.0,) * 3)
+        if given.picture:
+            gallery.add(where, way, frame.density, emission, scene)
         closures = judge(frame.density, emission).closures
         return tuple(closures[name] for name in MEASURES if name in closures)  # small ones: none
 
     rows = measure_frame(problem, generator, range(given.seeds), ways, score)
-    full = next(row for row in reversed(rows) if row.way.startswith("cold"))
+    full = [row.cpu_s for row in rows if row.way.startswith("cold")]
     where = f"{where}, {len(smoke.ijk):,} voxels"
     for row in rows:
-        yield _line(where, row.way, row, f"{row.cpu_s / full.cpu_s:.3f}")
+        yield _line(where, row.way, row, f"{row.cpu_s / full[-1]:.3f}" if full else "")
 
 
 def _line(where: str, way: str, row: Row, share: str = "") -> str:
@@ -307,6 +325,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--long", type=int, default=0, help="frames of a shot, for drift alone")
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
+    parser.add_argument("--own", action="store_true", help="train on the real plume, too")
+    parser.add_argument("--picture", type=Path, help="draw the results, with one seed")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
     given = parser.parse_args(arguments)
@@ -314,14 +334,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     frames, other = simulate_plume(given.resolution, N_FRAMES), None
     if (given.data / PLUME_FILE).is_file():
         other = read_real_plume(given.data / PLUME_FILE, given.resolution)
-    lines = []
-    made = [partial(_curves, name, frames, other, given) for name in given.styles]
+    lines, gallery = [], Gallery()
+    made = [partial(_curves, name, frames, other, gallery, given) for name in given.styles]
     if given.long:
         made = [partial(_long_shot, given.styles[0], given)]
     for lines_of in made:
         for line in lines_of():
             print(line, file=sys.stderr, flush=True)
             lines.append(line)
+        if given.picture:
+            gallery.save(given.picture)
     columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments
     publish(

@@ -1,7 +1,8 @@
 """Training of a generator on a few frames, by the pictures and losses of the colour step itself.
 
 Each iteration paints one of the frames, or one of the crops of a large one, from new noise, and
-draws it from views of its pool. The parameters that paint a held-out frame best are kept.
+draws it from views of its pool. Kept is a running mean of the parameters, from the iteration where
+it paints a held-out frame best.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ from usdsmoke.core.training.canvas import (
 )
 
 RATE = 3e-3  # of Adam, in units of parameters
+MEAN_SHARE = 0.995  # of the mean of the parameters, that an iteration leaves; fewer at the start
 N_CROPS = 4  # of a frame that is too large
 CHECK_EVERY = 50  # iterations between two looks at the held-out frame
 PATIENCE = 0.4  # share of the iterations without a better look after which training ends
@@ -79,6 +81,7 @@ def train_generator(
     canvases, judging = _canvases(problems), judge(part)
     generator = Generator.new(encode_srgb(held_out.targets.background), seed)
     leaves = [values.requires_grad_() for values in generator.parameters.values()]
+    mean = generator.copy()
 
     def objective(iteration: int) -> Tensor:
         turn, place = divmod(iteration, len(canvases))
@@ -87,22 +90,33 @@ def train_generator(
 
     def look() -> float:
         with torch.no_grad():
-            return float(judging.loss(judging.paint(generator, seed + HELD_OUT), 0))
+            return float(judging.loss(judging.paint(mean, seed + HELD_OUT), 0))
 
-    best, best_at, kept = float("inf"), 0, generator.copy()
+    best, best_at, kept = float("inf"), 0, mean.copy()
     state = None
     for state in minimize(objective, leaves, Descent(RATE, n_iterations)):
         done = state.iteration + 1
+        _add_to_mean(mean, generator, state.iteration)
         if done % CHECK_EVERY == 0 or state.reason:  # the last has a reason
             found = look()
             if found < best:
-                best, best_at, kept = found, done, generator.copy()
+                best, best_at, kept = found, done, mean.copy()
         tell(TrainState(state.iteration, n_iterations, state.smoothed, best))
         if done - best_at > max(PATIENCE * n_iterations, CHECK_EVERY):
             break
     assert state is not None
     n_cold = sum(cold_iterations(part))
     return Trained(kept, best, cold_loss(part, judging), n_cold, state.iteration + 1)
+
+
+def _add_to_mean(mean: Generator, generator: Generator, iteration: int) -> None:
+    """Bring the running mean of the parameters up to an iteration. [Polyak1992]
+
+    Steps follow the views and the noise of their iterations; the mean paints better than any state.
+    """
+    share = min(MEAN_SHARE, (1 + iteration) / (10 + iteration))
+    for name, values in mean.parameters.items():
+        values.lerp_(generator.parameters[name].detach(), 1 - share)
 
 
 def _canvases(problems: Sequence[StepProblem]) -> list[Canvas]:
