@@ -35,9 +35,9 @@ def visible_share(
 
 
 def is_inside(frame: FrameSource, density: FieldSource, grid: GridHeader) -> bool:
-    """Whether a frame's camera stands in a density's box."""
+    """Whether the eye of a frame's camera stands in a density's box; a parallel one has none."""
     points = _box_points(density, grid)
-    if frame.camera is None or points is None:
+    if frame.camera is None or frame.camera.is_orthographic or points is None:
         return False
     corners = points[0]
     axes = corners[[4, 2, 1]] - corners[0]

@@ -279,6 +279,9 @@ def test_pictures_of_smoke_that_is_too_opaque_are_not_mended_by_finer_voxels(
     )
     (finding,) = find_frame("a.vdb", report, Config())
     assert finding.setting == wanted and wanted in finding.remedy
+    low = Config(optics=Config().optics.replace(percentile=5.0))
+    (finding,) = find_frame("a.vdb", replace(report, gamma_is_set=False), low)
+    assert finding.setting == ("grids.refine" if depth < 50 else "optics.percentile")
 
 
 @pytest.mark.parametrize(("light", "named"), [(1.0, 0), (1e6, 1), (1e-6, 1)])

@@ -145,6 +145,8 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
 def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, str]:
     """Remedy and setting; of those that cost accuracy in storage, the ones that are set."""
     if row in (QUADRATURE, RESOLUTION) and (report.depth or 0.0) > DEEPEST:
+        if not report.gamma_is_set and _changed(config, "optics.percentile"):
+            return "Unset optics.percentile", "optics.percentile"
         name = "shape" if report.colour is None else ""
         name = f"{'gamma' if report.gamma_is_set else 'depth'}{name and '_' + name}"
         remedy = f"Set a smaller optics.{name}: a voxel of this smoke hides all that is behind it"

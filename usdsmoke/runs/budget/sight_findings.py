@@ -24,10 +24,11 @@ def find_sight(name: str, report: FrameReport) -> Iterator[Finding]:
         yield Finding(
             name,
             RESOLUTION.name,
-            f"the camera is inside the smoke or touches it: {sight.close:.0%} of its picture shows "
-            "voxels so close that strokes do not fit into them",
-            "Move the camera out of the smoke, let its near clipping plane (clippingRange) cut "
-            "this smoke off, or set a lower optics.gamma",
+            f"{sight.close:.0%} of the camera's picture shows voxels that are wider than an eighth "
+            "of it, so strokes do not fit: the camera is inside the smoke, touches it, or shows "
+            "very little of it",
+            "Move the camera, let its near clipping plane (clippingRange) cut this smoke off, or "
+            "set a lower optics.gamma",
         )
     if sight.clipped > CLIPPED:
         yield Finding(
