@@ -215,7 +215,7 @@ class Trial:
         problem = StepProblem(smoke, targets, scene, config)
         unclamped, ends = run_shape_step(problem, setting.per_octave)
         limit, strength = max_displacement(smoke, config.shape.reach), config.optimize.strength
-        displacement = displacement_of(unclamped, limit, strength=strength)
+        displacement = displacement_of(unclamped, smoke, limit, strength=strength)
         density = self._field_of(setting)
         return move_density(density, smoke, displacement, config.shape)[0], ends
 

@@ -77,11 +77,12 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(kind: str, start: 
     found, ends = run_shape_step(problem, config.shape.iterations, start)
     assert ends[-1].restored
 
-    lattice = found.lattice
+    limit = max_displacement(smoke, config.shape.reach)
+    displacement = displacement_of(found, smoke, limit, mask)
+    lattice = displacement.lattice
     density, places = lattice.fill(smoke), lattice.positions()
     share = mask.at(places).to(density).reshape(density.shape)
-    limit = max_displacement(smoke, config.shape.reach)
-    u = lattice.from_stage(displacement_of(found, limit, share).values)
+    u = lattice.from_stage(displacement.values)
     moved = warp(density, u / density.new_tensor(lattice.spacing), scheme="linear")
     (view,) = frame_views(smoke, config.views, scene, 0)
     image = column_map(places, smoke.edges, view)
@@ -142,7 +143,7 @@ def test_the_views_of_one_octave_are_held_while_it_is_optimised(iterations: list
 
     with Alive(latest) as alive:
         run_shape_step(problem, iterations, start, watch)
-    assert set(begun) == {0} and len(begun) >= 3
+    assert set(begun) == {0} and len(begun) == sum(n > 0 for n in iterations)
     assert {n for _, n in optimised} == {2}
     assert {octave for octave, _ in optimised} == {k for k, n in enumerate(iterations) if n}
     assert latest and not alive.last  # dense boxes are made after them
@@ -158,15 +159,15 @@ def test_what_is_left_in_pieces_is_given_back_before_an_octave_is_optimised(
 
 
 def test_smoke_that_is_moved_far_hardly_folds(monkeypatch: pytest.MonkeyPatch):
-    """Without the penalty two percent of it do."""
+    """Without the penalty 0.7 % of it do, with it 0.2 %: as far as a quarter of its length."""
     config = quick_config().with_values(
         {
             "optimize.steps": ["shape"],
             "views.image_size": 64,
             "views.pool": 4,
             "shape.iterations": [40],
-            "shape.reach": 0.12,
-            "shape.learning_rate": 0.12,
+            "shape.reach": 0.25,
+            "shape.learning_rate": 0.5,
             "losses.keep": 0.0,
         }
     )
@@ -175,4 +176,4 @@ def test_smoke_that_is_moved_far_hardly_folds(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(shape, "FOLDING_WEIGHT", weight)
         (frame,) = run_core([frame_of(puff(24))], config)
         folded.append(frame.report.transport.folded)
-    assert folded[0] < 0.005 < 0.01 < folded[1]
+    assert folded[0] < 0.003 < 0.006 < folded[1]

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from usdsmoke.core.fields.displacement import slope_matrix
 from usdsmoke.core.fields.gather import gather_sum
-from usdsmoke.core.fields.sample import voxel_positions
 from usdsmoke.core.fields.sparse_map import Nodes, SparseMap, map_along
 from usdsmoke.core.smoke.memory import chunks
 
@@ -123,8 +122,12 @@ def _read_counts(displacement: Tensor) -> Tensor:
     """How often each voxel is read by trilinear look-ups at x - u(x), [I J K]."""
     shape = displacement.shape[:3]
     counts = displacement.new_zeros(shape, requires_grad=True)
-    departures = voxel_positions(shape, displacement) - displacement.reshape(-1, 3)
+    rests = (displacement == 0).all(dim=-1)
+    moving = torch.nonzero(~rests)
+    # component by component, because that is how the look-up takes them
+    places = moving.T.to(displacement, memory_format=torch.contiguous_format).T
+    departures = places - displacement[tuple(moving.T)]
     with torch.enable_grad():
         gather_sum(counts, departures, cubic=False).sum().backward()
     assert counts.grad is not None  # a box has voxels
-    return counts.grad
+    return counts.grad + rests

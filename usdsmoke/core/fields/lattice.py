@@ -44,6 +44,26 @@ class Lattice:
             np.zeros(3, np.int64), cast(tuple[int, int, int], coarse), place @ self.index_to_stage
         )
 
+    def matrices_from(self, coarse: "Lattice") -> list[Tensor]:
+        """Matrices [I i] float64 that interpolate linearly from another lattice along each axis.
+
+        Beyond its box there is 0, as with ``sample``; it is constant along an axis of length 1.
+
+        Args:
+            coarse: of the same axes; it may have another place and spacing.
+        """
+        to_coarse, found = self.index_to_stage @ np.linalg.inv(coarse.index_to_stage), []
+        for axis, (n, length) in enumerate(zip(self.shape, coarse.shape, strict=True)):
+            if length == 1:
+                found.append(torch.ones(n, 1, dtype=torch.float64))
+                continue
+            index = torch.arange(n, dtype=torch.float64) + int(self.low[axis])
+            place = index * to_coarse[axis, axis] + to_coarse[3, axis] - int(coarse.low[axis])
+            place = place.round(decimals=9)  # round-off would read one more voxel
+            away = (place[:, None] - torch.arange(length, dtype=torch.float64)).abs()
+            found.append((1 - away).clamp_min(0))
+        return found
+
     def positions(self, ijk: Tensor | None = None) -> Tensor:
         """Stage positions [N 3] float64 of voxels [N 3] of the box, or of all of them in order."""
         if ijk is None:

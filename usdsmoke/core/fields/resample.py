@@ -116,6 +116,11 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
     )
 
 
+def apply_along(values: Tensor, matrices: Sequence[Tensor]) -> Tensor:
+    """A box [i j k] or [i j k C] after a matrix [I i] along each of its three axes."""
+    return _along_axes(values, lambda axis, n: matrices[axis])
+
+
 def _along_axes(values: Tensor, matrix_for: Callable[[int, int], Tensor | None]) -> Tensor:
     """Applies ``matrix_for(axis, length)``, if any, along each of the three axes."""
     for axis in range(3):

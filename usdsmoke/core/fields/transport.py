@@ -18,7 +18,7 @@ Schemes that were measured and not taken are in ``benchmarks/transport_baselines
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import torch
@@ -88,21 +88,33 @@ def _cell_range(values: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
     Args:
         values: [I J K] or [I J K C].
     """
-    box = values.detach().reshape(*values.shape[:3], -1).permute(3, 0, 1, 2)[None]
+    box = values.detach().reshape(*values.shape[:3], -1).permute(3, 0, 1, 2)
     lengths = torch.tensor(values.shape[:3], device=values.device)
     margins = [0 if n == 1 else 1 for n in values.shape[:3]]
     around = [margin for margin in reversed(margins) for _ in range(2)]
-    window = [1 + margin for margin in margins]
     box = F.pad(box, around)
     # the cell between voxels n and n + 1 is number n + 1 of those of the padded box
     cell = torch.floor(positions.detach()).long() + 1
     cell = torch.minimum(cell.clamp(min=0), lengths).masked_fill(lengths == 1, 0)
     shape = [n + margin for n, margin in zip(values.shape[:3], margins, strict=True)]
     rows = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
-    largest = F.max_pool3d(box, window, stride=1).reshape(box.shape[1], -1)
-    least = -F.max_pool3d(-box, window, stride=1).reshape(box.shape[1], -1)
-    found = (of[:, rows].T.reshape(len(rows), *values.shape[3:]) for of in (least, largest))
+    found = (
+        _of_pairs(pick, box, margins).reshape(len(box), -1)[:, rows].T
+        .reshape(len(rows), *values.shape[3:])
+        for pick in (torch.minimum, torch.maximum)
+    )  # fmt: skip
     return next(found), next(found)
+
+
+def _of_pairs(
+    pick: Callable[[Tensor, Tensor], Tensor], box: Tensor, margins: Sequence[int]
+) -> Tensor:
+    """The smallest or largest of neighbours along each axis with a margin, [C I J K]."""
+    for axis, margin in enumerate(margins, start=1):
+        if margin:
+            n = box.shape[axis] - 1
+            box = pick(box.narrow(axis, 0, n), box.narrow(axis, 1, n))
+    return box
 
 
 def correct_mass(moved: Tensor, source: Tensor) -> tuple[Tensor, float]:

@@ -46,7 +46,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import light_report
-from usdsmoke.core.steps.move import displacement_of, move_density, shares_on
+from usdsmoke.core.steps.move import displacement_of, move_density
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
@@ -174,18 +174,17 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
         return advance(frame, MovedFrame)
     started = time.perf_counter()
     give_back_memory()
-    lattice, source, config = frame.unclamped.lattice, frame.source, frame.config
+    source, config = frame.source, frame.config
     limit = max_displacement(source, config.shape.reach)
-    share = shares_on(lattice, frame.mask, source.density)
-    displacement = displacement_of(frame.unclamped, limit, share)
+    displacement = displacement_of(frame.unclamped, source, limit, frame.mask)
     if not frame.in_effect:
         report = replace(frame.report, transport=TransportReport(limit))
         return advance(frame, MovedFrame, displacement=displacement, report=report)
     strength, is_part = config.optimize.strength, frame.visibility is not None
     own = displacement
     if strength < 1:
-        own = displacement_of(frame.unclamped, limit, share, strength)
-    density, transport = move_density(frame.density, source, own, config.shape, share, is_part)
+        own = displacement_of(frame.unclamped, source, limit, frame.mask, strength)
+    density, transport = move_density(frame.density, source, own, config.shape, frame.mask, is_part)
     smoke = activate(density, frame.frame.density_to_stage, context.device)
     if frame.visibility is not None:
         smoke = frame.visibility.visible(smoke)

@@ -95,6 +95,7 @@ class OpenedFrame:
     scene: Scene  # likewise, with its camera
     targets: StyleTargets  # likewise
     report: FrameReport
+    blocks: int = 2  # see ``StepProblem``
 
     @property
     def time_code(self) -> float:
@@ -145,7 +146,9 @@ class OpenedFrame:
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""
-        return StepProblem(smoke, self.targets, self.scene, self.config, self.mask)
+        return StepProblem(
+            smoke, self.targets, self.scene, self.config, self.mask, blocks=self.blocks
+        )
 
     def colour_problem(self) -> StepProblem:
         """What the colour step works on."""

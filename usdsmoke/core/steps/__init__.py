@@ -3,6 +3,7 @@
 - ``targets``: what a step works on: smoke, scene, and the loss of its pictures at every octave
 - ``pictures``: the pictures that are compared: grey opacity, colours divided by their opacity
 - ``shape``: the shape step: a displacement of the density
+- ``motion``: what a potential moves, on blocks of voxels
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
 - ``light_share``: how much of a picture's light lamps give

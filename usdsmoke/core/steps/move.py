@@ -15,9 +15,10 @@ from usdsmoke.core.fields.flow import flow
 from usdsmoke.core.fields.folding import measure_evenness
 from usdsmoke.core.fields.lattice import Lattice, field_from_box, surround
 from usdsmoke.core.fields.potential import Displacement, border_mask
+from usdsmoke.core.fields.resample import apply_along
 from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
 from usdsmoke.core.fields.warp_error import warp_error
-from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.views.visibility import EffectMask
 
@@ -66,20 +67,29 @@ def shares_on(lattice: Lattice, mask: EffectMask | None, like: Tensor) -> Tensor
 
 
 def displacement_of(
-    velocity: Displacement, limit: float, share: Tensor | None = None, strength: float = 1.0
+    velocity: Displacement,
+    source: ActiveSmoke,
+    limit: float,
+    mask: EffectMask | None = None,
+    strength: float = 1.0,
 ) -> Displacement:
-    """The displacement that smoke is moved by: the flow of the clamped velocity.
+    """The displacement that smoke is moved by, on its ``smoke_box``: the flow of the velocity.
 
     Args:
-        velocity: what the shape step found, per unit of time.
+        velocity: what the shape step found, per unit of time, on blocks of voxels.
+        source: what is moved.
         limit: of its length, stage units; no displacement is longer.
-        share: the mask's values on its box; 0 moves nothing.
+        mask: share of the effect; blocks where it is 0 do not move.
         strength: the share of the unit of time that it is followed for, in [0, 1].
     """
-    lattice = velocity.lattice
-    values = clamp_displacement(lattice.from_stage(velocity.values), limit, share)
-    sides = values.new_tensor(lattice.spacing)
-    return Displacement(lattice.to_stage(flow(values * (strength / sides)) * sides), lattice)
+    blocks, lattice = velocity.lattice, smoke_box(source, fade_of(source))
+    share = shares_on(blocks, mask, velocity.values)
+    values = clamp_displacement(blocks.from_stage(velocity.values), limit, share)
+    sides = values.new_tensor(blocks.spacing)
+    moved = blocks.to_stage(flow(values * (strength / sides)) * sides)
+    if lattice.spacing != blocks.spacing:
+        moved = apply_along(moved, lattice.matrices_from(blocks))
+    return Displacement(moved, lattice)
 
 
 def move_density(
@@ -87,7 +97,7 @@ def move_density(
     source: ActiveSmoke,
     displacement: Displacement,
     shape: ShapeConfig,
-    share: Tensor | None = None,
+    mask: EffectMask | None = None,
     is_part: bool = False,
 ) -> tuple[DenseField, TransportReport]:
     """The full density moved by the accurate scheme, and the errors of that.
@@ -100,26 +110,21 @@ def move_density(
         density: the frame's (refined) density; ``source`` holds its active voxels.
         displacement: on the box that ``smoke_box`` gives for the source.
         shape: scheme and correction of mass.
-        share: the mask's values on that box; where it is 0 the source stays bit for bit.
+        mask: share of the effect; where it is 0 the source stays bit for bit.
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
     """
     # move the box
     lattice = displacement.lattice
-    whole = lattice.fill(source)
-    level = dense_level(source.density)
+    whole, level = lattice.fill(source), dense_level(source.density)
+    share = shares_on(lattice, mask, whole)
     box = whole.clamp(max=level)
     u = lattice.from_stage(displacement.values)
     largest = float(u.norm(dim=-1).max())
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
-    moved = warp(box, u, scheme=scheme).clamp_min(0)
-    # round-off of the spline is not smoke: it would fill the box with active voxels
-    is_smoke = (moved > LEAST_SHARE * level) | (box > 0)
-    moved = torch.where(is_smoke, moved, torch.zeros_like(moved))
-
+    moved = _moved(box, u, level, scheme)
     linear, estimate = _scheme_errors(box, u, moved, scheme)
     evenness = measure_evenness(u, box)
-    effect = effect_on(box, lattice, fade_of(source), share)
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
@@ -139,9 +144,23 @@ def move_density(
         folded=evenness.folded,
         unread=evenness.unread,
         read_twice=evenness.read_twice,
-        motionless=_motionless(box, effect, shape, share),
+        motionless=_motionless(source, box, lattice, shape, mask),
     )
     return field_from_box(density, values, low), report
+
+
+def _moved(box: Tensor, u: Tensor, level: float, scheme: Scheme) -> Tensor:
+    """The box moved by a displacement in voxels, where there is smoke or something moves.
+
+    Round-off of the spline is not smoke: it would fill the box with active voxels.
+    """
+    active = torch.nonzero((box > 0) | (u != 0).any(dim=-1))
+    where = tuple(active.T)
+    found = warp(box, u[where], active_ijk=active, scheme=scheme).clamp_min(0)
+    is_smoke = (found > LEAST_SHARE * level) | (box[where] > 0)
+    moved = torch.zeros_like(box)
+    moved[where] = found.masked_fill_(~is_smoke, 0)
+    return moved
 
 
 def move_field(
@@ -204,10 +223,18 @@ def moves_along(lengths: Sequence[int], kind: str) -> bool:
     return sum(n > 1 for n in lengths) >= (2 if kind == "stream" else 1)
 
 
-def _motionless(box: Tensor, effect: Tensor, shape: ShapeConfig, share: Tensor | None) -> float:
-    """Share of the mass under the mask that no potential can move."""
-    if not moves_along(box.shape, shape.displacement):
+def _motionless(
+    source: ActiveSmoke, box: Tensor, lattice: Lattice, shape: ShapeConfig, mask: EffectMask | None
+) -> float:
+    """Share of the mass under the mask that no potential of blocks can move."""
+    fade, blocks = fade_of(source), coarsen(source)
+    coarse = smoke_box(blocks, fade)
+    if not moves_along(coarse.shape, shape.displacement):
         return 1.0
+    density = coarse.fill(blocks)
+    effect = effect_on(density, coarse, fade, shares_on(coarse, mask, density))
+    effect = apply_along(effect, lattice.matrices_from(coarse))
+    share = shares_on(lattice, mask, box)
     mass = box.double() if share is None else box.double() * (share > 0)
     total = float(mass.sum())
     return float(mass[effect == 0].sum()) / total if total > 0 else 0.0
