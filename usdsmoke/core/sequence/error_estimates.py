@@ -97,9 +97,9 @@ def gamma_is_set(frame: PaintedFrame) -> bool:
 def depth_by_side(frame: PaintedFrame, depth: float | None) -> tuple[float, float] | None:
     """Least and most of ``thick_depth`` over the directions of the views, about.
 
-    The smoke is taken for an ellipsoid with its spread, whose chord through the middle is
-    (d S^-1 d)^(-1/2) along d, with the covariance S. None where ``thick_depth`` is, for a slab,
-    with a camera, and where the extinction is set.
+    The largest lump of smoke is taken for an ellipsoid with its spread, whose chord through the
+    middle is (d S^-1 d)^(-1/2) along d, with the covariance S. None where ``thick_depth`` is, for a
+    slab, with a camera, and where the extinction is set.
 
     Args:
         depth: ``thick_depth`` of the frame.
@@ -107,7 +107,7 @@ def depth_by_side(frame: PaintedFrame, depth: float | None) -> tuple[float, floa
     views, up_axis = frame.config.views, frame.scene.up_axis
     if depth is None or views.camera or gamma_is_set(frame) or frame.smoke.thin_axis is not None:
         return None
-    voxels = frame.smoke.voxels.main_part()
+    voxels = frame.smoke.voxels.main_part().largest_lump()
     spread = np.cov(voxels.positions.T, aweights=bounded(voxels).density, ddof=0)
     squares, axes = np.linalg.eigh(spread + voxels.edges.T @ voxels.edges / 12)
     squares = np.maximum(squares, 1e-12 * squares.max())  # round-off, where smoke is far apart

@@ -67,17 +67,15 @@ class ActiveSmoke(Placed):
 
     @cached_property
     def extent(self) -> float:
-        """The longest side of the main part, stage units, but at most ``MOST_EXTENT`` edges of
-        a cube (of a square, for a slab) that is as large as its voxels: stray voxels far away make
-        no smoke large.
+        """The usual length, stage units, but at most ``MOST_EXTENT`` edges of a cube (of a square,
+        for a slab) that is as large as all voxels: stray voxels far away make no smoke large.
         """
-        main = self.voxels.main_part()
-        low, high = main.box
+        low, high = self.box
         sides = np.linalg.norm(self.index_to_stage[:3, :3], axis=1)[high > low]
         if not sides.size:
-            return main.longest_side
-        edge = float(len(main.ijk) * np.prod(sides)) ** (1 / sides.size)
-        return min(main.longest_side, MOST_EXTENT * edge)
+            return self.longest_side
+        edge = float(len(self.ijk) * np.prod(sides)) ** (1 / sides.size)
+        return min(self.voxels.usual_length, MOST_EXTENT * edge)
 
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,9 @@ LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below 
 
 OUTER = 0.05  # of the smoke, at both ends of an axis: what may lie far from the rest
 MOST_LENGTH = 2.5  # times the length of what lies between: a real plume has 2, puffs 1.2 to 2.3
+FAR = 5.0  # times: from there on what lies far away has no effect on the length
+LEAST_LENGTH = 1.4  # times: what a puff without remains has
+_BLOCKS = 8  # along the longest side: lumps are told apart by these
 CORE = 0.9  # rank of the voxels above which a denser one weighs no more
 
 
@@ -114,18 +117,80 @@ class Voxels(Placed):
         """The smoke without remains that lie far from the rest; itself where there are none.
 
         Along each axis the smoke without 5 % at both ends has a length, and voxels up to three
-        quarters of that beyond it belong to the main part. The densest tenth of the voxels weighs
-        no more than the thinnest of these: a dense core does not make its surroundings remains.
+        quarters of that beyond it belong to the main part.
         """
-        weights = np.minimum(self.density, np.quantile(self.density, CORE, method="lower"))
         near = np.ones(len(self.ijk), bool)
-        for place, first, last in zip(self.ijk.T, *self.box, strict=True):
-            rank = np.cumsum(np.bincount(place - first, weights))
-            begin, end = first + np.searchsorted(rank, [OUTER * rank[-1], (1 - OUTER) * rank[-1]])
+        for place, (begin, end), first, last in zip(
+            self.ijk.T, self.inner_box, *self.box, strict=True
+        ):
             around = (MOST_LENGTH - 1) / 2 * (end - begin + 1)
             if first < begin - around or last > end + around:
                 near &= (place >= begin - around) & (place <= end + around)
         return self if near.all() else self.take(near)
+
+    @cached_property
+    def inner_box(self) -> np.ndarray:
+        """Lowest and highest index along each axis without 5 % of the smoke at both ends, [3 2].
+
+        The densest tenth of the voxels weighs no more than the thinnest of these: a dense core does
+        not make its surroundings remains.
+        """
+        weights = np.minimum(self.density, np.quantile(self.density, CORE, method="lower"))
+        found = []
+        for place, first in zip(self.ijk.T, self.box[0], strict=True):
+            rank = np.cumsum(np.bincount(place - first, weights))
+            ends = np.searchsorted(rank, [OUTER * rank[-1], (1 - OUTER) * rank[-1]])
+            found.append(first + ends)
+        return np.array(found)
+
+    @property
+    def usual_length(self) -> float:
+        """The longest side, stage units, on which remains far away have no effect.
+
+        Where voxels move away from the rest, a side grows with them to ``MOST_LENGTH`` times the
+        length that the smoke has without its ends, and then falls to ``LEAST_LENGTH`` times: it
+        never jumps.
+        """
+        low, high = self.box
+        inner = self.inner_box[:, 1] - self.inner_box[:, 0] + 1
+        times = (high - low + 1) / inner
+        remains = np.interp(times, [MOST_LENGTH, FAR], [MOST_LENGTH, LEAST_LENGTH])
+        sides = np.where(times > MOST_LENGTH, remains * inner, high - low + 1)
+        return float(max(sides * np.linalg.norm(self.edges, axis=1)))
+
+    def largest_lump(self) -> "Voxels":
+        """The part with the most voxels, where parts lie a quarter of the longest side apart."""
+        low, high = self.box
+        edges = np.linalg.norm(self.edges, axis=1)
+        block = np.maximum(self.longest_side / _BLOCKS // edges, 1).astype(np.int64)
+        shape = (high - low) // block + 1
+        member = np.ravel_multi_index(((self.ijk - low) // block).T, shape)
+        counts = np.bincount(member)
+        filled = np.flatnonzero(counts)
+        lump = _lumps(list(zip(*np.unravel_index(filled, shape), strict=True)))
+        if lump.max() == 0:
+            return self
+        largest = np.bincount(lump, counts[filled]).argmax()
+        return self.take(lump[np.searchsorted(filled, member)] == largest)
+
+
+def _lumps(blocks: list[tuple[int, ...]]) -> np.ndarray:
+    """The number of each block's lump: of those that touch, if only at a corner; [B]."""
+    number = {block: n for n, block in enumerate(blocks)}
+    lump, n_lumps = np.full(len(blocks), -1), 0
+    for start in range(len(blocks)):
+        if lump[start] >= 0:
+            continue
+        lump[start], todo = n_lumps, [blocks[start]]
+        while todo:
+            block = todo.pop()
+            for step in np.ndindex(3, 3, 3):
+                beside = number.get(tuple(b + s - 1 for b, s in zip(block, step, strict=True)))
+                if beside is not None and lump[beside] < 0:
+                    lump[beside] = n_lumps
+                    todo.append(blocks[beside])
+        n_lumps += 1
+    return lump
 
 
 def occupied(density: DenseField, to_stage: np.ndarray) -> Voxels:

@@ -51,8 +51,8 @@ class Scene:
     camera: CameraSource | None = None  # of the current frame; None: around up
     thick: float = 0.0  # column of the thick ones, density x stage unit; 0: not measured
     thick_share: float = 1.0  # share of all columns with smoke that are as thick
-    # Of the pictures' longer side over what it is without remains far from the smoke, where pixels
-    # are larger because of these; else 1.
+    # Longer side of the pictures over that of pictures of the largest lump of smoke alone, where
+    # pixels are larger because of the rest; else 1.
     widened: float = 1.0
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
@@ -372,9 +372,12 @@ def _pixel_size(
 def _picture_sides(
     filled: Sequence[tuple[Voxels, CameraSource | None]], views: ViewsConfig, up_axis: str
 ) -> tuple[float, float]:
-    """Longest side of all pictures, stage units, of the smoke and of its main part."""
+    """Longest side of all pictures, stage units, of the smoke and of its largest lump."""
     sides = [
-        [_longest_side(part, views, up_axis, camera) for part in (smoke, smoke.main_part())]
+        [
+            _longest_side(part, views, up_axis, camera)
+            for part in (smoke, smoke.main_part().largest_lump())
+        ]
         for smoke, camera in filled
     ]
     longest, near = np.max(sides, axis=0).tolist()

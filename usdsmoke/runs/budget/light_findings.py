@@ -40,16 +40,8 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
             f"optics.{chosen[0]}",
             f"optics.{chosen[0]}",
         )
-    widened = scene.get("widened", 1.0)
-    if widened > WIDENED:
-        yield Finding(
-            place,
-            RESOLUTION.name,
-            f"pictures are {widened:.1f} times as wide as most of the smoke, because a few voxels "
-            "lie far from it: their pixels are larger than voxels",
-            "Remove those voxels from the source, or set a larger views.image_size",
-            "views.image_size",
-        )
+    if (widened := scene.get("widened", 1.0)) > WIDENED:
+        yield _far_apart(volume, widened)
     for name, depth in _depths(volume, scene).items():
         if depth > DEEPEST or depth < (UNSEEN / 2 if name == "gamma" else FAINTEST):
             what = "the picture that is optimised is saturated"
@@ -68,6 +60,19 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
                 remedy,
                 setting,
             )
+
+
+def _far_apart(volume: PlannedVolume, widened: float) -> Finding:
+    """Smoke in several places, or with remains."""
+    return Finding(
+        volume.plan.source.prim_path,
+        RESOLUTION.name,
+        f"pictures are {widened:.1f} times as wide as the largest part of the smoke, because other "
+        "voxels lie far from it: their pixels are larger than voxels, and smoke is moved farther",
+        "Remove those voxels if they are remains, give parts their own Volumes, or set a larger "
+        "views.image_size and a smaller shape.reach",
+        "views.image_size",
+    )
 
 
 def _find_split(plan: VolumePlan) -> Iterator[Finding]:
