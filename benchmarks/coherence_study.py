@@ -127,7 +127,7 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
 PLAN = Study(
     shots=(
-        _shot(64, "strokes", 0, 24, (*FEW, 18, 19)),
+        _shot(64, "strokes", 0, 16, FEW),
         _shot(96, "strokes", 0, 16, FEW),
         _shot(64, "waves", 0, 16, FEW),
         _shot(64, "strokes", 1, 16, FEW),

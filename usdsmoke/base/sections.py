@@ -270,7 +270,7 @@ class ColourConfig(Section):
         [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
-        0.7, "share of the learning rate for a frame that starts from its neighbour's result",
+        0.5, "share of the learning rate for a frame that starts from its neighbour's result",
         gt=0, le=1)
     smoothing: float = setting(
         0.25, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)

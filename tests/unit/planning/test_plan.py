@@ -71,6 +71,7 @@ def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -
         (["stage.frames=2"], "velocity grids", "only one frame"),
         (["windows.size=1"], "velocity grids", "windows.size is 1"),
         ([], "velocity grids", "stage.velocity"),
+        ([], "velocity grids", "stays in place unless stage.motion=estimate"),
         ([], "VGG-19 parameters", "embedded features need no file"),
         (["features.network=vgg19"], "network layers relu3_2 to relu5_4", "no layer in use"),
         (
