@@ -23,7 +23,7 @@ from usdsmoke.core.sequence.coherence import (
     average_colours,
     average_displacement,
 )
-from usdsmoke.core.sequence.controls import network_alone, step_iterations
+from usdsmoke.core.sequence.controls import network_alone
 from usdsmoke.core.sequence.cuts import judge_passage
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.sequence.frame_state import (
@@ -142,7 +142,9 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
             transit = None if before is None else context.transit(before, frame)
             limit = max_displacement(frame.source, config.shape.reach)
             start = partial(start_displacement, carried, frame.coarse, transit, limit)
-        iterations = _iterations("shape", frame, before is not None)
+        is_warm = before is not None
+        frame.targets.prepare({step: frame.todo(step, is_warm) for step in config.optimize.steps})
+        iterations = frame.todo("shape", is_warm)
         watch = context.watch(frame.time_code)("shape", iterations)
         rate_share = 1.0 if before is None else config.shape.warm_rate
         problem = frame.problem(frame.source)
@@ -213,7 +215,8 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         paint = before.paint if before is not None else None
         transit = None if before is None else context.transit(before, frame)
         start = _colour_start(context, frame, paint, transit, painted)
-        iterations = _iterations("colour", frame, paint is not None)
+        iterations = frame.todo("colour", paint is not None)
+        frame.targets.prepare({"colour": iterations})
         watch = context.watch(frame.time_code)("colour", iterations)
         problem = frame.colour_problem()
         is_warm = paint is not None or context.generator is not None
@@ -370,18 +373,6 @@ def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
             yield waiting.popleft(), None if waiting[0].left_out else waiting[0]
     if waiting:
         yield waiting.popleft(), None
-
-
-def _iterations(step: str, frame: OpenedFrame, is_warm: bool) -> list[int]:
-    """Iterations of a step per octave.
-
-    A frame that starts from the shared coarse step leaves out the octaves that were done there.
-    """
-    iterations = step_iterations(frame.config, step, is_warm)
-    if is_warm:
-        return iterations
-    n_done = frame.coarse.n_octaves(len(iterations)) if frame.coarse is not None else 0
-    return [0 if number < n_done else n for number, n in enumerate(iterations)]
 
 
 def _report(step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:

@@ -21,7 +21,12 @@ from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.generator.network import Generator
-from usdsmoke.core.sequence.controls import by_themselves, frame_config, without_network
+from usdsmoke.core.sequence.controls import (
+    by_themselves,
+    frame_config,
+    step_iterations,
+    without_network,
+)
 from usdsmoke.core.sequence.start import Carried, CoarseStart
 from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
@@ -121,6 +126,17 @@ class OpenedFrame:
     def has_coarse_displacement(self) -> bool:
         """Whether the shared coarse step has moved the frame."""
         return self.coarse is not None and self.coarse.displacement is not None
+
+    def todo(self, step: str, is_warm: bool) -> list[int]:
+        """Iterations of a step per octave.
+
+        A frame that starts from the shared coarse step leaves out the octaves that were done there.
+        """
+        iterations = step_iterations(self.config, step, is_warm)
+        if is_warm or self.coarse is None:
+            return iterations
+        n_done = self.coarse.n_octaves(len(iterations))
+        return [0 if number < n_done else n for number, n in enumerate(iterations)]
 
     def lighting(self) -> Lighting | None:
         """Light that the pictures show beside the colours, or that the colours weigh; exposed.

@@ -1,6 +1,7 @@
 """What a step works on: a frame's smoke, and the loss of its pictures at every octave."""
 
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
@@ -11,7 +12,9 @@ from torch import Tensor
 from usdsmoke.base.sections import LossesConfig, StyleConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
@@ -96,10 +99,31 @@ class StyleTargets:
         targets = [image.target(factor, grey) for _, image in self._used]
         return PictureLoss(targets, [share for share, _ in self._used], self.losses)
 
+    def prepare(self, iterations: Mapping[str, Sequence[int]]) -> None:
+        """Make what steps compare with at the octaves that have iterations, shared among threads.
+
+        Args:
+            iterations: by step, "shape" or "colour", per octave, coarse to fine.
+        """
+        wanted = [
+            (OCTAVE_SCALE**before, step == "shape")
+            for step, per_octave in iterations.items()
+            for before, n_iterations in enumerate(reversed(per_octave))
+            if n_iterations
+        ]
+        pairs = [
+            (image, of) for of in sorted(wanted) for _, image in self._used
+        ]  # large ones first
+        run_tasks([partial(_make, image, *of) for image, of in pairs])
+
     @property
     def _used(self) -> list[tuple[float, StyleFeatures]]:
         pairs = zip(self.shares, self.images, strict=True)
         return [(share, image) for share, image in pairs if share > 0]
+
+
+def _make(image: StyleFeatures, factor: int, grey: bool) -> None:
+    image.target(factor, grey)
 
 
 @dataclass(frozen=True)
@@ -134,15 +158,16 @@ def make_targets(
     content = content_layers(features)
     like = torch.zeros((), device=device)
     # made when it is first used: a window of empty frames does not read VGG-19's weights
-    network_for = cache(partial(build_network, features, seed))
+    network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
     def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
         style = scale_style(pixels, scene.image_size / factor, config.style, like)
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         nearest = () if grey else nearest_layers(features)
-        network = network_for()(style)
-        return StyleTarget(style, network, layers, config.losses, content, nearest, seed)
+        with loading:  # weights are read once
+            network = network_for()
+        return StyleTarget(style, network(style), layers, config.losses, content, nearest, seed)
 
     images = tuple(
         StyleFeatures(adjust_tones(pixels, config.style), make_target) for pixels in styles
