@@ -84,7 +84,8 @@ def main(arguments: list[str] | None = None) -> int:
         runs: list[Run] = []
         for style in styles:
             runs += _measure(stage, style, options)
-            report = _report(runs, arguments if arguments is not None else sys.argv[1:])
+            words = arguments if arguments is not None else sys.argv[1:]
+            report = _report(runs, options.views, words)
             if options.report:  # after every run, for they take minutes
                 options.report.parent.mkdir(parents=True, exist_ok=True)
                 options.report.write_text(report, encoding="utf-8")
@@ -104,6 +105,7 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder to write into")
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser.add_argument("--views", type=int, default=N_VIEWS, help="held-out views of each kind")
     parser.add_argument("--quick", action="store_true", help="front views only")
     parser.add_argument("--reuse", action="store_true", help="score results that are there already")
     return parser.parse_args(arguments)
@@ -130,7 +132,7 @@ def _measure(stage: Path, style: Path, options: argparse.Namespace) -> list[Run]
     picture = read_style(style, IMAGE_SIZE)
     runs = []
     for cameras in ["front"] if options.quick else RANGES:
-        angles = held_out_angles(N_VIEWS, *RANGES[cameras])
+        angles = held_out_angles(options.views, *RANGES[cameras])
         scores, images = score_result(result, picture, angles, IMAGE_SIZE)
         sheet_name = f"{folder.name}_{cameras.replace(' ', '_')}.png"
         _write_sheet(options.out / sheet_name, picture, images[:4])
@@ -147,11 +149,11 @@ def _write_sheet(image_file: Path, style: np.ndarray, images: Sequence[np.ndarra
     Image.fromarray(row).save(image_file)
 
 
-def _report(runs: Sequence[Run], arguments: Sequence[str]) -> str:
+def _report(runs: Sequence[Run], n_views: int, arguments: Sequence[str]) -> str:
     lines = [
         "# Closeness of style on the real plume",
         "",
-        f"{N_VIEWS} held-out views a row, drawn from the written file by",
+        f"{n_views} held-out views a row, drawn from the written file by",
         "`benchmarks/raymarch.py`. Closure 0 is the smoke tinted with the style's mean colour, 1",
         "the style pasted through its mask (`benchmarks/measures.py`): mean over the views, in",
         "brackets the worst view; ± is the standard deviation of a single paste, its noise.",

@@ -106,7 +106,7 @@ def test_smoke_as_thin_as_the_paper_s_is_painted_like_thick_smoke():
     thick, faint, fainter = (thin_run(gamma, [30, 30]) for gamma in (0.3, 1e-3, 1e-9))
     assert faint[2] == pytest.approx(thick[2], rel=0.15)
     assert fainter[2] == pytest.approx(faint[2], rel=0.01)
-    assert (fainter[1] - faint[1]).abs().mean() < 0.01
+    assert (fainter[1] - faint[1]).abs().mean() < 0.02
 
 
 def test_an_optical_depth_of_a_millionth_millionth_can_be_painted():

@@ -1,4 +1,4 @@
-"""Colours of voxels that no view sees: those of the smoke around them."""
+"""Colours from the smoke around: of voxels that no view sees, and where hues disagree."""
 
 from itertools import pairwise
 
@@ -11,7 +11,8 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import spread_colours
+from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
+from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets
 
@@ -106,3 +107,31 @@ def test_behind_dense_smoke_there_is_no_noise():
 def test_thin_smoke_keeps_what_was_optimised_throughout():
     colours, depth = painted(0.3)
     assert colours[depth > 0.7].std(0).min().item() > 0.1
+
+
+def test_chroma_is_blended_and_luma_stays():
+    smoke, _ = block()
+    colours = 0.4 + 0.2 * white_noise(smoke.ijk, 3, 0)
+    found = blend_chroma(smoke, colours, torch.ones(len(colours)))
+    assert torch.allclose(luma(found), luma(colours), atol=1e-6)
+    ijk = smoke.ijk - smoke.ijk.amin(0)
+    inside = ((ijk > 0) & (ijk < 15)).all(dim=1)
+    before, after = (c - luma(c)[:, None] for c in (colours, found))
+    # of noise, weights of .1, .8 and .1 along an axis leave the root of .66
+    expected = 0.66**1.5
+    assert (after[inside].std() / before[inside].std()).item() == pytest.approx(expected, rel=0.05)
+    assert torch.allclose(blend_chroma(smoke, 0 * colours + 0.3, colours[:, 0]), 0 * colours + 0.3)
+
+
+def test_chroma_is_that_of_the_denser_smoke():
+    """A row of three: the one in the middle is denser, and the one in front not beside them."""
+    smoke = ActiveSmoke(torch.tensor([[9, 0, 3], [0, 0, 1], [0, 0, 0]]), torch.ones(3), np.eye(4))
+    colours = torch.tensor([[0.2, 0.3, 0.4], [0.5, 0.1, 0.3], [0.1, 0.5, 0.3]])
+    weight = torch.tensor([1.0, 3.0, 1.0])
+    found = blend_chroma(smoke, colours, weight)
+    grey = luma(colours)[:, None]
+    chroma = colours - grey
+    assert torch.allclose(found[0], colours[0], atol=1e-6)
+    assert torch.allclose(found[1], grey[1] + (24 * chroma[1] + chroma[2]) / 25, atol=1e-6)
+    assert torch.allclose(found[2], grey[2] + (3 * chroma[1] + 8 * chroma[2]) / 11, atol=1e-6)
+    assert torch.allclose(blend_chroma(smoke, colours, torch.zeros(3)), colours)

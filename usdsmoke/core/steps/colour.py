@@ -6,8 +6,10 @@ Octaves go coarse to fine; a finer one starts from the interpolated colours of t
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
 At the end of an octave, voxels that hardly any light of the pictures comes from take the colours of
-the smoke around them: what no view sees would keep the noise that it starts with. Not so in a warm
-frame, to which its neighbour brings such colours: mixed anew in each frame, they would blur.
+the smoke around them: what no view sees would keep the noise that it starts with. Then hues are
+blended with those of the voxels beside, because views leave each other speckle. A warm frame gets
+such colours from its neighbour, and mixed anew in each frame they would blur: only the hues of the
+change are blended.
 """
 
 import math
@@ -22,7 +24,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colour
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import spread_colours
+from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
@@ -66,7 +68,7 @@ def run_colour_step(
         Display-encoded colours [N 3] in [0, 1] of the painted voxels, in the smoke's order, and how
         each octave ended.
     """
-    smoke, mask, targets, config = problem.smoke, problem.mask, problem.targets, problem.config
+    smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
     painted = painted_part(problem)
     epsilon = WARM_EPSILON if warm else Adam.epsilon
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
@@ -74,31 +76,31 @@ def run_colour_step(
     ends: list[Minimum] = []
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
     limited = bounded(smoke)
-    octaves = octaves_to_do(limited, iterations, problem.scene.pixel_size)
+    octaves = octaves_to_do(limited, iterations, scene.pixel_size)
     for number, factor, octave, n_iterations in octaves:
         octave = smoke if octave is limited else octave
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        seed = config.optimize.seed + number
         octave_rate = rate * (LATER_RATE if number else 1.0)
-        pool = colour_pool(replace(problem, smoke=octave), factor, seed)
+        pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
+        begun = _colours_on(here, before, colours, problem)
+        descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
+        told = partial(watch, number) if watch is not None else None
         colours, end = optimize_colours(
-            pool,
-            _colours_on(here, before, colours, problem),
-            targets.at(factor),
-            targets.background,
-            Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon),
-            partial(watch, number) if watch is not None else None,
+            pool, begun, problem.targets.at(factor), problem.targets.background, descent, told
         )
         before = here
-        if end is not None:
-            ends.append(end)
-        if end is not None and not warm:
-            part = None if share is None else share[share > 0]
-            seen = _seen(pool.drawn(end.iteration + 1), here, part, problem.scene, factor)
-            colours = spread_colours(here, colours, seen**2 / (seen**2 + DIM**2))
+        if end is None:
+            continue
+        ends.append(end)
+        if warm:
+            colours = begun + blend_chroma(here, colours - begun, _alone(here, scene))
+        else:
+            drawn = pool.drawn(end.iteration + 1)
+            colours = _completed(drawn, here, colours, share, scene, factor)
+        colours = colours.clamp(0, 1)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours), ends
     return _colours_on(painted, before, colours, problem), ends
@@ -233,6 +235,24 @@ def _octave_views(
     return LazyList(len(views), with_content)
 
 
+def _completed(
+    views: Sequence[ColourView],
+    painted: ActiveSmoke,
+    colours: Tensor,
+    share: Tensor | None,
+    scene: Scene,
+    factor: int,
+) -> Tensor:
+    """Colours [N 3], those of hidden voxels from around them, and hues blended with those beside.
+
+    ``share`` is that of all voxels.
+    """
+    part = None if share is None else share[share > 0]
+    seen = _seen(views, painted, part, scene, factor)
+    found = spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
+    return blend_chroma(painted, found, _alone(painted, scene))
+
+
 def _seen(
     views: Sequence[ColourView],
     painted: ActiveSmoke,
@@ -247,11 +267,14 @@ def _seen(
     light = _reaching(views[0])
     for view in views[1:]:
         light = torch.maximum(light, _reaching(view))
-    face = painted.voxel_size**2
-    depth = painted.density * (scene.gamma_w * painted.voxel_volume / face)
-    alone = opacity(depth) * (face / (factor * scene.pixel_size) ** 2)
+    alone = _alone(painted, scene) * (painted.voxel_size / (factor * scene.pixel_size)) ** 2
     alone = alone if share is None else alone * share
     return light / alone.clamp_min(torch.finfo(light.dtype).tiny)
+
+
+def _alone(painted: ActiveSmoke, scene: Scene) -> Tensor:
+    """The opacity of each voxel by itself, [N]."""
+    return opacity(painted.density * (scene.gamma_w * painted.voxel_volume / painted.voxel_size**2))
 
 
 def _reaching(view: ColourView) -> Tensor:
