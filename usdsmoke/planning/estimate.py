@@ -72,8 +72,8 @@ VOXEL_TIME = 1.2e-7
 BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 7.0e-7
-PAINT_TIME = 2.0e-6
-LEARN_TIME = 5.0e-6
+PAINT_TIME = 1.2e-6
+LEARN_TIME = 3.2e-6
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
 GAIN = 0.65  # n threads are n ** GAIN times as fast; a process for each window is faster
 
