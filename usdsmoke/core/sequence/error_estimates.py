@@ -66,10 +66,11 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     if frame.paint is None:
         gamma_w = frame.scene.gamma_w_shape
     with torch.no_grad():
+        picture = painted.picture(view, gamma_w)
         if frame.paint is not None:
-            quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w))
-        resolution = _timed(lambda: resolution_error(painted, view, gamma_w))
-        filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w))
+            quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, picture))
+        resolution = _timed(lambda: resolution_error(painted, view, gamma_w, picture))
+        filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w, picture))
         if not has_one_view(frame.config.views, frame.smoke.thin_axis is not None):
             unseen = _timed(lambda: _unseen_views(frame))
     return FrameErrors(quadrature, resolution, filtered, unseen)

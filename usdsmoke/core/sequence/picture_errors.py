@@ -62,7 +62,9 @@ def fit_blocks(view: View, block: int = 4) -> View:
     return replace(view, height=height, width=width)
 
 
-def quadrature_error(painted: Painted, view: View, gamma_w: float) -> float:
+def quadrature_error(
+    painted: Painted, view: View, gamma_w: float, picture: Tensor | None = None
+) -> float:
     """How far the picture is from rays through the smoke, relative to their picture.
 
     Rays see voxels interpolated trilinearly, as renderers do, and sum along themselves accurately
@@ -72,10 +74,13 @@ def quadrature_error(painted: Painted, view: View, gamma_w: float) -> float:
         painted: the frame, with colours.
         view: one of its views; some thousand of its pixels are compared.
         gamma_w: extinction per density, 1/stage unit.
+        picture: ``painted.picture(view, gamma_w)``, if it is made already.
     """
     middle = _middle(painted)
     every = math.ceil(math.sqrt(view.height * view.width / MOST_RAYS))
-    seen = middle.picture(view, gamma_w)[every // 2 :: every, every // 2 :: every]
+    if picture is None or middle is not painted:
+        picture = middle.picture(view, gamma_w)
+    seen = picture[every // 2 :: every, every // 2 :: every]
     height, width = seen.shape[:2]
     offset = [  # of the first pixel that is compared, with the centre of the picture as origin
         ((side - 1) / 2 + shift - every // 2) / every - (count - 1) / 2
@@ -122,7 +127,9 @@ def _media(painted: Painted, gamma_w: float) -> list[Medium]:
     return make_media(density, emission, np.eye(4), np.eye(4), gamma_w, 0.0)
 
 
-def pixel_filter_error(painted: Painted, view: View, gamma_w: float) -> float:
+def pixel_filter_error(
+    painted: Painted, view: View, gamma_w: float, picture: Tensor | None = None
+) -> float:
     """How far pixels that are sampled at their centres are from averages over them, relative.
 
     The optimiser sees the smoke at the centres of pixels; renderers average over pixels. The mean
@@ -132,8 +139,9 @@ def pixel_filter_error(painted: Painted, view: View, gamma_w: float) -> float:
         painted: the frame.
         view: one of its views.
         gamma_w: extinction per density, 1/stage unit.
+        picture: as of ``quadrature_error``.
     """
-    sampled = painted.picture(view, gamma_w)
+    sampled = painted.picture(view, gamma_w) if picture is None else picture
     offsets = [(x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
     moved = [replace(view, shift=(view.shift[0] + x, view.shift[1] + y)) for x, y in offsets]
     pictures = run_tasks([partial(painted.picture, other, gamma_w) for other in moved])
@@ -142,7 +150,9 @@ def pixel_filter_error(painted: Painted, view: View, gamma_w: float) -> float:
     return float((sampled - averaged).abs().sum()) / size if size > 0 else 0.0
 
 
-def resolution_error(painted: Painted, view: View, gamma_w: float) -> StepError:
+def resolution_error(
+    painted: Painted, view: View, gamma_w: float, picture: Tensor | None = None
+) -> StepError:
     """Of voxels and pixels, relative to the picture: what infinitely many more would still change.
 
     Voxels, slabs and pixels are made 2 and 4 times as large, and the coarser pictures are brought
@@ -153,10 +163,13 @@ def resolution_error(painted: Painted, view: View, gamma_w: float) -> StepError:
         painted: the frame.
         view: orthographic, from ``fit_blocks``.
         gamma_w: extinction per density, 1/stage unit.
+        picture: as of ``quadrature_error``.
     """
-    pictures, here = [], painted
-    for factor in (1, 2, 4):
-        here = painted if factor == 1 else here.halved()
+    if picture is None:
+        picture = painted.picture(view, gamma_w)
+    pictures, here = [picture], painted
+    for factor in (2, 4):
+        here = here.halved()
         larger = replace(
             view,
             height=view.height // factor,
@@ -164,5 +177,5 @@ def resolution_error(painted: Painted, view: View, gamma_w: float) -> StepError:
             pixel_size=view.pixel_size * factor,
         )
         flat = here.picture(larger, gamma_w)[:, :, None]
-        pictures.append(upsample(flat, (view.height, view.width, 1)))
+        pictures.append(upsample(flat, (view.height, view.width, 1))[:, :, 0])
     return step_error(pictures)
