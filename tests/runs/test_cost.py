@@ -21,8 +21,7 @@ from usdsmoke.runs.progress import RunProgress
 from usdsmoke.vdb.binding import find_binding
 
 QUICK = ("views.pool=2", "views.image_size=16", "optimize.threads=1")
-# smoke that leaves the box takes more steps: it moves a little only
-ONE_OCTAVE = {"shape": {"iterations": [2], "learning_rate": 1e-3}, "colour": {"iterations": [2]}}
+ONE_OCTAVE = {"shape": {"iterations": [2]}, "colour": {"iterations": [2]}}
 ONE_VIEW = {"azimuth": 0.0, "elevation": 0.0, "centre_azimuth": 90.0}  # along the i axis
 
 
@@ -137,7 +136,7 @@ def test_a_slab_is_seen_from_one_side_only(axis: int) -> None:
 
     assert views(slab, 3) == views(slab, 1)
     thick = np.repeat(slab, 4, axis)  # blocks of two voxels would be a slab too
-    assert views(thick, 3) > 1.05 * views(thick, 1)
+    assert views(thick, 3) > 1.1 * views(thick, 1)
 
 
 def test_no_detail_is_optimised_that_a_small_picture_cannot_show() -> None:

@@ -30,11 +30,12 @@ def ball() -> np.ndarray:
 
 
 def whole_box(file_path: str | Path, name: str) -> np.ndarray:
-    """A grid's voxels in the ball's box and 4 around it, whatever of them is active."""
+    """A grid's voxels in the ball's box, whatever of them is active."""
     (field,) = read_grids(file_path, [GridRequest(name)], GridsConfig())
-    whole = np.zeros((*np.add(SHAPE, 8), *field.values.shape[3:]), np.float32)
-    first = np.add(field.ijk_min, 4)
-    place = tuple(slice(low, low + n) for low, n in zip(first, field.values.shape, strict=False))
+    whole = np.zeros((*SHAPE, *field.values.shape[3:]), np.float32)
+    place = tuple(
+        slice(low, low + n) for low, n in zip(field.ijk_min, field.values.shape, strict=False)
+    )
     whole[place] = field.values
     return whole
 

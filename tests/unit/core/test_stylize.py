@@ -58,7 +58,7 @@ def test_the_loss_falls(step):
     run_core([FRAME], config, watch=told)
     assert [record.iteration for record in told] == list(range(30))
     assert {record.step for record in told} == {step}
-    assert told[-1].loss < 0.97 * told[0].loss
+    assert told[-1].loss < 0.95 * told[0].loss
 
 
 def test_the_same_run_gives_the_same_bits(stylized):
@@ -220,8 +220,10 @@ def test_a_slab_stays_one_voxel_thick_and_is_seen_from_one_side(axis):
     result = run_core([frame_of(flat)], config)[0]
     assert result.density.values.shape[axis] == 1 and result.emission.values.shape[axis] == 1
     assert mass(result.density.values) == pytest.approx(mass(flat), rel=1e-5)
-    moved, still = by_voxel(result.density), by_voxel(frame_of(flat).density)
-    assert max(abs(moved[voxel][0] - value[0]) for voxel, value in still.items()) > 1e-3
+    moved = by_voxel(result.density)
+    assert (
+        max(abs(value[0] - flat[voxel]) for voxel, value in moved.items() if voxel in moved) > 1e-3
+    )
     assert result.emission.values.any()
 
 

@@ -110,9 +110,7 @@ def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> Ope
     coarse = dataclasses.replace(frame, density=coarsen_field(fine.density, factor))
     grids = context.config.grids.replace(refine=1)  # it is refined already
     config = context.config.replace(grids=grids)
-    opened = open_frame(coarse, dataclasses.replace(context, config=config))
-    # with one octave there is nothing coarser than the frame itself
-    return dataclasses.replace(opened, blocks=1 if factor > 1 else opened.blocks)
+    return open_frame(coarse, dataclasses.replace(context, config=config))
 
 
 def _coarse_scene(scene: Scene, factor: int) -> Scene:

@@ -100,7 +100,6 @@ class OpenedFrame:
     scene: Scene  # likewise, with its camera
     targets: StyleTargets  # likewise
     report: FrameReport
-    blocks: int = 2  # see ``StepProblem``
 
     @property
     def time_code(self) -> float:
@@ -162,9 +161,7 @@ class OpenedFrame:
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""
-        return StepProblem(
-            smoke, self.targets, self.scene, self.config, self.mask, blocks=self.blocks
-        )
+        return StepProblem(smoke, self.targets, self.scene, self.config, self.mask)
 
     def colour_problem(self) -> StepProblem:
         """What the colour step works on."""

@@ -1,8 +1,8 @@
 r"""What moves the smoke of one octave: the flow of a potential's velocity, on blocks of voxels.
 
-A potential on the blocks is derived, clamped to a velocity, and followed for a unit of time. Its
-blocks are as long as two voxels of the source, or longer. Displacements of single voxels fold
-space, take three times as long, and hardly bring pictures nearer to the style (decision 038).
+A potential on the blocks is derived, clamped to a velocity, and followed for a unit of time. Where
+smoke has many voxels, blocks are at least two of them long (``move.movable_blocks``): motion of
+single ones takes three times as long, and hardly brings pictures nearer to the style.
 """
 
 from collections.abc import Callable

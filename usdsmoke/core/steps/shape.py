@@ -10,7 +10,7 @@ Deviations from the reference, each against a fault seen there:
   the border of thick smoke; otherwise a bright rim grows along the border of the moved smoke;
 - the smoke follows the velocity's flow, and folding is penalised: a displacement taken at once
   folds a seventh of a plume of 64 voxels (decision 018);
-- blocks of two voxels move, not single ones: see ``steps.motion``;
+- where there are many voxels, blocks of two of them move: see ``steps.motion``;
 - outliers of density count as much as the dense smoke: one voxel would own every measure;
 - the guide T is the *source's* silhouette: the optimiser would exploit one that follows the moved
   smoke;
@@ -34,11 +34,11 @@ from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement, Potential
 from usdsmoke.core.fields.pyramid import expand_levels
 from usdsmoke.core.fields.sample import sample_linear
-from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, octaves_to_do
+from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.steps.motion import Finer, Motion, MotionBox, Start
-from usdsmoke.core.steps.move import fade_of, smoke_box
+from usdsmoke.core.steps.move import fade_of, movable_blocks, smoke_box
 from usdsmoke.core.steps.optimize import Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import GreyView, ViewPool, grey_view
 from usdsmoke.core.steps.targets import StepProblem
@@ -152,7 +152,7 @@ def run_shape_step(
     descent = Descent(rate_share * config.shape.learning_rate, 0, config.optimize.tolerance)
     kind = config.shape.displacement
     n_channels = _n_channels(kind, source)
-    blocks = source if problem.blocks == 1 else coarsen(source)
+    blocks = movable_blocks(source)
 
     box: MotionBox | None = None
     potential, ends = None, []

@@ -136,7 +136,6 @@ class StepProblem:
     config: Config
     mask: EffectMask | None = None  # share of the effect; None: 1 everywhere
     lighting: Lighting | None = None  # of the colour step's smoke; None: it scatters no light
-    blocks: int = 2  # voxels along what the shape step moves as a whole: 1 or 2
 
 
 def make_targets(
