@@ -100,6 +100,12 @@ VOLUME = _group(
      (OUTLIERS + "test_remains_far_away_change_neither_extinction_nor_reach",
       "tests/unit/runs/test_findings.py::"
       "test_voxels_far_away_that_make_pictures_coarse_are_named")),
+    ("parts of one Volume far apart", "finite: gamma is that of one part; a finding names them",
+     (OUTLIERS + "test_lumps_far_apart_have_the_extinction_of_one_and_are_named",)),
+    ("a mask that slides over resting smoke", "finite: the temporal error compares what both masks "
+     "select",
+     ("tests/unit/core/test_mask_effect.py::"
+      "test_a_mask_that_slides_over_resting_smoke_is_no_flicker",)),
     ("a camera inside the smoke", "finite: it sees colours, and plan and finding warn that strokes "
      "do not fit into its picture",
      (SIGHT + "test_a_camera_in_the_smoke_sees_colours_and_the_report_tells_how_close_it_is",
