@@ -100,6 +100,11 @@ VOLUME = _group(
      (OUTLIERS + "test_remains_far_away_change_neither_extinction_nor_reach",
       "tests/unit/runs/test_findings.py::"
       "test_voxels_far_away_that_make_pictures_coarse_are_named")),
+    ("a floor of thin density in all of the box", "finite: gamma and motion are those of the smoke "
+     "above it",
+     (OUTLIERS + "test_a_floor_in_all_of_the_box_changes_neither_extinction_nor_reach",)),
+    ("thin smoke of any shape around a dense puff", "finite: a finding names it",
+     (OUTLIERS + "test_thin_smoke_that_covers_the_picture_and_is_chosen_is_measured",)),
     ("parts of one Volume far apart", "finite: gamma is that of one part; a finding names them",
      (OUTLIERS + "test_lumps_far_apart_have_the_extinction_of_one_and_are_named",)),
     ("a mask that slides over resting smoke", "finite: the temporal error compares what both masks "

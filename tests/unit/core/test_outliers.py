@@ -153,6 +153,36 @@ def test_lumps_far_apart_have_the_extinction_of_one_and_are_named():
     assert two.widened > 3 and one.widened == 1
 
 
+@pytest.mark.parametrize("floor", [1e-6, 1e-4, 1e-2])
+def test_a_floor_in_all_of_the_box_changes_neither_extinction_nor_reach(floor):
+    """What a simulation leaves everywhere: it is not what is made opaque."""
+    alone = np.zeros((32, 32, 32), np.float32)
+    alone[9:23, 9:23, 9:23] = puff(14, cut=0.1)
+    density = np.maximum(alone, np.float32(floor))
+    plain, found = (scene_of([frame_of(x)], CONFIG) for x in (alone, density))
+    assert found.gamma_w == pytest.approx(plain.gamma_w, rel=0.1)
+    assert smoke_of(density).extent == pytest.approx(smoke_of(alone).extent, rel=0.1)
+    smoke = smoke_of(density)
+    assert bounded(smoke) is smoke
+
+
+def test_smoke_that_fills_its_box_has_no_floor():
+    noise = np.random.default_rng(0).uniform(0.5, 1.5, (12, 12, 12)).astype(np.float32)
+    spotted = np.ones((12, 12, 12), np.float32)
+    spotted[4:7, 4:7, 4:7] = 1e6
+    for density in (noise, spotted, np.ones((9, 9, 9), np.float32)):
+        assert smoke_of(density).voxels.floor == 0
+
+
+def test_thin_smoke_that_covers_the_picture_and_is_chosen_is_measured():
+    """A ball of thin smoke around a puff: no box tells that it is a floor."""
+    places = np.indices((40, 40, 40)) - 19.5
+    density = np.where((places**2).sum(0) < 19**2, np.float32(1e-3), 0).astype(np.float32)
+    assert scene_of([frame_of(density)], CONFIG).hidden == 0
+    density[16:24, 16:24, 16:24] += puff(8)
+    assert scene_of([frame_of(density)], CONFIG).hidden > 0.1
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 9), (9, 1, 9), (2, 2, 40), (30, 30, 30)])
 def test_smoke_in_one_piece_is_one_lump(shape):
     voxels = smoke_of(np.ones(shape, np.float32)).voxels

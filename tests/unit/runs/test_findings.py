@@ -201,6 +201,7 @@ def test_frames_with_an_empty_one_between_them_are_not_compared(tmp_path: Path) 
     [
         ({"thick_share": 0.003}, [], "optics.gamma"),
         ({"thick_share": 0.003}, ["optics.gamma=1"], "optics.gamma_shape"),
+        ({"hidden": 0.4}, [], "optics.percentile"),
         ({"gamma_w": 1e4}, ["optics.gamma=1000"], "optics.gamma"),
         ({"gamma_w": 1e-4}, ["optics.gamma=1e-6"], "optics.gamma"),
         ({"gamma_w": 1e-4}, ["optics.depth=1e-4"], "optics.depth"),

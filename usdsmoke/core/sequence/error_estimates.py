@@ -29,6 +29,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.schedule import has_one_view, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.voxels import FLOOR_TIMES
 from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
@@ -86,7 +87,10 @@ def thick_depth(frame: PaintedFrame) -> float | None:
     if not frame.in_effect or len(frame.smoke.ijk) == 0:
         return None
     gamma_w = scene.gamma_w_shape if frame.paint is None else scene.gamma_w
-    return gamma_w * thick_column(frame.smoke, views, scene, OpticsConfig().percentile)
+    smoke, floor = frame.smoke, frame.source.voxels.floor
+    if floor > 0:  # which is not even any more where smoke was moved
+        smoke = smoke.take(smoke.density > FLOOR_TIMES * floor)
+    return gamma_w * thick_column(smoke, views, scene, OpticsConfig().percentile)
 
 
 def gamma_is_set(frame: PaintedFrame) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from usdsmoke.core.smoke.voxels import Voxels
+from usdsmoke.core.smoke.voxels import FLOOR_TIMES, Voxels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -46,8 +46,12 @@ def dense_level(density: "Tensor | np.ndarray") -> float:
 
 
 def bounded(smoke: Smoke) -> Smoke:
-    """The smoke without the excess of outliers; the smoke itself where there is none."""
-    level = dense_level(smoke.density)
+    """The smoke without the excess of outliers; the smoke itself where there is none.
+
+    Voxels of a floor do not make all smoke outliers.
+    """
+    voxels = smoke if isinstance(smoke, Voxels) else smoke.voxels
+    level = dense_level(voxels.density[voxels.density > FLOOR_TIMES * voxels.floor])
     if not bool((smoke.density > level).any()):
         return smoke
     return replace(smoke, density=smoke.density.clip(max=level))

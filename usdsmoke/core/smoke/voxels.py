@@ -10,6 +10,10 @@ from usdsmoke.base.volume import DenseField
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
 
 
+FILLED = 0.95  # of the box's voxels: from there on there may be a floor
+ABOVE = 20.0  # times the floor: denser voxels are smoke
+FEWEST_ABOVE = 40  # such voxels; fewer are an outlier of smoke that fills its box
+FLOOR_TIMES = 4.0  # its density: what counts as the floor
 OUTER = 0.05  # of the smoke, at both ends of an axis: what may lie far from the rest
 MOST_LENGTH = 2.5  # times the length of what lies between: a real plume has 2, puffs 1.2 to 2.3
 FAR = 5.0  # times: from there on what lies far away has no effect on the length
@@ -113,12 +117,31 @@ class Voxels(Placed):
         found = order[np.searchsorted(keys, wanted, sorter=order).clip(max=len(keys) - 1)]
         return np.where(keys[found] == wanted, self.density[found], 0.0)
 
+    @cached_property
+    def floor(self) -> float:
+        """The density that a simulation leaves in all of its box; 0 where there is none.
+
+        Smoke of any shape leaves a part of its box empty. Where it does not, the box's faces tell
+        the floor, if many voxels are much denser.
+        """
+        low, high = self.box
+        filled = len(self.ijk) / np.prod((high - low + 1).astype(float))
+        if filled < FILLED or len(self.ijk) < FEWEST_ABOVE:
+            return 0.0
+        long = high > low
+        faces = ((self.ijk == low) | (self.ijk == high))[:, long].any(axis=1)
+        level = float(np.median(self.density[faces]))
+        return level if (self.density > ABOVE * level).sum() >= FEWEST_ABOVE else 0.0
+
     def main_part(self) -> "Voxels":
-        """The smoke without remains that lie far from the rest; itself where there are none.
+        """The smoke without a floor, and without remains that lie far from the rest; itself where
+        there are none.
 
         Along each axis the smoke without 5 % at both ends has a length, and voxels up to three
         quarters of that beyond it belong to the main part.
         """
+        if self.floor > 0:
+            return self.take(self.density > FLOOR_TIMES * self.floor).main_part()
         near = np.ones(len(self.ijk), bool)
         for place, (begin, end), first, last in zip(
             self.ijk.T, self.inner_box, *self.box, strict=True
@@ -149,8 +172,10 @@ class Voxels(Placed):
 
         Where voxels move away from the rest, a side grows with them to ``MOST_LENGTH`` times the
         length that the smoke has without its ends, and then falls to ``LEAST_LENGTH`` times: it
-        never jumps.
+        never jumps. A floor does not count.
         """
+        if self.floor > 0:
+            return self.take(self.density > FLOOR_TIMES * self.floor).usual_length
         low, high = self.box
         inner = self.inner_box[:, 1] - self.inner_box[:, 0] + 1
         times = (high - low + 1) / inner

@@ -15,11 +15,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from usdsmoke.core.smoke.voxels import Voxels
 from usdsmoke.core.views.cameras import View
 
 RIPPLE = 0.005  # rms, of constant smoke
 DEPTH = 16  # voxels of smoke along the ray, over which waves average out
 MOST_EXTRA = 3  # parts of an edge beyond those that leave no hole
+_STILL = 1e-9  # pixels that smoke may be moved by when it is counted
 _MODES = np.array([mode for mode in np.ndindex(9, 9, 9) if mode != (4, 4, 4)]) - 4
 
 
@@ -76,3 +78,46 @@ def _fewest_parts(
         if found[parts] <= RIPPLE:
             return parts
     return min(found, key=lambda parts: found[parts])
+
+
+def splat(smoke: Voxels, view: View) -> np.ndarray:
+    """``project.column_map`` of smoke that lies inside an orthographic view, [P] float64."""
+    to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
+    middle = np.array([(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]])
+    start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + middle
+    ijk, mass = _without_depth(smoke, smoke.edges @ to_pixels)
+    places = ijk @ (smoke.edges @ to_pixels)
+    offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels
+    mass *= smoke.voxel_volume / len(offsets) / view.pixel_size**2
+    total = np.zeros(view.height * view.width)
+    for offset in offsets + start:
+        place = places + offset
+        first = np.floor(place)
+        (x, y), (column, row) = (place - first).T, first.astype(np.int64).T
+        pixel = row * view.width + column
+        for down, across in np.ndindex(2, 2):
+            weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
+            total += np.bincount(pixel + (down * view.width + across), weight, len(total))
+    return total
+
+
+def _without_depth(smoke: Voxels, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Voxels [M 3] and their density; those behind one another are one where an axis is seen from
+    its end.
+
+    Args:
+        steps: of a voxel along each axis, pixels, [3 2].
+    """
+    density = smoke.density.astype(np.float64)
+    lengths = np.abs(steps).sum(axis=1)
+    axis, (low, high) = int(lengths.argmin()), smoke.box
+    if lengths[axis] * (high - low)[axis] > _STILL:
+        return smoke.ijk, density
+    across = [n for n in range(3) if n != axis]
+    shape = (high - low + 1)[across]
+    i, j = (smoke.ijk[:, n] - low[n] for n in across)
+    total = np.bincount(i * shape[1] + j, density, int(np.prod(shape)))
+    filled = np.flatnonzero(total)
+    ijk = np.tile(low, (len(filled), 1))
+    ijk[:, across] += np.stack(np.divmod(filled, shape[1]), axis=1)
+    return ijk, total[filled]

@@ -17,7 +17,7 @@ from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
-from usdsmoke.core.views.footprint import voxel_points
+from usdsmoke.core.views.footprint import splat
 from usdsmoke.core.views.frustum import nearest_footprint, visible_part
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
 NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
-_STILL = 1e-9  # pixels that smoke may be moved by when it is counted
+MUCH = 8.0  # times the thick columns
+_SEVERAL = 10  # columns; fewer are an outlier
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -54,6 +55,7 @@ class Scene:
     # Longer side of the pictures over that of pictures of the largest lump of smoke alone, where
     # pixels are larger because of the rest; else 1.
     widened: float = 1.0
+    hidden: float = 0.0  # share of the mass in columns ``MUCH`` times as thick, if these are many
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
@@ -192,52 +194,26 @@ def _columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
     Args:
         view: from ``fit_view``.
     """
-    columns = _splat(bounded(smoke), view)
+    columns = splat(bounded(smoke), view)
     some = columns[columns > 0]
     return some[some > FRINGE * ranked(some, DENSE_COLUMNS)], len(some)
 
 
-def _splat(smoke: Voxels, view: View) -> np.ndarray:
-    """``project.column_map`` of smoke that lies inside an orthographic view, [P] float64."""
-    to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
-    middle = np.array([(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]])
-    start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + middle
-    ijk, mass = _without_depth(smoke, smoke.edges @ to_pixels)
-    places = ijk @ (smoke.edges @ to_pixels)
-    offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels
-    mass *= smoke.voxel_volume / len(offsets) / view.pixel_size**2
-    total = np.zeros(view.height * view.width)
-    for offset in offsets + start:
-        place = places + offset
-        first = np.floor(place)
-        (x, y), (column, row) = (place - first).T, first.astype(np.int64).T
-        pixel = row * view.width + column
-        for down, across in np.ndindex(2, 2):
-            weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
-            total += np.bincount(pixel + (down * view.width + across), weight, len(total))
-    return total
+def _thick_columns(
+    seen: Sequence[tuple[Voxels, View]], percentile: float
+) -> tuple[list[np.ndarray], float, float]:
+    """The columns of each frame, what thick ones have, and the share of all that is as thick."""
+    found = [_columns(*pair) for pair in seen]
+    columns = [dense for dense, _ in found]
+    thick = float(np.median([np.percentile(c, percentile) for c in columns]))
+    return columns, thick, float(np.median([(dense >= thick).sum() / n for dense, n in found]))
 
 
-def _without_depth(smoke: Voxels, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Voxels [M 3] and their density; those behind one another are one where an axis is seen from
-    its end.
-
-    Args:
-        steps: of a voxel along each axis, pixels, [3 2].
-    """
-    density = smoke.density.astype(np.float64)
-    lengths = np.abs(steps).sum(axis=1)
-    axis, (low, high) = int(lengths.argmin()), smoke.box
-    if lengths[axis] * (high - low)[axis] > _STILL:
-        return smoke.ijk, density
-    across = [n for n in range(3) if n != axis]
-    shape = (high - low + 1)[across]
-    i, j = (smoke.ijk[:, n] - low[n] for n in across)
-    total = np.bincount(i * shape[1] + j, density, int(np.prod(shape)))
-    filled = np.flatnonzero(total)
-    ijk = np.tile(low, (len(filled), 1))
-    ijk[:, across] += np.stack(np.divmod(filled, shape[1]), axis=1)
-    return ijk, total[filled]
+def _hidden_mass(smoke: Voxels, view: View, thick: float) -> float:
+    """The share of the mass in columns ``MUCH`` times as thick; 0 where those are few."""
+    columns = splat(smoke, view)
+    dense = columns[columns > MUCH * thick]
+    return float(dense.sum() / columns.sum()) if len(dense) >= _SEVERAL else 0.0
 
 
 def measure_scene(
@@ -279,10 +255,8 @@ def measure_scene(
     fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
     coarse = max(fine, voxel)
     main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
-    found = [_columns(s, _middle_view(s, views, up_axis, coarse, camera)) for s, camera in main]
-    columns = [dense for dense, _ in found]
-    thick = float(np.median([np.percentile(c, optics.percentile) for c in columns]))
-    share = float(np.median([(dense >= thick).sum() / n for dense, n in found]))
+    seen = [(part, _middle_view(part, views, up_axis, coarse, camera)) for part, camera in main]
+    columns, thick, share = _thick_columns(seen, optics.percentile)
     gamma_w, gamma_w_shape = (
         per_voxel / voxel if per_voxel is not None else depth / thick
         for per_voxel, depth in (
@@ -298,7 +272,9 @@ def measure_scene(
     return Scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
-        thick=thick, thick_share=share, widened=widened, stops=optics.exposure or 0.0,
+        thick=thick, thick_share=share, widened=widened,
+        hidden=float(np.median([_hidden_mass(*pair, thick) for pair in seen])),
+        stops=optics.exposure or 0.0,
     )  # fmt: skip
 
 

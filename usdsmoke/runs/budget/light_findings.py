@@ -6,6 +6,7 @@ from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
+from usdsmoke.core.views.scene import MUCH
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.planned import PlannedVolume
@@ -21,6 +22,7 @@ DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
+HIDDEN = 0.1  # of the mass
 WIDENED = 1.5  # times: strokes are as much coarser
 
 
@@ -39,6 +41,16 @@ def find_scene(volume: PlannedVolume) -> Iterator[Finding]:
             f"Compare the result with the source; lower optics.percentile or set "
             f"optics.{chosen[0]}",
             f"optics.{chosen[0]}",
+        )
+    if (hidden := scene.get("hidden", 0.0)) > HIDDEN and chosen:
+        yield Finding(
+            place,
+            "",
+            f"{hidden:.0%} of the smoke is in columns more than {MUCH:g} times as thick as those "
+            f"that optics.{chosen[0]} rests on: thin smoke around it covers most of the picture",
+            "Look at the result: if thin smoke hides the rest, remove it from the source, or set "
+            f"a larger optics.percentile or a smaller optics.{chosen[0].replace('gamma', 'depth')}",
+            "optics.percentile",
         )
     if (widened := scene.get("widened", 1.0)) > WIDENED:
         yield _far_apart(volume, widened)
