@@ -112,6 +112,7 @@ SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
     ("changes", "row", "settings"),
     [
         (STILL, "motionless mass", ["losses.keep=1000000.0"]),
+        (STILL, "motionless mass", ["losses.content=1000000.0"]),
         (STILL, "motionless mass", ["optics.gamma_shape=0.001"]),
         (STILL, "motionless mass", ["optics.depth_shape=1000000.0"]),
         ({"voxels_written": 500}, "mass", ["grids.prune=0.5"]),

@@ -33,6 +33,7 @@ _OUTWEIGH = (  # settings that can keep the shape step from moving anything
     "optics.depth_shape",
     "shape.learning_rate",
     "losses.keep",
+    "losses.content",
     "losses.style",
     "optimize.strength",
 )
@@ -166,7 +167,7 @@ def _vanished(name: str, gone: float, config: Config) -> Finding:
     remedy, setting = "Set a smaller shape.reach", "shape.reach"
     if changed := _changed(config, "grids.prune", "grids.half"):
         remedy, setting = f"Unset {' and '.join(changed)}", changed[0]
-    remedy += ", or look for voxels much denser than the rest or far from it"
+    remedy += ", or look for voxels far from the rest, or much denser or thinner than it"
     cause = f"the result has {gone:.1%} fewer voxels with smoke than the source"
     return Finding(name, MASS.name, cause, remedy, setting)
 
