@@ -4,7 +4,7 @@
 
 For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does, and
 paints a frame that it has not seen, and one of another shot: the real plume, its voxels merged in
-blocks of two, where its file is there. Beside it stand cold starts of the colour step, a start from
+blocks, where its file is there. Beside it stand cold starts of the colour step, a start from
 the frame before, and the network with iterations of the finest octave after it. ``--own`` trains
 another network on the real plume itself, a shot of one frame. Density is as it is in the files.
 Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
@@ -206,11 +206,11 @@ def _curves(
         work = problem, trained.generator, Ways()
         yield from _rows(f"{name}, real plume", (other, style), work, gallery, given)
         if given.own:
-            trained, seconds = _fit([other], style, (scene, own), given.iterations)
+            fitted, seconds = _fit([other], style, (scene, own), given.iterations)
             where = f"{name}, real plume, own network"
-            what = f"training, {trained.n_iterations} iterations"
+            what = f"training, {fitted.n_iterations} iterations"
             yield _line(where, what, Row("", 0.0, seconds))
-            work = problem, trained.generator, Ways(cold=())
+            work = problem, fitted.generator, Ways(cold=())
             yield from _rows(where, (other, style), work, gallery, given)
     if given.shown and name == Path(given.styles[0]).stem:
         yield from _coherence(name, style, frames, trained.generator, config)
@@ -227,7 +227,6 @@ def _rows(
     scene, config, smoke = problem.scene, problem.config, problem.smoke
     judge = Judge(frame, style, scene, config, "colour", MEASURES)
     place = tuple((smoke.ijk.numpy() - np.asarray(frame.density.ijk_min)).T)
-
     gallery.add_style(where, style)
 
     def score(way: str, colours: torch.Tensor) -> tuple[float, ...]:
@@ -342,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in lines_of():
             print(line, file=sys.stderr, flush=True)
             lines.append(line)
-        if given.picture:
+        if given.picture and gallery.rows:
             gallery.save(given.picture)
     columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 360", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments

@@ -27,7 +27,7 @@ from usdsmoke.core.training.canvas import (
 )
 
 RATE = 3e-3  # of Adam, in units of parameters
-MEAN_SHARE = 0.995  # of the mean of the parameters, that an iteration leaves; fewer at the start
+MEAN_SHARE = 0.995  # of the mean of the parameters that an iteration keeps; less at the start
 N_CROPS = 4  # of a frame that is too large
 CHECK_EVERY = 50  # iterations between two looks at the held-out frame
 PATIENCE = 0.4  # share of the iterations without a better look after which training ends
@@ -112,7 +112,7 @@ def train_generator(
 def _add_to_mean(mean: Generator, generator: Generator, iteration: int) -> None:
     """Bring the running mean of the parameters up to an iteration. [Polyak1992]
 
-    Steps follow the views and the noise of their iterations; the mean paints better than any state.
+    Steps follow the views and the noise of their iterations, which the mean evens out.
     """
     share = min(MEAN_SHARE, (1 + iteration) / (10 + iteration))
     for name, values in mean.parameters.items():
