@@ -180,6 +180,13 @@ def test_a_step_with_iterations_that_does_nothing_is_laid_to_its_pictures(
     assert finding.setting == wanted
 
 
+def test_a_mask_may_be_why_the_loss_hardly_falls() -> None:
+    report, plain = replace(GOOD, **FAST), Config()
+    masked = Config(stage=plain.stage.replace(mask="fade"))
+    (finding,), (usual,) = (find_frame("a.vdb", report, config) for config in (masked, plain))
+    assert "mask" in finding.remedy and "mask" not in usual.remedy
+
+
 @pytest.mark.parametrize("place", [0, 1])
 def test_of_two_neighbours_the_one_with_three_times_the_loss_is_named(
     place: int, tmp_path: Path

@@ -285,6 +285,8 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
         remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
+    if config.stage.mask:
+        remedy += ", or check the values of the mask"
     if _has_high_rate(config):
         setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
     yield Finding(
