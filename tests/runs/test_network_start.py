@@ -78,7 +78,7 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
 
 
 def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
     own = {"optimize__start": "network", "optimize__iterations": 0}
     both = own | {"optimize__steps": ["shape", "colour"]}  # there is nothing to move smoke by
     told = plan(shot.stage, shot.style, shot.output, {**QUICK, "optimize.start": "network"})
@@ -105,7 +105,7 @@ def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.Monke
 def test_a_stopped_run_goes_on_behind_the_last_frame_that_a_network_painted(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
     own = {"optimize__start": "network", "optimize__iterations": 0}
     whole, painted, written = run(shot, "whole", **own), list[int](), list[int]()
 
@@ -132,7 +132,7 @@ def test_a_stopped_run_goes_on_behind_the_last_frame_that_a_network_painted(
 def test_a_look_grows_with_the_network_that_it_has(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
     own = {"optimize__start": "network", "optimize__iterations": 0, "windows__size": 1}
     first = provenance(run(shot, "out", stage__frames="1-2", **own).look_layer)
     monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 1)
@@ -154,7 +154,7 @@ def test_frames_start_cold_where_the_network_does_not_suit_them(shot: Shot) -> N
 def test_windows_share_a_coarse_step_only_where_the_network_does_not_suit_the_smoke(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 30)
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
     several = {"windows__size": 2, "windows__shared_octaves": 1, "optimize__start": "network"}
     suits = run(shot, "out", **several)
     assert not list(shot.folder.glob("out/vdb/*/coarse/*.npz"))
