@@ -42,6 +42,7 @@ from benchmarks.true_errors import (
 )
 from usdsmoke.base.presets import preset_file
 from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.views.cameras import View
 
@@ -95,12 +96,20 @@ def settings() -> Iterator[Setting]:
         text = f"optimize.tolerance={tolerance:g}"
         yield Setting(f"`{text}`", TOLERANCES, (text,))
     yield Setting("`grids.refine=2`", "", ("grids.refine=2",))
-    final = resolve_config(preset_file("final"))
-    longer = [
-        f"{step}.iterations={[4 * n for n in getattr(final, step).iterations]}"
+    for share in (0.1, 0.2):
+        shorter = _iterations(resolve_config(), share)
+        yield Setting(f"{share:g} of the iterations", "", shorter)
+    final = preset_file("final")
+    longer = _iterations(resolve_config(final), 4)
+    yield Setting("`final`, 4 times the iterations", "", (final, *longer))
+
+
+def _iterations(config: Config, factor: float) -> tuple[str, ...]:
+    """Settings with so many times the iterations of both steps."""
+    return tuple(
+        f"{step}.iterations={[round(factor * n) for n in getattr(config, step).iterations]}"
         for step in ("shape", "colour")
-    ]
-    yield Setting("`final`, 4 times the iterations", "", (preset_file("final"), *longer))
+    )
 
 
 def measure(scene: Scene, style: np.ndarray, setting: Setting, before: Path) -> Point:
