@@ -184,8 +184,9 @@ def test_smoke_that_is_moved_far_hardly_folds(
         }
     )
     folded = []
-    for weight in (shape.FOLDING_WEIGHT, 0.0):
-        monkeypatch.setattr(shape, "FOLDING_WEIGHT", weight)
+    for unpunished in ((), ("FOLDING_WEIGHT", "BLOCK_FOLDING_WEIGHT")):
+        for name in unpunished:
+            monkeypatch.setattr(shape, name, 0.0)
         (frame,) = run_core([frame_of(puff(24))], config)
         folded.append(frame.report.transport.folded)
     assert folded[0] < most < least < folded[1]

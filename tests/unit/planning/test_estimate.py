@@ -109,8 +109,8 @@ def test_every_further_colour_is_more_values_a_voxel() -> None:
             ["views.pool=12", "shape.iterations=[50,40,20]", "colour.iterations=[100,80,60]"],
             11.0,
         ),
-        (FrameSize(1_050_000, (111, 222, 112)), [], 91.0),
-        (FrameSize(1_050_000, (111, 222, 112)), ["optimize.steps=[shape]"], 47.0),
+        (FrameSize(1_050_000, (111, 222, 112)), [], 55.0),
+        (FrameSize(1_050_000, (111, 222, 112)), ["optimize.steps=[shape]"], 25.0),
     ],
     ids=["example plume", "real plume", "real plume's shape"],
 )

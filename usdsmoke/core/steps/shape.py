@@ -48,6 +48,8 @@ from usdsmoke.core.views.scene import frame_views
 N_CHANNELS = {"stream": 3, "potential": 1, "mixed": 4}  # of the potential
 # Weights of the penalties, relative to the style's (decision 018)
 FOLDING_WEIGHT = 10.0  # on folding
+# on that of blocks: between them, slopes are interpolated, so that voxels fold more (decision 038)
+BLOCK_FOLDING_WEIGHT = 100.0
 MASS_WEIGHT = 0.75  # on the change of mass, of which LARGE_CHANGE is one: darkness is cheap style
 LARGE_CHANGE = 0.05  # of the mass
 
@@ -115,7 +117,8 @@ class _Octave:
         loss = loss + self._weight * MASS_WEIGHT * softened(gain)
         folding = self.motion.folding(u)
         if folding is not None:
-            loss = loss + self._weight * FOLDING_WEIGHT * folding
+            weight = FOLDING_WEIGHT if self._finer is None else BLOCK_FOLDING_WEIGHT
+            loss = loss + self._weight * weight * folding
         if self._steadiness:
             loss = loss + self._weight * self._steadiness * self.motion.departure(change)
         return loss
