@@ -105,6 +105,9 @@ VOLUME = _group(
      (OUTLIERS + "test_a_floor_in_all_of_the_box_changes_neither_extinction_nor_reach",)),
     ("thin smoke of any shape around a dense puff", "finite: a finding names it",
      (OUTLIERS + "test_thin_smoke_that_covers_the_picture_and_is_chosen_is_measured",)),
+    ("dense smoke apart from thin fog that has more voxels", "finite: gamma is within four times "
+     "that of the dense smoke alone",
+     (OUTLIERS + "test_dense_smoke_apart_from_more_thin_smoke_is_no_remains",)),
     ("parts of one Volume far apart", "finite: gamma is that of one part; a finding names them",
      (OUTLIERS + "test_lumps_far_apart_have_the_extinction_of_one_and_are_named",)),
     ("a mask that slides over resting smoke", "finite: the temporal error compares what both masks "

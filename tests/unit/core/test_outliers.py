@@ -183,6 +183,16 @@ def test_thin_smoke_that_covers_the_picture_and_is_chosen_is_measured():
     assert scene_of([frame_of(density)], CONFIG).hidden > 0.1
 
 
+@pytest.mark.parametrize("level", [1e-3, 1e-4])
+def test_dense_smoke_apart_from_more_thin_smoke_is_no_remains(level):
+    """A layer of ground fog has most voxels, and the puff above it most of the mass."""
+    density = np.zeros((32, 32, 32), np.float32)
+    density[10:20, 20:30, 10:20] = puff(10)
+    alone = scene_of([frame_of(density)], CONFIG).gamma_w
+    density[:, :8] = level
+    assert scene_of([frame_of(density)], CONFIG).gamma_w < 4 * alone
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 9), (9, 1, 9), (2, 2, 40), (30, 30, 30)])
 def test_smoke_in_one_piece_is_one_lump(shape):
     voxels = smoke_of(np.ones(shape, np.float32)).voxels

@@ -18,6 +18,7 @@ OUTER = 0.05  # of the smoke, at both ends of an axis: what may lie far from the
 MOST_LENGTH = 2.5  # times the length of what lies between: a real plume has 2, puffs 1.2 to 2.3
 FAR = 5.0  # times: from there on what lies far away has no effect on the length
 LEAST_LENGTH = 1.4  # times: what a puff without remains has
+MOST_REMAINS = 0.1  # of the mass: ``FEWEST_ABOVE`` voxels or more with more of it are no remains
 _BLOCKS = 8  # along the longest side: lumps are told apart by these
 CORE = 0.9  # rank of the voxels above which a denser one weighs no more
 
@@ -138,7 +139,8 @@ class Voxels(Placed):
         there are none.
 
         Along each axis the smoke without 5 % at both ends has a length, and voxels up to three
-        quarters of that beyond it belong to the main part.
+        quarters of that beyond it belong to the main part. Dense smoke apart from thin smoke has
+        few voxels but most of the mass, and belongs to it too.
         """
         if self.floor > 0:
             return self.take(self.density > FLOOR_TIMES * self.floor).main_part()
@@ -149,6 +151,9 @@ class Voxels(Placed):
             around = (MOST_LENGTH - 1) / 2 * (end - begin + 1)
             if first < begin - around or last > end + around:
                 near &= (place >= begin - around) & (place <= end + around)
+        away = self.density[~near]
+        if len(away) >= FEWEST_ABOVE and away.sum() > MOST_REMAINS * self.density.sum():
+            return self
         return self if near.all() else self.take(near)
 
     @cached_property
