@@ -135,9 +135,8 @@ class Plan:
     omitted: tuple[Omission, ...]
     estimate: CostEstimate
     notes: tuple[str, ...] = ()  # what may surprise at the end, a sentence each
-    warnings: tuple[
-        str, ...
-    ] = ()  # what keeps the result from being seen as it is, with the remedy
+    # what keeps the result from being seen as it is, with the remedy
+    warnings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         paths = ", ".join(f"<{volume.source.prim_path}>" for volume in self.volumes)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from usdsmoke.core.smoke.voxels import FLOOR_TIMES, Voxels
+from usdsmoke.core.smoke.voxels import Voxels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -51,7 +51,7 @@ def bounded(smoke: Smoke) -> Smoke:
     Voxels of a floor do not make all smoke outliers.
     """
     voxels = smoke if isinstance(smoke, Voxels) else smoke.voxels
-    level = dense_level(voxels.density[voxels.density > FLOOR_TIMES * voxels.floor])
+    level = dense_level(voxels.above_floor().density)
     if not bool((smoke.density > level).any()):
         return smoke
     return replace(smoke, density=smoke.density.clip(max=level))

@@ -134,6 +134,10 @@ class Voxels(Placed):
         level = float(np.median(self.density[faces]))
         return level if (self.density > ABOVE * level).sum() >= FEWEST_ABOVE else 0.0
 
+    def above_floor(self) -> "Voxels":
+        """The smoke without a floor; itself where there is none."""
+        return self.take(self.density > FLOOR_TIMES * self.floor) if self.floor > 0 else self
+
     def main_part(self) -> "Voxels":
         """The smoke without a floor, and without remains that lie far from the rest; itself where
         there are none.
@@ -143,7 +147,7 @@ class Voxels(Placed):
         few voxels but most of the mass, and belongs to it too.
         """
         if self.floor > 0:
-            return self.take(self.density > FLOOR_TIMES * self.floor).main_part()
+            return self.above_floor().main_part()
         near = np.ones(len(self.ijk), bool)
         for place, (begin, end), first, last in zip(
             self.ijk.T, self.inner_box, *self.box, strict=True
@@ -180,7 +184,7 @@ class Voxels(Placed):
         never jumps. A floor does not count.
         """
         if self.floor > 0:
-            return self.take(self.density > FLOOR_TIMES * self.floor).usual_length
+            return self.above_floor().usual_length
         low, high = self.box
         inner = self.inner_box[:, 1] - self.inner_box[:, 0] + 1
         times = (high - low + 1) / inner

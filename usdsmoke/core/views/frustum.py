@@ -45,8 +45,7 @@ class Frustum:
         depth = place[:, 2]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             film = place[:, :2] if self.is_orthographic else place[:, :2] / depth[:, None]
-            border = self._parallel_border() if self.is_orthographic else self.border
-            ends = [(self.low - film) / border, (film - self.high) / border]
+            ends = [(self.low - film) / self._film_border, (film - self.high) / self._film_border]
             close = self._is_close(depth)
             for end, beyond in zip(ends, self._beyond_edges(place[close]), strict=True):
                 end[close] = beyond / self.least_border
@@ -102,8 +101,10 @@ class Frustum:
         high = np.maximum(self.high * depth, np.where(self.high > 0, 0.0, -np.inf))
         return [low - across, across - high]
 
-    def _parallel_border(self) -> float:
-        return max(self.border, self.least_border)
+    @property
+    def _film_border(self) -> float:
+        """Width of the border on the film; a perspective one is too narrow near the eye."""
+        return max(self.border, self.least_border) if self.is_orthographic else self.border
 
     def _beyond_clips(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         near, far = self._clip_borders()
@@ -113,13 +114,13 @@ class Frustum:
     def _clip_borders(self) -> tuple[float, float]:
         """Widths of the borders before the near and behind the far plane, stage units, > 0."""
         if self.is_orthographic:
-            return self._parallel_border(), self._parallel_border()
+            return self._film_border, self._film_border
         least = max(self.least_border, 1e-12)
         return max(self.border * self.near, least), max(self.border * self.far, least)
 
     def _plane_distances(self, place: np.ndarray) -> np.ndarray:
         """[N 6], to the outer planes of the border; ``place`` as seen from the eye."""
-        border = self._parallel_border() if self.is_orthographic else self.border
+        border = self._film_border
         low, high = self.low - border, self.high + border
         across, depth = place[:, :2], place[:, 2:]
         if self.is_orthographic:

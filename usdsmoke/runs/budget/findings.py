@@ -9,7 +9,13 @@ from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
-from usdsmoke.runs.budget.light_findings import DEEPEST, find_depth, find_light, find_scene
+from usdsmoke.runs.budget.light_findings import (
+    DEEPEST,
+    find_depth,
+    find_light,
+    find_scene,
+    of_last_step,
+)
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
@@ -148,8 +154,7 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
     if row in (QUADRATURE, RESOLUTION) and (report.depth or 0.0) > DEEPEST:
         if not report.gamma_is_set and _changed(config, "optics.percentile"):
             return "Unset optics.percentile", "optics.percentile"
-        name = "shape" if report.colour is None else ""
-        name = f"{'gamma' if report.gamma_is_set else 'depth'}{name and '_' + name}"
+        name = of_last_step("gamma" if report.gamma_is_set else "depth", report)
         remedy = f"Set a smaller optics.{name}: a voxel of this smoke hides all that is behind it"
         return remedy, f"optics.{name}"
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):

@@ -125,6 +125,11 @@ def _depths(volume: PlannedVolume, scene: Mapping[str, Any]) -> dict[str, float]
     }
 
 
+def of_last_step(name: str, report: FrameReport) -> str:
+    """The setting of optics, depth or gamma, for the last step that a frame has."""
+    return name if report.colour is not None else f"{name}_shape"
+
+
 def find_depth(
     name: str, report: FrameReport, optics: OpticsConfig, is_measured: bool = False
 ) -> Iterator[Finding]:
@@ -140,7 +145,7 @@ def find_depth(
         return
     if report.depth_by_side is not None:
         yield from _find_sides(name, *report.depth_by_side)
-    asked = "depth_shape" if report.colour is None else "depth"
+    asked = of_last_step("depth", report)
     wanted = getattr(optics, asked)
     is_deep = report.depth > max(DEEPEST, LIKE_ASKED * wanted)
     if not is_deep and report.depth >= wanted / FAR_BELOW:
