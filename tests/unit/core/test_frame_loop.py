@@ -175,6 +175,28 @@ def test_windows_that_share_a_coarse_step_start_alike():
     assert len(frame.report.shape.iterations) == 1
 
 
+def test_a_windows_first_frame_stays_near_the_coarse_step():
+    """Which the frames behind it are pulled to, and which the window before it started from."""
+
+    def departure(steadiness: float) -> float:
+        config = quick_config(
+            shape={"iterations": [4, 12], "warm_rate": 1.0},
+            optimize={"steps": ["shape"], "threads": 1, "tolerance": 0.0},
+            windows={"shared_octaves": 1, "steadiness": steadiness},
+        )
+        scene, style = scene_of(FRAMES, config, "Y"), random_style()
+        (start,) = coarse_frames(FRAMES[2:3], [style], scene, config)
+        job = make_context([style], scene, config, None, 24.0, {2.0: start}.get, 1)
+        (frame,) = run_frames(FRAMES[2:3], job)
+        assert frame.unclamped is not None and start.displacement is not None
+        lattice = frame.unclamped.lattice
+        coarse = start.displacement.on(lattice)
+        change = lattice.from_stage(frame.unclamped.values) - coarse
+        return float(change.norm() / coarse.norm())
+
+    assert departure(1e4) < 0.5 * departure(0.0)
+
+
 def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):
     config = quick_config(windows={"shared_octaves": 1})
     scene = scene_of(FRAMES, config, "Y")

@@ -114,7 +114,7 @@ def sample_cubic(values: Tensor, positions_ijk: Tensor) -> Tensor:
     return torch.cat([nothing, *(sampled(positions_ijk[part]) for part in parts)])
 
 
-def spline_coefficients(values: Tensor) -> Tensor:
+def spline_coefficients(values: Tensor, margin: int = SPLINE_SUPPORT) -> Tensor:
     r"""Cubic B-spline coefficients of a box in zeros: the prefilter of ``sample_cubic``.
 
     A field s is interpolated by sum_k c_k * B(x - k) when (c_{k-1} + 4 c_k + c_{k+1}) / 6 = s_k.
@@ -123,10 +123,11 @@ def spline_coefficients(values: Tensor) -> Tensor:
 
     Args:
         values: [I J K] or [I J K C].
+        margin: voxels around the box for which there are coefficients too.
 
     Returns:
-        the coefficients, same layout; each axis longer than 1 is longer by ``SPLINE_SUPPORT``
-        voxels at both ends.
+        the coefficients, same layout; each axis longer than 1 is longer by ``margin`` voxels at
+        both ends.
 
     Gradients: through ``values``. Costs one small dense matrix product an axis.
     """
@@ -134,16 +135,16 @@ def spline_coefficients(values: Tensor) -> Tensor:
     for axis in range(3):
         length = values.shape[axis]
         if length > 1:
-            matrix = _filter_matrix(length).to(values)
+            matrix = _filter_matrix(length, margin).to(values)
             moved = torch.tensordot(matrix, coefficients, dims=([1], [axis]))
             coefficients = moved.movedim(0, axis)
     return coefficients
 
 
 @lru_cache(maxsize=32)
-def _filter_matrix(length: int) -> Tensor:
+def _filter_matrix(length: int, margin: int) -> Tensor:
     """[n_coefficients length] float64: from values along an axis to coefficients."""
-    rows = torch.arange(-SPLINE_SUPPORT, length + SPLINE_SUPPORT)
+    rows = torch.arange(-margin, length + margin)
     matrix = torch.zeros(len(rows), length, dtype=torch.float64)
     for shift in range(-_RESPONSE, _RESPONSE + 1):
         response = math.sqrt(3.0) * _POLE ** abs(shift)

@@ -29,13 +29,12 @@ def carry_displacement(before: Displacement, transit: Transit, lattice: Lattice)
         transit: from the neighbour to this frame.
         lattice: of this frame.
     """
-    values = before.values
-    trace, moved = transit.tracer(values.device), before.planar()
+    trace, look_up = transit.tracer(before.values.device), before.smoothly()
 
     def at(places: Tensor) -> Tensor:
-        return lattice.from_stage(transit.turn(moved.at(trace(places))))
+        return lattice.from_stage(transit.turn(look_up(trace(places))))
 
-    return lattice.on_voxels(at, values)
+    return lattice.on_voxels(at, before.values)
 
 
 def carry_colours(

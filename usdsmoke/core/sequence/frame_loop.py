@@ -146,9 +146,11 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         frame.targets.prepare({step: frame.todo(step, is_warm) for step in config.optimize.steps})
         iterations = frame.todo("shape", is_warm)
         watch = context.watch(frame.time_code)("shape", iterations)
-        rate_share = 1.0 if before is None else config.shape.warm_rate
+        # a window's first frame stays near the coarse step, which pulls at the frames behind it:
+        # otherwise they would take the whole overlap to settle
+        rate_share = 1.0 if start is None else config.shape.warm_rate
+        steadiness = 0.0 if start is None else config.windows.steadiness
         problem = frame.problem(frame.source)
-        steadiness = 0.0 if before is None else config.windows.steadiness
         unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share, steadiness)
         report = replace(report, shape=_report("shape", ends, frame, started))
     kept = Carried(frame.time_code, unclamped)
