@@ -47,9 +47,9 @@ WAYS: Mapping[str, Sequence[str]] = {
     ALONE: ("windows.size=1",),
     WINDOWS: (),
     "one window": (),
-    "crisper": ("windows.steadiness=0.3", "colour.warm_rate=1"),
-    "steadier": ("windows.steadiness=3", "colour.warm_rate=0.5"),
-    "much steadier": ("windows.steadiness=10", "colour.warm_rate=0.35"),
+    "crisper": ("windows.steadiness=1", "colour.warm_rate=1"),
+    "steadier": ("windows.steadiness=10", "colour.warm_rate=0.35"),
+    "much steadier": ("windows.steadiness=30", "colour.warm_rate=0.25"),
 }
 
 
@@ -125,9 +125,10 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 
 
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
+MORE = (*FEW, 18, 19)  # another one of one, and two of eight
 PLAN = Study(
     shots=(
-        _shot(64, "strokes", 0, 16, FEW),
+        _shot(64, "strokes", 0, 24, MORE),
         _shot(96, "strokes", 0, 16, FEW),
         _shot(64, "waves", 0, 16, FEW),
         _shot(64, "strokes", 1, 16, FEW),

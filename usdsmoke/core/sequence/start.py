@@ -20,8 +20,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 
 # Share of the difference to the coarse result by which a carried result is corrected. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
-PULL_DISPLACEMENT = 0.35
-PULL_COLOUR = 0.5
+PULL = 0.5
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def start_displacement(
     in_stage = Displacement(lattice.to_stage(carried), lattice)
     missing = shared.values - _block_means(in_stage, shared.lattice)
     del in_stage
-    return carried + PULL_DISPLACEMENT * Displacement(missing, shared.lattice).on(lattice)
+    return carried + PULL * Displacement(missing, shared.lattice).on(lattice)
 
 
 def start_colours(
@@ -124,7 +123,7 @@ def start_colours(
     if shared is None:
         return carried
     missing = _coarse_difference(*shared, painted, carried)
-    return (carried + PULL_COLOUR * missing).clamp(0, 1)
+    return (carried + PULL * missing).clamp(0, 1)
 
 
 def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:
