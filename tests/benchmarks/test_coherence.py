@@ -17,6 +17,7 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.planning.windows import Window
+from usdsmoke.vdb.blend import tail_weights
 
 GAMMA_W = 2.0
 
@@ -112,8 +113,9 @@ def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
     assert [item.source.time_code for item in run.outcomes] == [1, 2, 3, 4, 5]
     assert run.starts == (2,)
     assert run.touched == (1, 2, 3)  # from the frame before the overlap to the one behind it
+    later = [1 - weight for weight in tail_weights(2)]
     moved = [float(item.displacement.values[0, 0, 0, 0]) for item in run.outcomes]
-    np.testing.assert_allclose(moved, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
+    np.testing.assert_allclose(moved, [1, 1, 1 + later[0], 1 + later[1], 2], rtol=1e-6)
     masses = [float(item.density.values.mean()) for item in run.outcomes]
-    np.testing.assert_allclose(masses, [1, 1, 1 + 1 / 9, 1 + 4 / 9, 2], rtol=1e-6)
+    np.testing.assert_allclose(masses, [1, 1, 1 + later[0], 1 + later[1], 2], rtol=1e-6)
     np.testing.assert_allclose(run.differences, [(2 / 3, run.differences[0][1])] * 2, rtol=1e-6)

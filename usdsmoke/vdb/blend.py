@@ -15,6 +15,7 @@ from usdsmoke.vdb.boxes import union_box, values_in_box
 
 RISE = 1.5  # power of the place in an overlap
 
+
 def tail_weights(n_frames: int) -> list[float]:
     """Weight of the earlier window in each frame of an overlap; the later one has the rest.
 

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 
 import torch
 import torch.nn.functional as F
@@ -17,7 +19,7 @@ from usdsmoke.core.fields.displacement import (
 )
 from usdsmoke.core.fields.gather import gather_sum, planar
 from usdsmoke.core.fields.lattice import Lattice
-from usdsmoke.core.fields.sample import spline_coefficients
+from usdsmoke.core.fields.sample import sample_linear, spline_coefficients
 
 
 @dataclass(frozen=True)
@@ -49,18 +51,20 @@ class Displacement:
         return Displacement(planar(self.values), self.lattice)
 
     def smoothly(self) -> Callable[[Tensor], Tensor]:
-        """As ``at``, through a cubic spline: a look-up between voxels keeps what is small."""
-        values, lengths = self.values, torch.tensor(self.values.shape[:3])
-        margin = 2  # what a place up to a voxel beyond the box reads
-        channels = [spline_coefficients(channel, margin) for channel in values.unbind(-1)]
-        coefficients = torch.stack(channels).movedim(0, -1)
+        """As ``at``, through a cubic spline: a look-up between voxels keeps what is small.
+
+        Where ``at`` finds nothing, there is nothing: a spline rings into empty voxels.
+        """
+        values, margin = self.values, 2  # voxels that a place up to one beyond the box reads
+        channels = values.unbind(-1)
+        parts = [spline_coefficients(channel, margin) for channel in channels]
+        coefficients = torch.stack(parts).movedim(0, -1)  # one after another in memory
+        there = reduce(or_, (channel != 0 for channel in channels)).to(values)
 
         def at(positions: Tensor) -> Tensor:
             place = self.lattice.index_of(positions.to(values.device)).to(values.dtype)
-            sizes = lengths.to(place)
-            inside = ((place > -1) & (place < sizes)) | (sizes == 1)
             found = gather_sum(coefficients, place + margin, cubic=True)
-            return found * inside.all(dim=1, keepdim=True)
+            return found * (sample_linear(there, place) > 0)[:, None]
 
         return at
 
