@@ -56,9 +56,9 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
     options = [part for setting in settings for part in ("--set", setting)]
     named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
-    assert main(["train", *named, "--iterations", "30", *options, "--json"]) == 0
+    assert main(["train", *named, "--iterations", "60", *options, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 30
+    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60
 
     result = run(shot, "out", optimize__start=str(network), optimize__iterations=0)
     assert not any("start cold" in warning for warning in result.warnings)

@@ -83,6 +83,16 @@ class SparseSums:
             return table.new_zeros(len(self.start), table.shape[1])
         return weighted_rows(table.detach(), self.index, self.start, self.weight)
 
+    def transposed(self, n: int) -> "SparseSums":
+        """The transpose: ``n`` sums over what reads each of n rows."""
+        n_entries, counts = len(self.index), torch.bincount(self.index, minlength=n)
+        ends = torch.cat([self.start[1:], self.start.new_tensor([n_entries])])
+        sums = torch.arange(len(self.start), dtype=self.index.dtype, device=self.index.device)
+        reader = torch.repeat_interleave(sums, (ends - self.start).long())
+        order = torch.argsort(self.index, stable=True)
+        start = (torch.cumsum(counts, 0) - counts).to(self.start.dtype)
+        return SparseSums(reader[order], self.weight[order], start)
+
 
 class _Apply(torch.autograd.Function):
     @staticmethod

@@ -1,8 +1,8 @@
 """The form of the generator: its octaves, channels and parameters, and how long it is trained;
 without torch."""
 
-FORMAT = "1"  # rises with every change after which older parameters paint something else
-N_LEVELS = 5  # octaves; a colour depends on smoke at most 62 voxels away
+FORMAT = "2"  # rises with every change after which older parameters paint something else
+N_LEVELS = 5  # octaves; a colour depends on smoke at most 92 voxels away
 N_NOISE = 3  # channels of noise in each octave
 WIDTH = 12  # channels of features
 N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle

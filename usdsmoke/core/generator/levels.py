@@ -1,21 +1,30 @@
-"""The octaves that the generator works on: their voxels, who is next to whom, and whose block is.
+"""The octaves that the generator works on: their voxels, who is next to whom, and what is coarser.
 
 An octave's voxels are blocks of the next finer one's, aligned to even absolute indices, so nothing
 depends on how a frame was cropped. Only voxels that hold smoke exist: a neighbour without smoke
 counts as zeros. [Graham2018, submanifold convolutions]
+
+A finer octave takes a coarser one's values by trilinear interpolation between the blocks that hold
+smoke. Where all voxels of a block have its value, the network leaves a pattern of blocks in the
+picture. [Odena2016]
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from functools import cached_property
+from itertools import product
 
 import torch
 from torch import Tensor
 
+from usdsmoke.core.fields.sparse_map import SparseMap, SparseSums
 from usdsmoke.core.generator.definition import N_NEIGHBOURS
 from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, flat_key
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
+
+NEAR, FAR = 0.75, 0.25  # weights of the two blocks around a voxel along an axis
+CORNERS = tuple(product((0, 1), repeat=3))  # of the eight blocks around a voxel; 1: farther
 
 
 @dataclass(frozen=True)
@@ -24,7 +33,23 @@ class Level:
 
     smoke: ActiveSmoke
     neighbours: Tensor  # [N 27] int32, rows of the 3 x 3 x 3 voxels around each; N where is none
-    parent: Tensor | None  # [N] int64, row of the block of the next coarser octave; None: coarsest
+    blocks: SparseSums | None = None  # of the next coarser octave, around each; None: coarsest
+    n_blocks: int = 0  # of that octave
+
+    def finer(self, coarse: Tensor) -> Tensor:
+        """Values [n C] of the next coarser octave at this one's voxels, [N C].
+
+        Gradients: through ``coarse``, exact adjoint.
+        """
+        assert self.blocks is not None
+        if coarse.requires_grad:
+            return self._both_ways.apply(coarse)
+        return self.blocks(coarse)
+
+    @cached_property
+    def _both_ways(self) -> SparseMap:
+        assert self.blocks is not None
+        return SparseMap(self.blocks, self.blocks.transposed(self.n_blocks))
 
 
 def make_levels(smoke: ActiveSmoke, n: int) -> Sequence[Level]:
@@ -36,12 +61,43 @@ def make_levels(smoke: ActiveSmoke, n: int) -> Sequence[Level]:
     octaves = [bounded(smoke)]
     for _ in range(n - 1):
         octaves.append(coarsen(octaves[-1]))
-    parents = [block_of(fine, coarse) for fine, coarse in pairwise(octaves)]
-    levels = [
-        Level(octave, _neighbours(octave.ijk), parent)
-        for octave, parent in zip(octaves, [*parents, None], strict=True)
-    ]
-    return levels[::-1]
+    levels = list[Level]()
+    for octave in reversed(octaves):
+        around = _neighbours(octave.ijk)
+        if not levels:
+            levels.append(Level(octave, around))
+            continue
+        blocks = _blocks_around(octave, levels[-1])
+        levels.append(Level(octave, around, blocks, len(levels[-1].neighbours)))
+    return levels
+
+
+def _blocks_around(fine: ActiveSmoke, coarse: Level) -> SparseSums:
+    """Trilinear weights of the eight blocks around each voxel; those without smoke weigh 0."""
+    n, n_blocks, device = len(fine.ijk), len(coarse.neighbours), fine.ijk.device
+    parent, around = block_of(fine, coarse.smoke), coarse.neighbours.view(-1)
+    corners = torch.tensor(CORNERS, device=device)
+    weights = torch.tensor([NEAR, FAR], device=device)[corners].prod(1)
+    # where a voxel of each of the eight places in a block finds them among its block's neighbours
+    places = (2 * corners[:, None] - 1) * corners + 1
+    places = (places * torch.tensor([9, 3, 1], device=device)).sum(2)
+    halves = torch.tensor([4, 2, 1], device=device)
+    kind = torch.int32 if len(CORNERS) * n < 2**31 else torch.int64
+    index = torch.empty(n, len(CORNERS), dtype=kind, device=device)
+    weight = fine.density.new_empty(n, len(CORNERS))
+
+    def look_up(part: slice) -> None:
+        place = places[(torch.remainder(fine.ijk[part], 2) * halves).sum(1)]
+        own = parent[part, None]
+        rows = around[N_NEIGHBOURS * own + place]
+        there = rows < n_blocks
+        index[part] = torch.where(there, rows, own)
+        shares = weights * there
+        weight[part] = shares / shares.sum(1, keepdim=True)
+
+    share_rows(look_up, n, CHUNK_ROWS, device)
+    start = torch.arange(0, index.numel(), len(CORNERS), dtype=kind, device=device)
+    return SparseSums(index.view(-1), weight.view(-1), start)
 
 
 def _neighbours(ijk: Tensor) -> Tensor:

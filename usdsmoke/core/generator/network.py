@@ -1,8 +1,8 @@
 """A small network that paints smoke in one pass: colours from density and noise.
 
 From the coarsest octave to the finest, each takes white noise, which belongs to its voxels; the
-density, but not the finest one's, which flickers; and the features of the octave before, of the
-block that a voxel lies in. Two convolutions of 3 x 3 x 3 follow; the second adds to the first. The
+density, but not the finest one's, which flickers; and the features of the octave before,
+interpolated. Two convolutions of 3 x 3 x 3 follow; the second adds to the first. The
 finest features give display-encoded colours. So a colour depends on the smoke around its voxel
 alone: not on the box, on other frames, or on how work is divided. [Ulyanov2016, Gutierrez2020]
 """
@@ -83,8 +83,8 @@ class Generator:
             if level is not levels[-1]:
                 depth = level.smoke.density * (gamma_w * length)
                 inputs.append(torch.log1p(depth / THIN)[:, None])
-            if features is not None and level.parent is not None:
-                inputs.append(features.index_select(0, level.parent))
+            if features is not None:
+                inputs.append(level.finer(features))
             first = self._layer(f"{number}.first", torch.cat(inputs, 1), level)
             features = first + self._layer(f"{number}.second", first, level)
         assert features is not None
