@@ -16,7 +16,7 @@ from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.cameras import View, orbit_view, view_rays
 from usdsmoke.core.views.march import march
 from usdsmoke.core.views.media import Medium, make_media
-from usdsmoke.core.views.project import project_voxels
+from usdsmoke.core.views.project import Projector
 from usdsmoke.core.views.segments import segment_weights
 from usdsmoke.pictures import encode_srgb
 
@@ -227,10 +227,12 @@ def test_rays_go_through_the_pixels_that_points_project_to(focal: float | None) 
     view = replace(view, shift=(1.5, -2.25))
     x, y = np.array([0.0, 3.25, 6.0]), np.array([8.0, 1.5, 4.0])
     start, direction = view_rays(view, x, y)
-    foot = project_voxels(torch.from_numpy(start + 4.0 * direction), view)
-    weight = foot.weight.numpy()
-    found_x = ((foot.pixel.numpy() % view.width) * weight).sum(1)
-    found_y = ((foot.pixel.numpy() // view.width) * weight).sum(1)
+    points = torch.from_numpy(start + 4.0 * direction)
+    projector = Projector(points, view)
+    (foot,) = projector.footprints(points)
+    pixel, weight = foot.first.numpy() + np.array(projector.shifts)[:, None], foot.weights.numpy()
+    found_x = ((pixel % view.width) * weight).sum(0)
+    found_y = ((pixel // view.width) * weight).sum(0)
     assert np.allclose(found_x, x) and np.allclose(found_y, y)
 
 

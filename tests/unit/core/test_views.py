@@ -17,7 +17,7 @@ from usdsmoke.core.views.cameras import (
     sample_angles,
     view_of_camera,
 )
-from usdsmoke.core.views.project import project_voxels
+from usdsmoke.core.views.project import Projector
 
 SAMPLINGS = ["fixed", "uniform", "poisson"]
 RANGES = [(12.0, 6.0), (180.0, 0.0), (180.0, 90.0), (0.0, 6.0), (0.0, 0.0), (1e-3, 90.0)]
@@ -90,10 +90,13 @@ def lens(across=0.0, above=0.0, parallel=False):
 
 def pixel_of(view, point):
     """Mean of the pixels that a point is splatted on."""
-    foot = project_voxels(torch.tensor([point], dtype=torch.float64), view)
-    x, y = foot.pixel % view.width, foot.pixel // view.width
-    assert float(foot.weight.sum()) == pytest.approx(1.0)
-    return float((x * foot.weight).sum()), float((y * foot.weight).sum())
+    points = torch.tensor([point], dtype=torch.float64)
+    projector = Projector(points, view)
+    (foot,) = projector.footprints(points)
+    pixel, weight = foot.first + torch.tensor(projector.shifts), foot.weights[:, 0]
+    x, y = pixel % view.width, pixel // view.width
+    assert float(weight.sum()) == pytest.approx(1.0)
+    return float((x * weight).sum()), float((y * weight).sum())
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,18 @@ gamma gives ordinary alpha compositing, in [0, 1] for colours in [0, 1], with no
 image's maximum.
 """
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
 from torch import Tensor
+
+from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.views.cameras import View
+
+THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
+MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
+CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
 
 
 def opacity(optical_depth: Tensor) -> Tensor:
@@ -71,3 +79,76 @@ def transmittance_before(optical_depth: Tensor) -> Tensor:
     # an exclusive sum: with t_s taken off the inclusive one an infinite t_s would give NaN
     before = torch.cumsum(optical_depth[:-1], dim=0)
     return torch.exp(-torch.cat([torch.zeros_like(optical_depth[:1]), before]))
+
+
+class Slabs:
+    """Optical depths in slabs across a view, through which light comes from behind.
+
+    Args:
+        view: gives the pixels.
+        depth_range: least and largest depth of what is in the slabs, stage units.
+        step: thickness of a slab, stage units; more where slabs would fill memory.
+        like: dtype and device.
+        margin: empty slabs in front.
+    """
+
+    def __init__(
+        self, view: View, depth_range: tuple[float, float], step: float, like: Tensor,
+        margin: int = 0,
+    ) -> None:  # fmt: skip
+        self._n_pixels, self._nearest = view.height * view.width, depth_range[0]
+        length = depth_range[1] - depth_range[0]
+        self._step = max(step, length * self._n_pixels / MOST_CELLS)
+        self._margin, self._last = margin, length / self._step + margin
+        self._n_cells = (int(self._last) + 2) * self._n_pixels
+        # and the pixels that footprints in the last ones reach beyond them
+        self._cells = like.new_zeros(self._n_cells + view.width + 1)
+
+    @property
+    def values(self) -> Tensor:
+        """[S P]: the optical depths that were added, then what ``light_up`` makes of them."""
+        return self._cells[: self._n_cells].view(-1, self._n_pixels)
+
+    def place(self, pixel: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """The first cell of points [N], int32, and the share of the slab behind it, [N]."""
+        slab = ((depth - self._nearest) / self._step + self._margin).clamp_(0, self._last)
+        near = torch.floor(slab).clamp_(max=int(self._last))  # what float32 rounds up is not beyond
+        cell = near.to(torch.int32).mul_(self._n_pixels).add_(pixel)
+        return cell, slab.sub_(near).to(self._cells)
+
+    def add(self, cell: Tensor, far: Tensor, shifts: Sequence[int], depths: Tensor) -> None:
+        """Add optical depths [4 N] to the slabs around points, ``shifts`` after their pixel.
+
+        On a GPU the order of the sums, and with it the last bits, is not fixed.
+        """
+        behind = depths * far
+        for shift, near, rest in zip(shifts, depths - behind, behind, strict=True):
+            self._cells[shift:].index_add_(0, cell, near)
+            self._cells[shift + self._n_pixels :].index_add_(0, cell, rest)
+
+    def at(self, cell: Tensor, far: Tensor, shifts: Sequence[int]) -> Tensor:
+        """The values around points in those pixels, linear between slabs, [4 N]."""
+        near = far.new_empty(len(shifts), len(cell))
+        behind = torch.empty_like(near)
+        for number, shift in enumerate(shifts):
+            torch.index_select(self._cells[shift:], 0, cell, out=near[number])
+            further = self._cells[shift + self._n_pixels :]
+            torch.index_select(further, 0, cell, out=behind[number])
+        return near.lerp_(behind, far)
+
+    def light_up(self, both: bool = False) -> None:
+        """Replace optical depths by what a unit of each adds to the picture.
+
+        Args:
+            both: the mean of what it adds to this picture and to that from behind.
+        """
+        depths = self.values
+        n_slabs, n_pixels = depths.shape
+        for part in chunks(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
+            here = depths[:, part].contiguous()
+            found = _seen(here)
+            depths[:, part] = (found + _seen(here.flip(0)).flip(0)) / 2 if both else found
+
+
+def _seen(depths: Tensor) -> Tensor:
+    return transmittance_before(depths) * attenuation_ratio(depths)

@@ -12,28 +12,26 @@ linear maps come out of it:
 The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import product
 from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, weighted_rows
+from usdsmoke.core.smoke.memory import chunks, weighted_rows
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import voxel_points
-from usdsmoke.core.views.optics import attenuation_ratio, opacity, transmittance_before
+from usdsmoke.core.views.optics import THICKEST, Slabs, opacity
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
-THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
-MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
 SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once, at least
+CHUNK_ROWS = 2**15  # voxels whose pixels are found at once
 MOST_SUMS = 32  # such pictures, which are in memory together
-CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
 
 
 class _Apply(torch.autograd.Function):
@@ -95,17 +93,6 @@ class SparseImage:
     rows: Tensor | None = None  # [M], the voxels that can be seen, ascending; None: all, M = N
     n_voxels: int = 0  # N, where there are rows
 
-    def without_hidden(self) -> "SparseImage":
-        """The same map, without the voxels that have no weight."""
-        seen = (self.weight != 0).any(dim=1)
-        return replace(
-            self,
-            pixel=self.pixel[seen],
-            weight=self.weight[seen],
-            rows=seen.nonzero().squeeze(1),
-            n_voxels=len(seen),
-        )
-
     def total_weights(self) -> Tensor:
         """Of each voxel, over all pixels, [N]."""
         total = self.weight.sum(dim=1)
@@ -147,87 +134,115 @@ class SparseImage:
 
 
 @dataclass(frozen=True)
-class _Footprint:
-    """The pixels that points cover in a view."""
+class Footprint:
+    """The four pixels that each point covers in a view: the next one, those below, see ``shifts``.
 
-    pixel: Tensor  # [N 4] int32
-    weight: Tensor  # [N 4], bilinear
-    depth: Tensor  # [N] float64, along the view's axis, stage units
-    per_area: Tensor  # [N] float64, 1 / area that a pixel covers there, perpendicular to the ray
+    Where a picture is one pixel wide or high, what lies beyond it has no weight.
+    """
+
+    first: Tensor  # [N] int32, the pixel above and left of the point, or the nearest to that
+    weights: Tensor  # [4 N], bilinear; 0 outside the picture
+    depth: Tensor  # [N], along the view's axis, stage units
+    per_area: Tensor | float  # [N], 1 / area that a pixel covers there, perpendicular to the ray
 
 
-def project_voxels(positions: Tensor, view: View, dtype: torch.dtype = torch.float64) -> _Footprint:
+class Projector:
     """Bilinear footprints of points in a view.
 
     Args:
-        positions: [N 3], stage space, float64: smoke may be far from the origin.
+        positions: [N 3], stage space, float64: smoke may be far from the origin. All that is
+            projected lies among them, or nearly.
         view: orthographic or perspective; points behind a perspective eye get weight 0.
-        dtype: of the weights.
+        dtype: of the footprints.
     """
-    n, device = len(positions), positions.device
-    axes = torch.as_tensor(np.stack([view.right, view.up, view.forward]), device=device)
-    axes, centre = axes.to(positions.dtype), torch.as_tensor(view.centre).to(positions)
-    found = _Footprint(
-        torch.empty(n, 4, dtype=torch.int32, device=device),
-        torch.empty(n, 4, dtype=dtype, device=device),
-        positions.new_empty(n),
-        positions.new_empty(n),
-    )
-    nearest, farthest = 1.0, 0.0
-    if view.focal is not None and n:
-        depth = (positions - centre) @ axes[2]
-        farthest = float(depth.abs().amax())
-        seen = depth > 1e-6 * farthest
-        nearest = float(depth[seen].amin()) if bool(seen.any()) else 1.0
-    for part in chunks(n, CHUNK_ROWS, device):
-        right, up, depth = ((positions[part] - centre) @ axes.T).unbind(-1)
-        scale, visible = torch.ones_like(depth), None
+
+    def __init__(self, positions: Tensor, view: View, dtype: torch.dtype = torch.float64) -> None:
+        self._view, self._dtype = view, dtype
+        axes = torch.as_tensor(np.stack([view.right, -view.up, view.forward]))
+        self._axes = axes.to(positions)
+        self._centre = torch.as_tensor(view.centre).to(positions)
+        self._sides = view.width, view.height
+        middle = [(n - 1) / 2 + s for n, s in zip(self._sides, view.shift, strict=True)]
+        self._middle = self._column(middle)
+        self._last = self._column([max(n - 2, 0) for n in self._sides])
+        self._nearest, self._farthest = 1.0, 0.0
+        if view.focal is not None and len(positions):
+            depth = (positions - self._centre) @ self._axes[2]
+            self._farthest = float(depth.abs().amax())
+            seen = depth > 1e-6 * self._farthest
+            self._nearest = float(depth[seen].amin()) if bool(seen.any()) else 1.0
+
+    @property
+    def shifts(self) -> tuple[int, ...]:
+        """From a footprint's first pixel to each of the four."""
+        return (0, 1, self._view.width, self._view.width + 1)
+
+    def footprints(self, positions: Tensor, offsets: Tensor | None = None) -> Iterator[Footprint]:
+        """Of points [N 3], moved by each of [n 3]; None: where they are."""
+        near = (positions - self._centre).to(self._dtype)
+        turned = self._axes.to(near) @ near.T
+        if offsets is None:
+            offsets = positions.new_zeros(1, 3)
+        for shift in (offsets @ self._axes.T).to(near):
+            yield self._footprint(turned + shift[:, None])
+
+    def _footprint(self, turned: Tensor) -> Footprint:
+        view, place, depth = self._view, turned[:2], turned[2]
+        scale: Tensor | float
+        per_area: Tensor | float
+        visible = None
         if view.focal is None:
-            scale /= view.pixel_size
-            found.per_area[part] = scale**2
+            scale = 1 / view.pixel_size
+            per_area = scale**2
         else:
-            visible = depth > 1e-6 * farthest
+            visible = depth > 1e-6 * self._farthest
             # points behind the eye get the depth of the nearest in front, so that none is stretched
-            depth = torch.where(visible, depth, nearest)
+            depth = torch.where(visible, depth, self._nearest)
             scale = view.focal / depth
             # the area seen at a slant is smaller by its cosine
-            slant = torch.sqrt(1 + (right**2 + up**2) / depth**2)
-            found.per_area[part] = scale**2 * slant
-        x = _hats((view.width - 1) / 2 + view.shift[0] + right * scale, view.width)
-        y = _hats((view.height - 1) / 2 + view.shift[1] - up * scale, view.height)
-        found.depth[part] = depth
-        for corner, ((row, down), (column, across)) in enumerate(product(y, x)):
-            both = across * down
-            found.weight[part, corner] = both if visible is None else both * visible
-            found.pixel[part, corner] = row * view.width + column
-    return found
+            per_area = scale**2 * torch.sqrt(1 + (place**2).sum(0) / depth**2)
+        place = place.mul_(scale).add_(self._middle)
+        nearest = torch.minimum(torch.floor(place).clamp_(min=0), self._last)
+        (across, down), (column, row) = self._hats(place.sub_(nearest)), nearest
+        first = row.mul_(view.width).add_(column).to(torch.int32)
+        weights = (down[:, None] * across).flatten(0, 1)
+        if visible is not None:
+            weights *= visible
+        return Footprint(first, weights, depth, per_area)
+
+    def _hats(self, after: Tensor) -> Tensor:
+        """The weights of two pixels along both sides, [2 2 N], for places [2 N] after the first."""
+        hats = torch.stack([1 - after, after], 1)
+        if hats.numel() and float(hats.amin()) < 0:  # outside the picture
+            hats = torch.minimum(hats, 2 - hats).clamp_(min=0)
+        for side in (0, 1):
+            if self._sides[side] == 1:
+                hats[side, 1] = 0  # there is no second pixel
+        return hats
+
+    def _column(self, numbers: Sequence[float]) -> Tensor:
+        return torch.tensor(numbers, dtype=self._dtype, device=self._centre.device)[:, None]
+
+    def depth_range(self, positions: Tensor, offsets: Tensor) -> tuple[float, float]:
+        """The least and the largest depth of footprints of points, moved by each of [n 3]."""
+        depth, more = (positions - self._centre) @ self._axes[2], offsets @ self._axes[2]
+        if self._view.focal is not None:
+            depth = torch.where(depth > 1e-6 * self._farthest, depth, self._nearest)
+        low, high = torch.aminmax(depth)
+        return float(low + more.min()), float(high + more.max())
 
 
-def _hats(place: Tensor, length: int) -> list[tuple[Tensor, Tensor]]:
-    """The two pixels around each place [N] along a side, and their weights; 0 outside."""
-    first = torch.floor(place)
-    after, found = place - first, []
-    for number, weight in ((first, 1 - after), (first + 1, after)):
-        inside = (number >= 0) & (number < length)
-        found.append((number.clamp(0, length - 1).to(torch.int32), weight * inside))
-    return found
-
-
-def split_points(positions: Tensor, edges: np.ndarray, view: View) -> tuple[Tensor, int]:
-    """The points that voxels [N 3] are splatted at, [N n 3] flattened, and n."""
+def point_offsets(positions: Tensor, edges: np.ndarray, view: View) -> Tensor:
+    """Where in each of the voxels [N 3] it is splatted: offsets from its centre, [n 3]."""
     pixel = view.pixel_size
     if view.focal is not None:  # pixels of every size: the largest ones, of the farthest smoke
         forward = torch.as_tensor(view.forward, dtype=positions.dtype, device=positions.device)
         centre = torch.as_tensor(view.centre, dtype=positions.dtype, device=positions.device)
         depth = float(((positions - centre) @ forward).max()) if len(positions) else 0.0
         if depth <= 0:
-            return positions, 1
+            return positions.new_zeros(1, 3)
         pixel = depth / view.focal
-    offsets = voxel_points(edges, view, pixel)
-    if len(offsets) == 1:
-        return positions, 1
-    moved = positions[:, None] + torch.as_tensor(offsets, device=positions.device)
-    return moved.view(-1, 3), len(offsets)
+    return torch.as_tensor(voxel_points(edges, view, pixel)).to(positions)
 
 
 def column_map(
@@ -240,14 +255,18 @@ def column_map(
         edges: of a voxel, [3 3] rows, stage units.
         view: of any direction; voxels may be larger than its pixels.
     """
-    points, n_points = split_points(positions, edges, view)
-    foot, volume = project_voxels(points, view, dtype), abs(float(np.linalg.det(edges))) / n_points
-    for part in chunks(len(points), CHUNK_ROWS, points.device):
-        foot.weight[part] *= (volume * foot.per_area[part])[:, None]
-    width = 4 * n_points
-    return SparseImage(
-        view.height, view.width, foot.pixel.view(-1, width), foot.weight.view(-1, width)
-    )
+    offsets, projector = point_offsets(positions, edges, view), Projector(positions, view, dtype)
+    volume, n, device = abs(float(np.linalg.det(edges))), len(positions), positions.device
+    last, shape = view.height * view.width - 1, (n, len(offsets), len(projector.shifts))
+    shifts = torch.tensor(projector.shifts, dtype=torch.int32, device=device)
+    pixel = torch.empty(shape, dtype=torch.int32, device=device)
+    weight = torch.empty(shape, dtype=dtype, device=device)
+    for part in chunks(n, CHUNK_ROWS, device):
+        for point, foot in enumerate(projector.footprints(positions[part], offsets)):
+            scale = foot.per_area * (volume / len(offsets))
+            pixel[part, point] = (foot.first[:, None] + shifts).clamp_(max=last)
+            weight[part, point] = (foot.weights * scale).T
+    return SparseImage(view.height, view.width, pixel.flatten(1), weight.flatten(1))
 
 
 def colour_map(
@@ -277,71 +296,71 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    points, n_points = split_points(positions, edges, view)
-    foot, dtype = project_voxels(points, view, density.dtype), density.dtype
-    if len(positions) == 0:
-        empty = SparseImage(view.height, view.width, foot.pixel, foot.weight)
-        return empty, density.new_zeros(view.height, view.width)
-    volume, n_pixels = abs(float(np.linalg.det(edges))) / n_points, view.height * view.width
-    slab, pixel, weight = foot.depth - foot.depth.min(), foot.pixel, foot.weight
-    slab /= max(step, float(slab.max()) * n_pixels / MOST_CELLS)
-    if n_points > 1:
-        density = density.repeat_interleave(n_points)
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        mass = density[part] * (gamma_w * volume) * foot.per_area[part]
-        weight[part] *= mass.clamp_max(THICKEST)[:, None]
-    depths = _slab_depths(slab, pixel, weight, n_pixels)
-    alpha = opacity(depths.sum(0)).view(view.height, view.width)
-    light_up(depths)
-    per_depth, least = depths.view(-1), NEGLIGIBLE * float(alpha.max())
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        cell, far = slab_cells(slab[part], pixel[part], n_pixels, dtype)
-        light = per_depth[cell] * (1 - far) + per_depth[cell + n_pixels] * far
-        light *= weight[part]
-        weight[part] = light.masked_fill_(~(light > least), 0)
-    del depths, per_depth
-    pixel, weight = pixel.view(-1, 4 * n_points), weight.view(-1, 4 * n_points)
+    offsets, device = point_offsets(positions, edges, view), density.device
+    n_voxels, n_points = len(positions), len(offsets)
+    if n_voxels == 0:
+        pixel = torch.empty(0, 4, dtype=torch.int32, device=device)
+        image = SparseImage(view.height, view.width, pixel, density.new_empty(0, 4))
+        return image, density.new_zeros(view.height, view.width)
+    projector = Projector(positions, view, density.dtype)
+    depth_range, shifts = projector.depth_range(positions, offsets), projector.shifts
+    slabs = Slabs(view, depth_range, step, density)
+    scale = gamma_w * abs(float(np.linalg.det(edges))) / n_points
+    first = torch.empty(n_points, n_voxels, dtype=torch.int32, device=device)
+    cell, far = torch.empty_like(first), density.new_empty(first.shape)
+    light = density.new_empty(n_points, len(shifts), n_voxels)
+    for part in chunks(n_voxels, CHUNK_ROWS, device):
+        mass = density[part] * scale
+        for point, foot in enumerate(projector.footprints(positions[part], offsets)):
+            here = (mass * foot.per_area).clamp_max_(THICKEST)
+            first[point, part] = foot.first
+            cell[point, part], far[point, part] = place = slabs.place(foot.first, foot.depth)
+            depths = torch.mul(foot.weights, here, out=light[point, :, part])
+            slabs.add(*place, shifts, depths)
+    alpha = opacity(slabs.values.sum(0)).view(view.height, view.width)
+    slabs.light_up()
+    least = NEGLIGIBLE * float(alpha.max())
+    for part in chunks(n_voxels, CHUNK_ROWS, device):
+        for point in range(n_points):
+            light[point, :, part] *= slabs.at(cell[point, part], far[point, part], shifts)
+    del slabs, cell, far
+    image = _shown(view, first, shifts, light.flatten(0, 1), least, share)
     if share is None:
-        return SparseImage(view.height, view.width, pixel, weight).without_hidden(), alpha
-    some = share > 0
-    weight = weight[some] * share[some, None].to(weight)
-    image = SparseImage(view.height, view.width, pixel[some], weight).without_hidden()
-    return image, image.apply(torch.ones_like(weight[:, :1]))[..., 0]
+        return image, alpha
+    return image, image.apply(density.new_ones(image.n_voxels, 1))[..., 0]
 
 
-def slab_cells(
-    slab: Tensor, pixel: Tensor, n_pixels: int, dtype: torch.dtype
-) -> tuple[Tensor, Tensor]:
-    """The near cells [N 4] of voxels at slab [N] and pixel [N 4], and the far ones' share [N 1]."""
-    near = torch.floor(slab)
-    cell = near.to(torch.int64)[:, None] * n_pixels + pixel.long()
-    return cell, (slab - near).to(dtype)[:, None]
+def _shown(
+    view: View, first: Tensor, shifts: Sequence[int], light: Tensor, least: float,
+    share: Tensor | None,
+) -> SparseImage:  # fmt: skip
+    """The map of the voxels with light [n*4 N] above ``least`` in a pixel.
 
-
-def _slab_depths(slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int) -> Tensor:
-    """The optical depth of voxels with the shares [N 4] in slabs and pixels, [S P]."""
-    n_cells = (int(slab.max()) + 2) * n_pixels
-    near, behind = share.new_zeros(n_cells), share.new_zeros(n_cells)
-    for part in chunks(len(slab), CHUNK_ROWS, slab.device):
-        add_depths(near, behind, slab[part], pixel[part], share[part], n_pixels)
-    return near.add_(behind).view(-1, n_pixels)
-
-
-def add_depths(
-    near: Tensor, behind: Tensor, slab: Tensor, pixel: Tensor, share: Tensor, n_pixels: int
-) -> None:
-    """Add optical depths [N 4] of voxels to the two slabs around each, [S P] flattened.
-
-    On a GPU the order of the sums, and with it the last bits, is not fixed.
+    Args:
+        first: pixel of each point, [n N].
+        share: see ``colour_map``.
     """
-    cell, far = slab_cells(slab, pixel, n_pixels, share.dtype)
-    near.index_add_(0, cell.view(-1), (share * (1 - far)).view(-1))
-    behind.index_add_(0, (cell + n_pixels).view(-1), (share * far).view(-1))
-
-
-def light_up(depths: Tensor) -> None:
-    """Replace optical depths [S P] by what a unit of each adds to the picture."""
-    n_slabs, n_pixels = depths.shape
-    for part in chunks(n_pixels, max(CHUNK_CELLS // n_slabs, 1), depths.device):
-        here = depths[:, part].contiguous()
-        depths[:, part] = transmittance_before(here) * attenuation_ratio(here)
+    width, n_voxels = light.shape
+    pixel = first.new_empty(n_voxels, width)  # memory that is not written is not taken
+    weight = light.new_empty(n_voxels, width)
+    steps, last = first.new_tensor(shifts), view.height * view.width - 1
+    rows, end = [], 0
+    for part in chunks(n_voxels, CHUNK_ROWS, light.device):
+        here = light[:, part]
+        here = torch.where(here > least, here, 0)
+        seen = here.amax(0) > 0
+        if share is not None:
+            here *= share[part].to(here)
+            seen &= share[part] > 0
+        chosen = seen.nonzero().squeeze(1)
+        some = slice(end, end + len(chosen))
+        weight[some] = here.index_select(1, chosen).T
+        pixels = first[:, part].index_select(1, chosen).T[..., None] + steps
+        pixel[some] = pixels.clamp_(max=last).flatten(1)
+        rows.append(chosen.add_(part.start))
+        end = some.stop
+    number = torch.cat(rows)
+    if share is not None:  # among those that are painted
+        painted = torch.cumsum(share > 0, 0)
+        number, n_voxels = painted[number] - 1, int(painted[-1])
+    return SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)

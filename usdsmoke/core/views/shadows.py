@@ -12,15 +12,8 @@ from torch import Tensor
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.project import (
-    MOST_CELLS,
-    THICKEST,
-    add_depths,
-    light_up,
-    project_voxels,
-    slab_cells,
-    split_points,
-)
+from usdsmoke.core.views.optics import THICKEST, Slabs
+from usdsmoke.core.views.project import Projector, point_offsets
 from usdsmoke.core.views.scene import fit_view
 
 
@@ -28,11 +21,8 @@ from usdsmoke.core.views.scene import fit_view
 class ShadowMap:
     """The share of a light that arrives in slabs across its way."""
 
-    view: View
-    arriving: Tensor  # [S P] in [0, 1]; the first slab is empty
-    nearest: float  # depth of the first slab with smoke, stage units
-    step: float  # thickness of a slab, stage units
-    last: float  # slab of the smoke that is farthest from the light
+    projector: Projector
+    arriving: Slabs  # in [0, 1]; the first slab is empty
 
     def at(self, positions: Tensor) -> Tensor:
         """The share that arrives at points, [P] in [0, 1]; trilinear.
@@ -40,14 +30,12 @@ class ShadowMap:
         Args:
             positions: [P 3] float64, stage space, among the smoke.
         """
-        n_pixels, dtype = self.arriving.shape[1], self.arriving.dtype
-        arriving, found = self.arriving.view(-1), self.arriving.new_empty(len(positions))
+        found = self.arriving.values.new_empty(len(positions))
         for part in chunks(len(positions), CHUNK_ROWS, positions.device):
-            foot = project_voxels(positions[part], self.view)
-            slab = ((foot.depth - self.nearest) / self.step + 1).clamp(0, self.last)
-            cell, far = slab_cells(slab, foot.pixel, n_pixels, dtype)
-            here = arriving[cell] * (1 - far) + arriving[cell + n_pixels] * far
-            found[part] = (foot.weight.to(dtype) * here).sum(1)
+            for foot in self.projector.footprints(positions[part]):
+                place = self.arriving.place(foot.first, foot.depth)
+                here = self.arriving.at(*place, self.projector.shifts)
+                found[part] = (foot.weights.to(here) * here).sum(0)
         return found
 
 
@@ -69,31 +57,18 @@ def trace_shadows(
     Gradients: none; density is fixed where smoke is lit.
     """
     view = fit_view(light_view(towards, smoke.voxel_size), smoke)
-    points, n_points = split_points(smoke.positions, smoke.edges, view)
-    n_pixels, axis = view.height * view.width, points.new_tensor(view.forward)
-    depth = (points - points.new_tensor(view.centre)) @ axis
-    nearest, length = float(depth.min()), float(depth.max() - depth.min())
-    step = max(smoke.voxel_size, length * n_pixels / MOST_CELLS)
-    last = length / step + 1  # behind an empty slab
-    density = smoke.density
-    if n_points > 1:
-        density = density.repeat_interleave(n_points)
-    volume = smoke.voxel_volume / n_points
-    n_cells = (int(last) + 2) * n_pixels
-    near, far = density.new_zeros(n_cells), density.new_zeros(n_cells)
-    for part in chunks(len(points), CHUNK_ROWS, points.device):
-        foot = project_voxels(points[part], view)
-        mass = (density[part] * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
-        mass = (foot.weight * mass[:, None]).to(density.dtype)
-        slab = ((foot.depth - nearest) / step + 1).clamp(0, last)
-        add_depths(near, far, slab, foot.pixel, mass, n_pixels)
-    arriving = near.add_(far).view(-1, n_pixels)
-    behind = arriving.flip(0) if both else None
-    light_up(arriving)
-    if behind is not None:
-        light_up(behind)
-        arriving = (arriving + behind.flip(0)) / 2
-    return ShadowMap(view, arriving, nearest, step, last)
+    positions, density = smoke.positions, smoke.density
+    offsets, projector = point_offsets(positions, smoke.edges, view), Projector(positions, view)
+    depth_range = projector.depth_range(positions, offsets)
+    slabs = Slabs(view, depth_range, smoke.voxel_size, density, margin=1)
+    volume = smoke.voxel_volume / len(offsets)
+    for part in chunks(len(positions), CHUNK_ROWS, positions.device):
+        for foot in projector.footprints(positions[part], offsets):
+            mass = (density[part] * (gamma_w * volume) * foot.per_area).clamp_max(THICKEST)
+            place = slabs.place(foot.first, foot.depth)
+            slabs.add(*place, projector.shifts, (foot.weights * mass).to(density))
+    slabs.light_up(both)
+    return ShadowMap(projector, slabs)
 
 
 def light_view(towards: np.ndarray, pixel_size: float) -> View:
