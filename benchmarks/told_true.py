@@ -6,7 +6,8 @@
 One frame of each scene is stylized with the defaults, or with presets. Each row of its error budget
 is compared with the true error: pictures by a ray marcher that shares no code with the optimiser's
 projection, density at exact or finer departure points, gradients of the displacement by NumPy,
-losses over 48 views that nobody optimised, and runs four times as long. About seven CPU minutes.
+losses over 48 views that nobody optimised, a second frame that is turned exactly, and runs four
+times as long. About ten CPU minutes.
 With presets a second table has the CPU seconds of the run and its largest true errors.
 """
 
@@ -22,6 +23,7 @@ import torch
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
+from benchmarks.moving_truth import RATE, temporal_error, turned_shot
 from benchmarks.optimiser_error import measure_step
 from benchmarks.told_true_scenes import Scene, make_scenes
 from benchmarks.true_errors import (
@@ -39,7 +41,7 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.sequence.error_estimates import painted_frame
 from usdsmoke.core.sequence.frame_loop import run_frames
-from usdsmoke.core.sequence.frame_state import PaintedFrame, make_context
+from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
 from usdsmoke.core.sequence.picture_errors import fit_blocks, quadrature_error, resolution_error
 from usdsmoke.core.sequence.stylize import stylized_frame
 from usdsmoke.core.smoke.srgb import decode_srgb
@@ -53,6 +55,7 @@ __all__ = ["Row", "main", "measure_scene_rows"]
 STYLE = "strokes"
 SECONDS = "CPU seconds"
 FRESH = 48  # views
+TURNING = "the scene turns by 4 degrees"
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ def measure_scene_rows(
     yield _transport(name, scene, frame, done.density, known["transport"])
     yield from _unevenness(name, frame, known)
     yield from _views(name, frame, known)
+    yield from _temporal(name, scene, context)
     for step in ("shape", "colour"):
         row = f"optimiser, {step}"
         if not scene.optimiser:
@@ -184,6 +188,30 @@ def _views(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[R
         float(unseen),
         "told: 8 views of the pool against 2 others",
     )
+
+
+def _temporal(name: str, scene: Scene, context: WindowContext) -> Iterator[Row]:
+    """The scene turns; the next frame's patterns against those of the first."""
+    shot = turned_shot(scene)
+    measured = measure_scene(shot, context.config.views, context.config.optics, "Y", 1)
+    moving = replace(context, scene=measured, time_codes_per_second=RATE)
+    first, second = run_frames(shot, moving)
+    told = second.report.temporal
+    assert told is not None and first.paint is not None and second.paint is not None
+    coloured = [(smoke, colours.numpy()) for smoke, colours in (first.paint, second.paint)]
+    moved = [(frame.source, _moves(frame)) for frame in (first, second)]
+    for kind, (before, after), error in (
+        ("displacement", moved, told.displacement),
+        ("colour", coloured, told.colour),
+    ):
+        true = temporal_error(scene, before, after)
+        yield Row(name, f"temporal, {kind}", np.nan if error is None else error, true, TURNING)
+
+
+def _moves(frame: PaintedFrame) -> np.ndarray:
+    """The displacement at the voxels of the smoke, [N 3]."""
+    assert frame.displacement is not None
+    return np.asarray(frame.displacement.at(frame.source.positions).numpy())
 
 
 def _losses(frame: PaintedFrame, views: Sequence[View]) -> np.ndarray:
