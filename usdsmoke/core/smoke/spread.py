@@ -16,7 +16,7 @@ from usdsmoke.core.smoke.srgb import luma
 
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
-OWN = 8.0  # times that a voxel's chroma counts as much as that of the next one along an axis
+OWN = 4.0  # times that a voxel's chroma counts as much as that of the next one along an axis
 
 
 def spread_colours(smoke: ActiveSmoke, colours: Tensor, trust: Tensor) -> Tensor:

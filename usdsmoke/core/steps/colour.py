@@ -5,11 +5,11 @@ the albedo that weighs the light in them (``colour.target``), which is fixed wit
 Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
-At the end of an octave, voxels that hardly any light of the pictures comes from take the colours of
-the smoke around them: what no view sees would keep the noise that it starts with. Then hues are
-blended with those of the voxels beside, because views leave each other speckle. A warm frame gets
-such colours from its neighbour, and mixed anew in each frame they would blur: only the hues of the
-change are blended.
+Towards the end of an octave hues are blended with those of the voxels beside, because views leave
+each other speckle; the last iterations mend what the style loses by that. A warm frame gets such
+colours from its neighbour, and mixed anew in each frame they would blur: only the hues of the
+change are blended. At the end, voxels that hardly any light of the pictures comes from take the
+colours of the smoke around them: what no view sees would keep the noise that it starts with.
 """
 
 import math
@@ -42,6 +42,8 @@ DIM = 0.1
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which start near their goal
+MENDING = 0.07  # share of an octave's iterations that follow the blending of hues
+MENDING_RATE = 0.3  # of the octave's, in these
 
 
 def run_colour_step(
@@ -87,20 +89,24 @@ def run_colour_step(
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
+        blended = partial(_blended, here, _alone(here, scene), begun if warm else None)
         told = partial(watch, number) if watch is not None else None
         colours, end = optimize_colours(
-            pool, begun, problem.targets.at(factor), problem.targets.background, descent, told
+            pool,
+            begun,
+            problem.targets.at(factor),
+            problem.targets.background,
+            descent,
+            told,
+            blended,
         )
         before = here
         if end is None:
             continue
         ends.append(end)
-        if warm:
-            colours = begun + blend_chroma(here, colours - begun, _alone(here, scene))
-        else:
+        if not warm:
             drawn = pool.drawn(end.iteration + 1)
             colours = _completed(drawn, here, colours, share, scene, factor)
-        colours = colours.clamp(0, 1)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours), ends
     return _colours_on(painted, before, colours, problem), ends
@@ -113,6 +119,7 @@ def optimize_colours(
     background: Tensor,
     descent: Descent,
     watch: Callable[[Minimum], None] | None = None,
+    blended: Callable[[Tensor], Tensor] | None = None,
 ) -> tuple[Tensor, Minimum | None]:
     """Colours that give the pictures the style, one octave.
 
@@ -124,9 +131,11 @@ def optimize_colours(
             outlier.
         descent: its rate is in display-encoded units.
         watch: called with the optimiser's state after every iteration.
+        blended: what is done to all colours [N 3] before the last ``MENDING`` of the iterations.
 
     Returns:
-        Colours [N 3] and how the optimisation ended.
+        Colours [N 3] and how the optimisation ended. Its ``losses`` are those before the blending,
+        which show how far the loss would still fall.
     """
     pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
     unknown = colours.detach()[shown].requires_grad_(True)
@@ -139,13 +148,37 @@ def optimize_colours(
     def clip() -> None:
         unknown.clamp_(0, 1)
 
-    state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
-    for state in minimize(objective, [unknown], descent, clip):
+    def whole() -> Tensor:
+        found = colours.detach().clone(memory_format=torch.contiguous_format)
+        found[shown] = unknown.detach()
+        return found
+
+    adam, state = Adam(epsilon=epsilon), None
+    n_mending = int(MENDING * descent.n_iterations) if blended is not None else 0
+    descent = replace(descent, n_iterations=descent.n_iterations - n_mending, passage=pool.passage)
+    for state in minimize(objective, [unknown], descent, clip, adam):
         if watch is not None:
             watch(state)
-    found = colours.detach().clone(memory_format=torch.contiguous_format)
-    found[shown] = unknown.detach()
-    return found, state
+    if blended is None or state is None:
+        return whole(), state
+    found = blended(whole()).clamp(0, 1)
+    if n_mending == 0:
+        return found, state
+    with torch.no_grad():
+        unknown.copy_(found[shown])
+    colours, done = found, state.iteration + 1
+    rest = Descent(descent.rate * MENDING_RATE, n_mending)
+    for mended in minimize(lambda n: objective(done + n), [unknown], rest, clip, adam):
+        mended = replace(mended, iteration=done + mended.iteration)
+        if watch is not None:
+            watch(mended)
+    return whole(), replace(
+        state,
+        iteration=mended.iteration,
+        loss=mended.loss,
+        smoothed=mended.smoothed,
+        rollbacks=state.rollbacks + mended.rollbacks,
+    )
 
 
 def _in_sight(
@@ -243,14 +276,17 @@ def _completed(
     scene: Scene,
     factor: int,
 ) -> Tensor:
-    """Colours [N 3], those of hidden voxels from around them, and hues blended with those beside.
-
-    ``share`` is that of all voxels.
-    """
+    """Colours [N 3], those of hidden voxels from around them; ``share`` is that of all voxels."""
     part = None if share is None else share[share > 0]
     seen = _seen(views, painted, part, scene, factor)
-    found = spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
-    return blend_chroma(painted, found, _alone(painted, scene))
+    return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
+
+
+def _blended(painted: ActiveSmoke, weight: Tensor, begun: Tensor | None, colours: Tensor) -> Tensor:
+    """Colours [N 3] with blended hues; where they begin with a neighbour's, of the change alone."""
+    if begun is None:
+        return blend_chroma(painted, colours, weight)
+    return begun + blend_chroma(painted, colours - begun, weight)
 
 
 def _seen(
