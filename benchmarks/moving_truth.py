@@ -86,7 +86,7 @@ def _axis(scene: Scene) -> np.ndarray:
     """An index position on the axis."""
     density = scene.frame.density
     middle = np.asarray(density.ijk_min) + (np.array(density.values.shape) - 1) / 2
-    return np.asarray(middle + [OFF_AXIS[0], 0.0, OFF_AXIS[1]])
+    return np.asarray(middle + np.array([OFF_AXIS[0], 0.0, OFF_AXIS[1]]))
 
 
 def _turned(places: np.ndarray, scene: Scene, angle: float) -> np.ndarray:

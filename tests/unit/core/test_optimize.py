@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
-from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
+from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.views.cameras import draw_views
 
 GOAL = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
@@ -293,3 +293,30 @@ def test_the_unit_counts_every_entry_of_every_tensor():
     adam.step(tensors, [torch.tensor([3e25, 0.0, 0.0]), torch.tensor([4e25])], 0.1)
     assert adam.unit == pytest.approx(math.sqrt((9 + 16) / 4) * 1e25)
     assert torch.isfinite(torch.cat(tensors)).all()
+
+
+def test_a_change_before_the_last_iterations_is_mended_and_its_losses_are_left_out():
+    x = torch.tensor([2.0, 0.0], requires_grad=True)
+    seen: list[int] = []
+
+    def bowl(iteration: int) -> torch.Tensor:
+        seen.append(iteration)
+        return (x - 1).square().sum()
+
+    def change() -> None:
+        x.add_(0.3)
+
+    states = list(minimize_and_mend(bowl, [x], Descent(0.1, 200), change))
+    assert [state.iteration for state in states] == list(range(200))
+    assert len(states[-1].losses) == len(states[-1].rates) == 186  # 7 % come after the change
+    changed = float((0.3 * torch.ones(2)).square().sum())
+    assert states[186].loss == pytest.approx(changed, rel=0.1)
+    assert states[-1].loss < 0.2 * changed
+    assert sorted(set(seen))[:200] == list(range(200))
+    # without iterations to mend, the change is the last
+    few = torch.zeros(2, requires_grad=True)
+    (*_, end) = minimize_and_mend(
+        lambda n: few.square().sum(), [few], Descent(0.1, 5), lambda: few.fill_(7.0)
+    )
+    assert end.iteration == 4 and few.tolist() == [7.0, 7.0]
+    assert list(minimize_and_mend(bowl, [x], Descent(0.1, 0), change)) == []

@@ -26,7 +26,7 @@ from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
-from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize
+from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
 from usdsmoke.core.style.losses import PictureLoss
@@ -42,8 +42,6 @@ DIM = 0.1
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which start near their goal
-MENDING = 0.07  # share of an octave's iterations that follow the blending of hues
-MENDING_RATE = 0.3  # of the octave's, in these
 
 
 def run_colour_step(
@@ -89,17 +87,10 @@ def run_colour_step(
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
-        blended = partial(_blended, here, _alone(here, scene), begun if warm else None)
         told = partial(watch, number) if watch is not None else None
-        colours, end = optimize_colours(
-            pool,
-            begun,
-            problem.targets.at(factor),
-            problem.targets.background,
-            descent,
-            told,
-            blended,
-        )
+        blended = partial(_blended, here, _alone(here, scene), begun if warm else None)
+        loss, background = problem.targets.at(factor), problem.targets.background
+        colours, end = optimize_colours(pool, begun, loss, background, descent, told, blended)
         before = here
         if end is None:
             continue
@@ -131,14 +122,14 @@ def optimize_colours(
             outlier.
         descent: its rate is in display-encoded units.
         watch: called with the optimiser's state after every iteration.
-        blended: what is done to all colours [N 3] before the last ``MENDING`` of the iterations.
+        blended: what is done to all colours [N 3] before the last iterations.
 
     Returns:
-        Colours [N 3] and how the optimisation ended. Its ``losses`` are those before the blending,
-        which show how far the loss would still fall.
+        Colours [N 3] and how the optimisation ended, see ``minimize_and_mend``.
     """
     pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
-    unknown = colours.detach()[shown].requires_grad_(True)
+    found = colours.detach().clone(memory_format=torch.contiguous_format)
+    unknown = found[shown].requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
 
@@ -148,37 +139,22 @@ def optimize_colours(
     def clip() -> None:
         unknown.clamp_(0, 1)
 
-    def whole() -> Tensor:
-        found = colours.detach().clone(memory_format=torch.contiguous_format)
-        found[shown] = unknown.detach()
-        return found
+    def blend() -> None:
+        assert blended is not None
+        found[shown] = unknown
+        found.copy_(blended(found).clamp(0, 1))
+        unknown.copy_(found[shown])
 
-    adam, state = Adam(epsilon=epsilon), None
-    n_mending = int(MENDING * descent.n_iterations) if blended is not None else 0
-    descent = replace(descent, n_iterations=descent.n_iterations - n_mending, passage=pool.passage)
-    for state in minimize(objective, [unknown], descent, clip, adam):
+    state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
+    if blended is None:
+        states = minimize(objective, [unknown], descent, clip)
+    else:
+        states = minimize_and_mend(objective, [unknown], descent, blend, clip)
+    for state in states:
         if watch is not None:
             watch(state)
-    if blended is None or state is None:
-        return whole(), state
-    found = blended(whole()).clamp(0, 1)
-    if n_mending == 0:
-        return found, state
-    with torch.no_grad():
-        unknown.copy_(found[shown])
-    colours, done = found, state.iteration + 1
-    rest = Descent(descent.rate * MENDING_RATE, n_mending)
-    for mended in minimize(lambda n: objective(done + n), [unknown], rest, clip, adam):
-        mended = replace(mended, iteration=done + mended.iteration)
-        if watch is not None:
-            watch(mended)
-    return whole(), replace(
-        state,
-        iteration=mended.iteration,
-        loss=mended.loss,
-        smoothed=mended.smoothed,
-        rollbacks=state.rollbacks + mended.rollbacks,
-    )
+    found[shown] = unknown.detach()
+    return found, state
 
 
 def _in_sight(

@@ -22,6 +22,10 @@ CHUNK_ELEMENTS = 2**16  # numbers that Adam moves at once
 REMEMBER_EVERY = 8  # iterations between two states to roll back to
 ANNEALED = 0.1  # share of the rate at the end
 SHORTEST_SPAN = 10  # iterations over which a plateau shows
+MENDING, MENDING_RATE = (
+    0.07,
+    0.3,
+)  # share of the iterations after a change, and their share of the rate
 WORSE = 1.05  # a last state this much above the best one is replaced by it; views differ by less
 
 
@@ -171,6 +175,48 @@ def minimize(
     if n_iterations > 0:
         end = state.settle(latest, partial(_loss, objective, n_iterations))
         yield replace(end, losses=tuple(losses), rates=tuple(rates))
+
+
+def minimize_and_mend(
+    objective: Callable[[int], Tensor],
+    parameters: list[Tensor],
+    descent: Descent,
+    change: Callable[[], None],
+    project: Callable[[], None] | None = None,
+) -> Iterator[Minimum]:
+    """``minimize`` with a change of the parameters before the last iterations, ``MENDING`` of them.
+
+    These mend what the objective loses by the change. A run with hardly any iterations ends with
+    the change. The last item has the losses and rates before the change: what a longer run would
+    gain shows in them.
+
+    Args:
+        objective, parameters, descent, project: as of ``minimize``.
+        change: is called once without gradients, and changes the parameters in place.
+    """
+    adam, rest = Adam(epsilon=descent.epsilon), int(MENDING * descent.n_iterations)
+    first = replace(descent, n_iterations=descent.n_iterations - rest)
+    states = minimize(objective, parameters, first, project, adam)
+    latest = next(states, None)
+    if latest is None:
+        return
+    for state in states:
+        yield latest
+        latest = state
+    with torch.no_grad():
+        change()
+    before, last = latest, Descent(MENDING_RATE * descent.rate, rest)
+    done = before.iteration + 1
+    for state in minimize(lambda n: objective(done + n), parameters, last, project, adam):
+        yield latest
+        latest = replace(
+            before,
+            iteration=done + state.iteration,
+            loss=state.loss,
+            smoothed=state.smoothed,
+            rollbacks=before.rollbacks + state.rollbacks,
+        )
+    yield latest
 
 
 class _Schedule:
