@@ -142,12 +142,14 @@ def draw_animation(panels: Mapping[str, Mapping[int, np.ndarray]], shot: Shot) -
     """Frames side by side, alone, in windows and of the source, [H W 3] in [0, 1] a frame.
 
     Args:
-        panels: of ``draw_panels`` by way of running and by frame; frames of all of them are drawn.
+        panels: of ``draw_panels`` by way of running and by frame; the longest piece without a gap
+            that all of them have is drawn.
     """
     view = _close_view(shot)
     font, shown = ImageFont.load_default(13), []
+    piece = _longest_piece(sorted(set.intersection(*(set(found) for found in panels.values()))))
     for frame in shot.frames:
-        if not all(frame.time_code in found for found in panels.values()):
+        if frame.time_code not in piece:
             continue
         sheet = Image.new("RGB", (3 * SIDE + 4 * GAP, SIDE + 2 * GAP + 22), PAPER)
         pen = ImageDraw.Draw(sheet)
@@ -159,6 +161,17 @@ def draw_animation(panels: Mapping[str, Mapping[int, np.ndarray]], shot: Shot) -
             pen.text((left + SIDE / 2, SIDE + 2 * GAP), name, INK, font, anchor="ma")
         shown.append(np.asarray(sheet, np.float32) / 255)
     return shown
+
+
+def _longest_piece(codes: Sequence[int]) -> list[int]:
+    """The longest run of consecutive frames among those that ascend."""
+    pieces: list[list[int]] = []
+    for code in codes:
+        if pieces and pieces[-1][-1] == code - 1:
+            pieces[-1].append(code)
+        else:
+            pieces.append([code])
+    return max(pieces, key=len)
 
 
 def draw_panels(run: Run, shot: Shot) -> np.ndarray:

@@ -125,7 +125,7 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 
 
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
-MORE = (*FEW, 18, 19)  # another one of one, and two of eight
+MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
     shots=(
         _shot(64, "strokes", 0, 24, MORE),

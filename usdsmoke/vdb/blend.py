@@ -13,7 +13,7 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.vdb.boxes import union_box, values_in_box
 
-RISE = 1.5  # power of the place in an overlap
+RISE = 1.2  # power of the place in an overlap
 
 
 def tail_weights(n_frames: int) -> list[float]:
@@ -23,7 +23,7 @@ def tail_weights(n_frames: int) -> list[float]:
     most from the earlier window's (decision 009).
 
     >>> [round(weight, 3) for weight in tail_weights(3)]
-    [0.875, 0.646, 0.35]
+    [0.811, 0.565, 0.292]
     """
     return [1.0 - ((number + 1) / (n_frames + 1)) ** RISE for number in range(n_frames)]
 

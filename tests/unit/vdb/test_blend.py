@@ -46,7 +46,7 @@ def test_weights_fall_faster_and_faster_and_neither_window_ever_has_all(n: int) 
     weights = np.array([1.0, *tail_weights(n), 0.0])
     steps = -np.diff(weights)
     assert (steps > 0).all() and (np.diff(steps) > 0).all()
-    np.testing.assert_allclose(steps[0], (n + 1) ** -1.5)
+    np.testing.assert_allclose(steps[0], (n + 1) ** -1.2)
 
 
 def test_without_an_overlap_there_are_no_weights() -> None:
