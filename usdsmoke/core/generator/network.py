@@ -1,10 +1,11 @@
 """A small network that paints smoke in one pass: colours from density and noise.
 
-From the coarsest octave to the finest, each takes white noise, which belongs to its voxels; the
-density, but not the finest one's, which flickers; and the features of the octave before,
-interpolated. Two convolutions of 3 x 3 x 3 follow; the second adds to the first. The
-finest features give display-encoded colours. So a colour depends on the smoke around its voxel
-alone: not on the box, on other frames, or on how work is divided. [Ulyanov2016, Gutierrez2020]
+From the coarsest octave to the finest, each takes white noise, which belongs to its voxels, and the
+density; the finest one takes neither, as that density flickers and that noise makes specks. Each
+takes the features of the octave before, interpolated. Two convolutions of 3 x 3 x 3 follow; the
+second adds to the first. The finest features give display-encoded colours. So a colour depends on
+the smoke around its voxel alone: not on the box, on other frames, or on how work is divided.
+[Ulyanov2016, Gutierrez2020]
 """
 
 from collections.abc import Mapping, Sequence
@@ -79,8 +80,9 @@ class Generator:
         features: Tensor | None = None
         length = levels[-1].smoke.voxel_size
         for number, level in enumerate(levels):
-            inputs = [_noise(level, seed + number * SEED_STEP)]
+            inputs = []
             if level is not levels[-1]:
+                inputs.append(_noise(level, seed + number * SEED_STEP))
                 depth = level.smoke.density * (gamma_w * length)
                 inputs.append(torch.log1p(depth / THIN)[:, None])
             if features is not None:
