@@ -63,7 +63,8 @@ def drift(lattice: Lattice) -> Tensor:
 def test_the_optimised_picture_is_that_of_the_whole_box_moved(
     many: int, kind: str, start: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a mask. Only voxels that count are moved while optimising; here all of them are.
+    """With a mask. Only voxels that count are moved while optimising; here all of them are. Where
+    blocks move, pictures are theirs.
 
     A drift beyond those voxels is left out of the flow, which reads it between the smoke's voxels.
     """
@@ -81,21 +82,22 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(
     found, ends = run_shape_step(problem, config.shape.iterations, start)
     assert ends[-1].restored
 
-    limit = max_displacement(smoke, config.shape.reach)
-    displacement = displacement_of(found, smoke, limit, mask)
+    limit, shown = max_displacement(smoke, config.shape.reach), move.movable_blocks(smoke)
+    displacement = displacement_of(found, shown, limit, mask)
+    assert displacement.lattice.shape == found.lattice.shape
     lattice = displacement.lattice
-    density, places = lattice.fill(smoke), lattice.positions()
+    density, places = lattice.fill(shown), lattice.positions()
     share = mask.at(places).to(density).reshape(density.shape)
     u = lattice.from_stage(displacement.values)
     moved = warp(density, u / density.new_tensor(lattice.spacing), scheme="linear")
-    (view,) = frame_views(smoke, config.views, scene, 0)
-    image = column_map(places, smoke.edges, view)
+    (view,) = frame_views(shown, config.views, scene, 0, 1 if shown is smoke else 2)
+    image = column_map(places, shown.edges, view)
     gamma, exposure = scene.gamma_w_shape, scene.exposure_shape
     whole = grey_view(image, density.flatten(), share.flatten(), gamma, exposure)
     wanted = whole.over_grey(whole.picture(moved.flatten()), scene.grey_mean)
     torch.testing.assert_close(pictures.seen[KEPT], wanted, rtol=0, atol=2e-5)
     still = whole.over_grey(whole.grey, scene.grey_mean)
-    assert (wanted - still).abs().max() > 0.01
+    assert (wanted - still).abs().max() > 0.005
 
 
 class Alive(TorchDispatchMode):
@@ -164,13 +166,13 @@ def test_what_is_left_in_pieces_is_given_back_before_an_octave_is_optimised(
 
 @pytest.mark.parametrize(
     ("many", "far", "least", "most"),
-    [(10**9, 0.12, 0.01, 0.005), (1, 0.25, 0.006, 0.003)],
+    [(10**9, 0.12, 0.01, 0.005), (1, 0.25, 0.004, 0.003)],
     ids=["voxels", "blocks"],
 )
 def test_smoke_that_is_moved_far_hardly_folds(
     many: int, far: float, least: float, most: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the penalty 2 % of the voxels do, and 0.7 % where blocks move twice as far."""
+    """Without the penalty 2 % of the voxels do, and 0.5 % where blocks move twice as far."""
     monkeypatch.setattr(move, "MANY_VOXELS", many)
     config = quick_config().with_values(
         {

@@ -17,8 +17,7 @@ from usdsmoke.core.fields.folding import FoldingPenalty
 from usdsmoke.core.fields.lattice import Lattice, grow
 from usdsmoke.core.fields.potential import unclamped_displacement
 from usdsmoke.core.fields.pyramid import SparsePyramid
-from usdsmoke.core.fields.resample import apply_along
-from usdsmoke.core.fields.sparse_map import AxisMatrix, Nodes, SparseMap, map_along, nodes_read
+from usdsmoke.core.fields.sparse_map import Nodes
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.move import effect_on, moves_along, shares_on, smoke_box
@@ -145,36 +144,3 @@ class Motion:
     def departure(self, change: Tensor) -> Tensor:
         """Square of the change as a share of the limit, mean over the smoke."""
         return (change / self.limit).square().sum(1) @ self._shares
-
-
-class Finer:
-    """What moves blocks, interpolated to their voxels, as ``move.displacement_of`` does it.
-
-    Args:
-        motion: of the blocks.
-        smoke: the same smoke on voxels.
-        fade: see ``move.fade_of``.
-    """
-
-    def __init__(self, motion: Motion, smoke: ActiveSmoke, fade: float) -> None:
-        self.lattice, coarse = smoke_box(smoke, fade), motion.box.lattice
-        self.density = self.lattice.fill(smoke)
-        matrices = self.lattice.matrices_from(coarse)
-        moving = apply_along(motion.moving.to(self.density), matrices) > 0
-        self.reached = Reached.where((self.density > 0) | moving, self.density)
-        ratio = [c / f for c, f in zip(coarse.spacing, self.lattice.spacing, strict=True)]
-        self._ratio, self._maps = self.density.new_tensor(ratio), list[SparseMap]()
-        nodes = self.reached.nodes
-        for axis in (2, 1):  # neighbours along k lie next to each other
-            read = nodes_read(nodes, axis, AxisMatrix.of(matrices[axis], self.density))
-            self._maps.insert(0, map_along(nodes, read, axis, matrices[axis], self.density))
-            nodes = read
-        last = map_along(nodes, motion.reached.nodes, 0, matrices[0], self.density)
-        self._maps.insert(0, last)
-
-    def displacement(self, u: Tensor) -> Tensor:
-        """[n 3] in voxels, of [N 3] in blocks. Gradients: through ``u``, exact adjoint."""
-        u = u * self._ratio
-        for linear in self._maps:
-            u = linear.apply(u)
-        return u

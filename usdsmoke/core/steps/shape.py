@@ -10,7 +10,7 @@ Deviations from the reference, each against a fault seen there:
   the border of thick smoke; otherwise a bright rim grows along the border of the moved smoke;
 - the smoke follows the velocity's flow, and folding is penalised: a displacement taken at once
   folds a seventh of a plume of 64 voxels (decision 018);
-- where there are many voxels, blocks of two of them move: see ``steps.motion``;
+- where there are many voxels, blocks of two of them move, and pictures are theirs (decision 038);
 - outliers of density count as much as the dense smoke: one voxel would own every measure;
 - the guide T is the *source's* silhouette: the optimiser would exploit one that follows the moved
   smoke;
@@ -37,7 +37,8 @@ from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
-from usdsmoke.core.steps.motion import Finer, Motion, MotionBox, Start
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
+from usdsmoke.core.steps.motion import Motion, MotionBox, Start
 from usdsmoke.core.steps.move import fade_of, movable_blocks, smoke_box
 from usdsmoke.core.steps.optimize import Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import GreyView, ViewPool, grey_view
@@ -58,15 +59,14 @@ class _Octave:
     """The shape step's problem at one resolution."""
 
     def __init__(
-        self, problem: StepProblem, motion: Motion, factor: int, seed: int, fade: float,
-        steadiness: float,
+        self, problem: StepProblem, motion: Motion, factor: int, seed: int, steadiness: float,
+        folding: float,
     ) -> None:  # fmt: skip
         smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
         self._loss = loss = problem.targets.at(factor, grey=True)
         self._keep, self._weight = config.losses.keep, config.losses.style
-        self._steadiness, self.motion = steadiness, motion
-        self._finer = None if smoke is motion.box.blocks else Finer(motion, smoke, fade)
-        box, reached = self._finer or motion.box, (self._finer or motion).reached
+        self._steadiness, self._folding, self.motion = steadiness, folding, motion
+        box, reached = motion.box, motion.reached
         self._density, self._arrivals, self._mass = box.density, reached.arrivals, box.density.sum()
         positions, still = box.lattice.positions(reached.ijk), box.density[tuple(reached.ijk.T)]
         share = None if mask is None else mask.at(positions).to(still)
@@ -109,16 +109,14 @@ class _Octave:
 
         change = self.motion.change(potential)
         u = self.motion.displacement(change)
-        here = u if self._finer is None else self._finer.displacement(u)
         # not ``warp``: it would check the density, which never changes, in every iteration
-        moved = sample_linear(self._density, self._arrivals - here)
+        moved = sample_linear(self._density, self._arrivals - u)
         loss = self._pool.mean_loss(moved, iteration, view_loss)
         gain = (moved.sum() / self._mass - 1) / LARGE_CHANGE
         loss = loss + self._weight * MASS_WEIGHT * softened(gain)
         folding = self.motion.folding(u)
         if folding is not None:
-            weight = FOLDING_WEIGHT if self._finer is None else BLOCK_FOLDING_WEIGHT
-            loss = loss + self._weight * weight * folding
+            loss = loss + self._weight * self._folding * folding
         if self._steadiness:
             loss = loss + self._weight * self._steadiness * self.motion.departure(change)
         return loss
@@ -161,10 +159,14 @@ def run_shape_step(
     potential, ends = None, []
     todo = octaves_to_do(source, iterations, problem.scene.pixel_size)
     for number, factor, smoke, n_iterations in todo:
+        if smoke is source and blocks is not source:  # finer pictures hardly move blocks better
+            smoke, factor = blocks, factor * OCTAVE_SCALE
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
-        box = MotionBox.of(blocks if smoke is source else smoke, problem.mask, fade, start)
+        is_between = blocks is not source and len(smoke.ijk) == len(blocks.ijk)
+        folding = BLOCK_FOLDING_WEIGHT if is_between else FOLDING_WEIGHT
+        box = MotionBox.of(smoke, problem.mask, fade, start)
         motion = Motion(box, limit, kind, n_channels)
-        octave = _Octave(here, motion, factor, seed, fade, steadiness)
+        octave = _Octave(here, motion, factor, seed, steadiness, folding)
         first = _potential_on(box.lattice, potential, n_channels, box.density)
         watch_octave = partial(watch, number) if watch is not None else None
         descent = replace(descent, n_iterations=n_iterations, passage=octave.passage)
