@@ -148,26 +148,6 @@ def test_a_loss_falls_along_its_gradient_as_finite_differences_say() -> None:
     assert (moved(step) - moved(-step)) / (2 * step) == pytest.approx(length, rel=0.03)
 
 
-def colours_and_slopes(device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """What a generator paints, and the gradient of its pictures' loss, computed on a device."""
-    config = CONFIG.with_values({"optimize.device": device})
-    context = make_context([STYLE], SCENE, config, None, 24.0, None, 0)
-    problem = open_frame(frame_of(puff(12)), context).colour_problem()
-    canvas = Canvas(problem, 0, 2)
-    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7], device=context.device), 3)
-    leaves = [values.requires_grad_() for values in generator.parameters.values()]
-    colours = canvas.paint(generator, 0)
-    slopes = torch.autograd.grad(canvas.loss(colours, 0), leaves)
-    return colours.detach().cpu(), torch.cat([slope.reshape(-1) for slope in slopes]).cpu()
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-def test_a_gpu_gives_the_colours_and_the_gradients_of_the_cpu() -> None:
-    (colours, slopes), (expected, slopes_expected) = map(colours_and_slopes, ("cuda", "cpu"))
-    torch.testing.assert_close(colours, expected, atol=1e-4, rtol=0)
-    assert (slopes - slopes_expected).norm() < 0.02 * slopes_expected.norm()
-
-
 def test_training_ends_below_cold_iterations_on_a_held_out_frame(trained: Trained) -> None:
     assert trained.loss < trained.cold_loss
 
