@@ -27,6 +27,8 @@ class Progress:
 
 
 ProgressCallback = Callable[[Progress], None]
+DIM = 0.02  # of the pictures' light: less is not seen
+TINTED = 0.05  # of the brightest channel: a style that needs the faintest one cannot be shown
 SHORTEST_WAY = 0.2  # of ``StepReport.way``; from there the optimiser's rows are right within 2
 
 
@@ -92,6 +94,21 @@ class LightReport:
     # colours are albedos
     # optics.exposure at which that is a half, or 1 where colours are albedos; None for none
     advised: float | None
+    # The least of the light's red, green and blue in the pictures, over the greatest.
+    faintest: float = 1.0
+
+    @property
+    def is_tinted(self) -> bool:
+        """Whether the lamps give nearly all light, and hardly any of one colour."""
+        return self.share > 1 - DIM and self.faintest < TINTED
+
+
+@dataclass(frozen=True)
+class LookReport:
+    """How the finished pictures compare with the style as a whole, in display-encoded colours."""
+
+    colour_off: float  # difference of the mean colours, in the channel where it is largest
+    contrast: float  # deviation of the colours around their mean, over the style's
 
 
 @dataclass(frozen=True)
@@ -180,6 +197,7 @@ class FrameReport(JsonRecord):
     transport: TransportReport | None = None  # None without a shape step
     colour: StepReport | None = None
     light: LightReport | None = None  # None where no light is scattered
+    look: LookReport | None = None  # None without a colour step
     errors: FrameErrors = field(default_factory=FrameErrors)
     temporal: TemporalErrors | None = None  # None without a frame before it in the window
     overlap: OverlapReport | None = None  # None for a frame of one window

@@ -21,6 +21,8 @@ from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_MOST_WHITE = 0.5  # of a linear image's values
+_WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
 
 # What Pillow raises on files that it cannot take.
@@ -143,9 +145,7 @@ def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndar
             )
         return _grey_to_rgb(grey / 65535.0), None
     if image.mode == "F":  # floating point means linear light, as in OpenEXR
-        grey = np.asarray(image)
-        _check_finite(f"the style image {where}", grey)
-        return _grey_to_rgb(encode_srgb(np.clip(grey, 0.0, 1.0))), None
+        return _grey_to_rgb(_encoded(where, np.asarray(image))), None
     if image.has_transparency_data:
         rgba = np.asarray(image.convert("RGBA")).astype(np.float32) / 255.0
         return rgba[..., :3], np.ascontiguousarray(rgba[..., 3])
@@ -165,13 +165,25 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
             "Save it with R, G and B, or with Y alone."
         )
     linear = np.stack([channels[name] for name in names], axis=-1)
-    _check_finite(f"the style image {where}", linear)
     alpha = channels.get("A")
     if alpha is not None:
         alpha = np.clip(alpha, 0.0, 1.0)
         _check_finite(f"the alpha channel of the style image {where}", alpha)
         linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
-    return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32), alpha
+    return _encoded(where, linear), alpha
+
+
+def _encoded(where: Path, linear: np.ndarray) -> np.ndarray:
+    """Linear light as a screen shows it; an error where most of it would be plain white."""
+    _check_finite(f"the style image {where}", linear)
+    white = float((linear > 1.0).mean())
+    if white > _MOST_WHITE and linear.max() > _WHITE:
+        raise ImageError(
+            f"{white:.0%} of the style image {where} are brighter than 1, up to "
+            f"{linear.max():.3g}, and would be plain white. Scale its linear light to 0 to 1, or "
+            "save it as a display-encoded PNG."
+        )
+    return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
 
 
 def _check_finite(what: str, values: np.ndarray) -> None:

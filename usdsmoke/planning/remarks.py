@@ -1,5 +1,6 @@
 """What a plan remarks on: nothing that is wrong, but what may surprise at the end of a run."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -14,7 +15,7 @@ from usdsmoke.base.time_codes import (
 )
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
-from usdsmoke.planning.visibility import is_inside
+from usdsmoke.planning.visibility import is_inside, pixels_across, share_within
 from usdsmoke.planning.windows import followed_codes
 
 # Times the default learning rate. On the example plume of 32 voxels 16 times it ends 6 % worse, 100
@@ -26,6 +27,7 @@ EXTREME_RATE = 10.0
 _COARSE = 2.0
 _FEWEST = 16  # voxels: fewer have no shape that strokes could follow
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
+_WITHIN = 0.5  # of a box: less is neighbours that touch
 _MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
@@ -45,6 +47,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_inside(volume),
         ]
         found += lights_remark(volume.config, volume)
+    found += [text for a, b in itertools.combinations(volumes, 2) for text in _shared_place(a, b)]
     return tuple(dict.fromkeys(found))
 
 
@@ -160,6 +163,27 @@ def _inside(volume: VolumePlan) -> list[str]:
     ]
 
 
+def _shared_place(one: VolumePlan, other: VolumePlan) -> list[str]:
+    """Frames in which one Volume is in another: neither's pictures show the other one."""
+    codes = []
+    theirs = {frame.source.time_code: frame for frame in other.frames}
+    for frame in one.frames:
+        beside = theirs.get(frame.source.time_code)
+        if beside is None or frame.is_empty or beside.is_empty:
+            continue
+        a = (frame.source.fields[one.source.density], frame.grid)
+        b = (beside.source.fields[other.source.density], beside.grid)
+        if max(share_within(a, b), share_within(b, a)) > _WITHIN:
+            codes.append(frame.source.time_code)
+    if not codes:
+        return []
+    return [
+        f"<{one.source.prim_path}> and <{other.source.prim_path}> are in the same place at "
+        f"{name_time_codes(codes)}: each is painted as if the other were not there, and may hide "
+        "it. Merge their densities into one Volume to paint what is seen of both"
+    ]
+
+
 def _longest(volume: VolumePlan) -> int:
     """Voxels along the longest side of all frames."""
     boxes = (frame.size.box for frame in volume.frames if frame.size.computed)
@@ -186,6 +210,15 @@ def _coarse(volume: VolumePlan) -> list[str]:
     """Voxels that are larger than the strokes of a picture."""
     config, longest = volume.config, _longest(volume)
     pixels = config.views.image_size
+    if config.views.camera:
+        filled = [frame for frame in volume.frames if not frame.is_empty]
+        across = pixels_across(config, volume, filled)
+        if across < _FEWEST:
+            return [
+                f"the smoke of <{volume.source.prim_path}> is at most {across:.2g} pixels wide in "
+                "the camera's picture: strokes do not show. Set a larger views.camera_width, move "
+                "the camera, or unset views.camera"
+            ]
     if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
         return []
     parts = min(math.ceil(pixels / longest), _MOST_REFINED)

@@ -45,6 +45,31 @@ def is_inside(frame: FrameSource, density: FieldSource, grid: GridHeader) -> boo
     return bool(((place >= 0) & (place <= 1)).all())
 
 
+def share_within(
+    small: tuple[FieldSource, GridHeader], large: tuple[FieldSource, GridHeader]
+) -> float:
+    """The share of a density's box, stage space, that lies in another one's; 0 if not known."""
+    points, other = _box_points(*small), _box_points(*large)
+    if points is None or other is None:
+        return 0.0
+    corners, inside = other[0], points[1]
+    axes = corners[[4, 2, 1]] - corners[0]
+    if np.linalg.matrix_rank(axes) < 3:
+        return 0.0
+    places = np.linalg.solve(axes.T, (inside - corners[0]).T)
+    return float(((places >= 0) & (places <= 1)).all(axis=0).mean())
+
+
+def pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:
+    """Pixels of the camera's picture along the smoke's longest side, at most; inf if not known."""
+    finest, _ = pixel_sizes(config, volume, frames)
+    if finest == 0:
+        return np.inf
+    points = (_box_points(f.source.fields[volume.source.density], f.grid) for f in frames)
+    sides = [_lengths(found[0], (1, 1, 1))[1] for found in points if found is not None]
+    return max(sides, default=np.inf) / finest
+
+
 def pixel_sizes(
     config: Config, volume: VolumePlan, frames: Sequence[FramePlan]
 ) -> tuple[float, float]:

@@ -331,7 +331,7 @@ def _exposed(stops: float) -> str:
     """What is said of an exposure that the run has chosen."""
     at = f"at optics.exposure={stops:.4g}"
     if abs(stops) < MOST_STOPS:
-        return f"white smoke in its light is white {at}. Expose the shot alike"
+        return f"white smoke in its light is as bright as white {at}. Expose the shot alike"
     return f"its light is too {'dim' if stops > 0 else 'bright'} even {at}. Change its brightness"
 
 

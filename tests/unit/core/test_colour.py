@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.fixtures.stylize_fixtures import scene_of
+from tests.fixtures.stylize_fixtures import run_core, scene_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
@@ -19,6 +19,7 @@ from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
 from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene, frame_views
+from usdsmoke.runs.budget.findings import find_frame
 
 SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, 12)
 BACKGROUND = torch.tensor([0.4, 0.3, 0.2])
@@ -172,6 +173,26 @@ def test_total_variation_smooths_the_picture(smoke, views):
         )
         rough.append(float(picture_of(views[0], colours, targets).std(dim=0).mean()))
     assert rough[1] < 0.32 * rough[0]
+
+
+@pytest.mark.parametrize(
+    ("losses", "iterations", "setting"),
+    [
+        ({}, 60, None),
+        ({"total_variation": 1e4}, 60, "losses.total_variation"),
+        ({}, 1, "colour.iterations"),
+    ],
+)
+def test_pictures_without_the_style_s_colour_or_contrast_are_named(losses, iterations, setting):
+    steps = {"steps": ["colour"], "threads": 1, "tolerance": 0.0}
+    colour = {"iterations": [iterations], "learning_rate": 0.05}
+    config = config_of(losses=losses, colour=colour, optimize=steps)
+    frame = frame_of(puff(16))
+    patches = np.random.default_rng(0).uniform(0, 1, (6, 6, 3)).astype(np.float32)
+    style = np.kron(patches, np.ones((4, 4, 1), np.float32))
+    (result,) = run_core([frame], config, styles=[style])
+    found = [f for f in find_frame("a.vdb", result.report, config) if "the pictures" in f.cause]
+    assert [finding.setting for finding in found] == ([setting] if setting else [])
 
 
 def test_no_smoke_colour_is_changed_by_no_iterations(smoke):

@@ -94,10 +94,41 @@ def drifting(number: int, factor: float = 1.0) -> VolumeFrame:
         (1.0, ""),
         (1 / 24, "as if it were per frame"),
         (24.0, "with 0.0417 times of it. Check the program"),
-        (-1.0, "without any"),
+        (-1.0, "against it"),
     ],
 )
 def test_a_velocity_that_does_not_explain_the_smoke_is_named(factor: float, cure: str) -> None:
     second = run_core([drifting(1, factor), drifting(2, factor)], CONFIG)[1]
+    doubts = [text for text in second.report.warnings if "do not move by" in text]
+    assert [cure in text for text in doubts] == ([True] if cure else [])
+
+
+def creeping(number: int, velocity: tuple[float, float, float]) -> VolumeFrame:
+    """Smoke that moves by a third of a voxel a frame along i, with a velocity of its own.
+
+    Args:
+        velocity: voxels a frame.
+    """
+    generator = np.random.default_rng(1)
+    places = np.stack(np.meshgrid(*[np.arange(20.0)] * 3, indexing="ij"), axis=-1)
+    centres = generator.uniform(5, 15, (5, 3)) + np.array([number / 3, 0, 0])
+    density = sum(np.exp(-(((places - centre) / 2) ** 2).sum(-1)) for centre in centres)
+    frame = frame_of(np.where(density > 0.05, density, 0), time_code=float(number))
+    speed = np.broadcast_to(24.0 * np.float32(velocity), (20, 20, 20, 3)).astype(np.float32)
+    field = DenseField("vel", speed, (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0))
+    return dataclasses.replace(frame, velocity=field, velocity_to_stage=np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "cure"),
+    [
+        ((1 / 3, 0.0, 0.0), ""),
+        ((-1 / 3, 0.0, 0.0), "against it"),
+        ((0.0, 1.0, 0.0), "without any"),
+        ((1 / 72, 0.0, 0.0), "as if it were per frame"),
+    ],
+)
+def test_a_wrong_velocity_of_slow_smoke_is_named(velocity, cure) -> None:
+    second = run_core([creeping(1, velocity), creeping(2, velocity)], CONFIG)[1]
     doubts = [text for text in second.report.warnings if "do not move by" in text]
     assert [cure in text for text in doubts] == ([True] if cure else [])

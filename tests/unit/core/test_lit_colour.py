@@ -116,6 +116,14 @@ def test_a_painted_albedo_is_a_share_and_takes_the_colour_of_the_style() -> None
     assert found.report.light.share == 1 and found.report.light.outshone == 0
 
 
+@pytest.mark.parametrize(("light", "named"), [((1.0, 0.0, 0.0), True), ((1.0, 0.9, 0.7), False)])
+def test_light_that_lacks_a_colour_of_the_style_is_told(light, named: bool) -> None:
+    result = targeted("albedo", replace(SKY, colour=light))
+    found = [f for f in find_frame("a.vdb", result.report, Config()) if "faintest" in f.cause]
+    assert [f.setting for f in found] == ["colour.target"] * named
+    assert result.report.light.faintest == pytest.approx(min(light) / max(light), abs=1e-3)
+
+
 def test_smoke_that_no_light_reaches_is_told() -> None:
     """Only the back of thick smoke is painted, and the sun is in front."""
     frame = frame_of(puff(12))

@@ -222,6 +222,21 @@ def test_an_exr_that_takes_too_long_is_refused(
         read_style_image(tmp_path / "a.exr")
 
 
+@pytest.mark.parametrize("brightness", [255.0, 1.0])
+def test_linear_images_that_would_be_plain_white_are_refused(
+    tmp_path: Path, brightness: float
+) -> None:
+    grey = brightness * np.linspace(0.1, 1.0, 64, dtype=np.float32).reshape(8, 8)
+    Image.fromarray(grey).save(tmp_path / "a.tif")
+    save_exr(tmp_path / "a.exr", rgb_channels(np.repeat(grey[..., None], 3, 2)))
+    for name in ("a.tif", "a.exr"):
+        if brightness > 1:
+            with pytest.raises(ImageError, match=r"100% of .* up to 255"):
+                read_style_image(tmp_path / name)
+        else:
+            assert 0.3 < read_style_image(tmp_path / name).pixels.min() < 0.4
+
+
 def test_nan_pixels_are_counted(tmp_path: Path) -> None:
     linear = LINEAR.copy()
     linear[0, 0, 0], linear[1, 1, 2] = np.nan, np.inf

@@ -142,3 +142,21 @@ def test_an_overlap_that_no_window_can_have_is_told(shot: Shot) -> None:
     for words in (["windows.size=2"], ["windows.size=2", "windows.overlap=2"]):
         assert plan_of(shot, *words).notes == ()
     assert plan_of(shot, "windows.size=8", "windows.overlap=9").notes == ()
+
+
+@pytest.mark.parametrize(("start", "named"), [(0, True), (4, True), (11, False)])
+def test_volumes_in_the_same_place_are_named(tmp_path: Path, start: int, named: bool) -> None:
+    folder = tmp_path / "shot"
+    folder.mkdir()
+    write_raw(folder / "large.vdb", raw_grid(np.ones((12, 12, 12), np.float32)))
+    small = raw_grid(np.ones((4, 4, 4), np.float32), ijk=(start, start, start))
+    write_raw(folder / "small.vdb", small)
+    bodies = [
+        volume_prim(density_prim(f"asset filePath = @./{name}.vdb@"), name)
+        for name in ("large", "small")
+    ]
+    stage = write_text(folder / "shot.usda", world("".join(bodies)))
+    style = make_shot(tmp_path / "other").style
+    notes = plan_request(Request(stage, style, tmp_path / "look", [])).notes
+    found = ["</World/small>" in note for note in notes if "same place" in note]
+    assert found == [True] * named

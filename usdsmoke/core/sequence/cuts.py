@@ -16,9 +16,14 @@ from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
-DOUBTFUL = 0.1  # below this difference no other velocity is tried, which takes many steps
+LEAST = 0.005  # below this difference no other velocity is tried
+DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
+HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
 MOST_TRACED = 2**12  # voxels of each frame that are looked at
-LARGER, LEAST_LARGER = 1.25, 0.02  # than with another velocity: a factor and a difference that tell
+# Than with another velocity: factors with the differences that tell. The second is for slow smoke,
+# which a wrong velocity leaves behind only in the course of a shot.
+TELLING = ((1.25, 0.02), (1.5, LEAST))
+CLEARLY = 0.9  # of the difference without a velocity: only less than that speaks for another one
 
 
 @dataclass(frozen=True)
@@ -52,22 +57,25 @@ def judge_passage(
     before, smoke = coarsen(bounded(before)), coarsen(bounded(smoke))
     given = _difference(before, smoke, transit)
     velocity = transit.mover.velocity
-    if given < DOUBTFUL or velocity is None or velocity.is_empty or transit.seconds == 0:
+    if given < LEAST or velocity is None or velocity.is_empty or transit.seconds == 0:
         return Passage(given, "")
-    factors = {
-        "0": 0.0,
-        "per frame": time_codes_per_second,
-        "per second": 1 / time_codes_per_second,
-    }
-    found = {
-        name: _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
-        for name, factor in factors.items()
-    }
+
+    def difference(factor: float) -> float:
+        return _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
+
+    rest = difference(0.0)
+    factors = {"against": -1.0}
+    if given >= DOUBTFUL or rest < HELPFUL * given:
+        factors |= {"per frame": time_codes_per_second, "per second": 1 / time_codes_per_second}
+    found = {name: difference(factor) for name, factor in factors.items()}
     best = min(found, key=lambda name: found[name])
-    if given <= max(LARGER * found[best], found[best] + LEAST_LARGER):
+    least = min(rest, found[best])
+    if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):
         return Passage(given, "")
-    if best == "0":
+    if found[best] > CLEARLY * rest:
         cure = "without any. Check its unit and direction, or set stage.motion=estimate"
+    elif best == "against":
+        cure = "against it. Check the direction in which the program wrote it"
     elif best.endswith(unit):
         cure = f"with {factors[best]:.3g} times of it. Check the program that wrote it"
     else:

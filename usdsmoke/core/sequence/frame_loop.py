@@ -45,7 +45,7 @@ from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.colour import run_colour_step
-from usdsmoke.core.steps.light_share import light_report
+from usdsmoke.core.steps.light_share import picture_reports
 from usdsmoke.core.steps.move import displacement_of, move_density
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
@@ -223,8 +223,9 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         problem = frame.colour_problem()
         is_warm = paint is not None or context.generator is not None
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
-        report = replace(report, light=light_report(problem, painted, colours))
-        report = replace(report, colour=_report("colour", ends, frame, started))
+        light, look = picture_reports(problem, painted, colours)
+        ended = _report("colour", ends, frame, started)
+        report = replace(report, light=light, look=look, colour=ended)
     kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,

@@ -6,7 +6,7 @@
 - ``motion``: what a potential moves, on blocks of voxels
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
-- ``light_share``: how much of a picture's light lamps give
+- ``light_share``: what finished pictures show of lamps and of the style
 - ``optimize``: Adam with rollbacks, for any objective
 - ``loss_tail``: by how much a loss would still fall, from its history
 """

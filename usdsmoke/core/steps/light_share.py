@@ -1,4 +1,4 @@
-"""How much of a painted frame's light comes from lamps, and whether it outshines the style."""
+"""What a painted frame's pictures show: of its lamps, and of the style as a whole."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.frame_report import LightReport
+from usdsmoke.base.frame_report import LightReport, LookReport
 from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import Scattering, VolumeFrame
@@ -15,7 +15,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_co
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance
 from usdsmoke.core.steps.pictures import ColourView, prepare_views
-from usdsmoke.core.steps.targets import StepProblem
+from usdsmoke.core.steps.targets import StepProblem, StyleTargets
 from usdsmoke.core.views.lighting import Lighting, light_smoke
 from usdsmoke.core.views.scene import Scene, frame_views
 
@@ -25,40 +25,69 @@ _LIT = 0.95  # rank of the pixels that count as smoke in the light
 _ADVISED = 0.5  # of the style's white, which an advised exposure brings these to
 
 
-def light_report(problem: StepProblem, painted: ActiveSmoke, colours: Tensor) -> LightReport | None:
-    """Measured on a few views of a coarser copy; None where the pictures show no light of lamps.
+def picture_reports(
+    problem: StepProblem, painted: ActiveSmoke, colours: Tensor
+) -> tuple[LightReport | None, LookReport | None]:
+    """Measured on a few views of a coarser copy; None where nothing is painted.
+
+    There is no light's report where the pictures show no light of lamps.
 
     Args:
         problem: of the colour step.
         painted: the voxels that have colours.
         colours: display-encoded [N 3].
     """
-    lighting, scene = problem.lighting, problem.scene
-    if lighting is None or len(painted.ijk) == 0:
-        return None
+    if len(painted.ijk) == 0:
+        return None, None
     octave = coarsen(bounded(problem.smoke))
     share = None if problem.mask is None else problem.mask.at(octave.positions)
     here = octave if share is None else octave.take(share > 0)
     if len(here.ijk) == 0:
-        return None
+        return None, None
     linear = decode_srgb(sample_colours(painted, colours, here.positions)[0])
-    views = _views(octave, scene, problem.config, lighting, share)
     with torch.no_grad():
-        shown = _all_pixels([view.shown(linear) for view in views])
-        lamps = shown
-        if not lighting.is_painted:
-            lamps = _all_pixels([view.shown(torch.zeros_like(linear)) for view in views])
-        total, brightness = float(shown.sum()), _brightness(views, here)
+        views = _views(octave, problem.scene, problem.config, problem.lighting, share)
+        look = _look(views, linear, problem.targets)
+        return _light(views, here, linear, problem), look
+
+
+def _light(
+    views: Sequence[ColourView], here: ActiveSmoke, linear: Tensor, problem: StepProblem
+) -> LightReport | None:
+    lighting = problem.lighting
+    if lighting is None:
+        return None
+    shown = _all_pixels([view.shown(linear) for view in views])
+    lamps, white = shown, torch.ones_like(linear)
+    if not lighting.is_painted:
+        lamps = _all_pixels([view.shown(torch.zeros_like(linear)) for view in views])
+    total, brightness = float(shown.sum()), _brightness(views, here)
     if len(brightness) == 0:
         return None
+    channels = lamps.sum(0)
+    if lighting.is_painted:
+        channels = _all_pixels([view.shown(white) for view in views]).sum(0)
     brightness = brightness / max(problem.targets.white, 1e-3)
     lit, target = float(brightness.quantile(_LIT)), 1.0 if lighting.is_painted else _ADVISED
     return LightReport(
         share=float(lamps.sum()) / total if total > 0 else 0.0,
         outshone=0.0 if lighting.is_painted else float((brightness > 1).double().mean()),
         reach=lit,
-        advised=_advised(scene.stops, target / lit) if lit > 0 else None,
+        advised=_advised(problem.scene.stops, target / lit) if lit > 0 else None,
+        faintest=float(channels.min() / channels.max()) if float(channels.max()) > 0 else 1.0,
     )
+
+
+def _look(views: Sequence[ColourView], linear: Tensor, targets: StyleTargets) -> LookReport:
+    """Mean and deviation of the pictures' colours, weighted by opacity, beside the style's."""
+    pictures = _all_pixels([view.unpremultiplied(linear, targets.background) for view in views])
+    weight = torch.cat([view.alpha.flatten().double() for view in views])[:, None]
+    weight = weight / weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
+    mean = (weight * pictures).sum(0)
+    deviation = float((weight * (pictures - mean).square()).sum().sqrt())
+    wanted, spread = targets.colours
+    off = float((mean - wanted.to(mean)).abs().max())
+    return LookReport(off, deviation / spread if spread > 0 else 1.0)
 
 
 def _advised(stops: float, factor: float) -> float | None:
@@ -93,7 +122,11 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
 
 
 def _views(
-    octave: ActiveSmoke, scene: Scene, config: Config, lighting: Lighting, share: Tensor | None
+    octave: ActiveSmoke,
+    scene: Scene,
+    config: Config,
+    lighting: Lighting | None,
+    share: Tensor | None,
 ) -> list[ColourView]:
     pool, seed = config.views.replace(pool=_N_VIEWS), config.optimize.seed
     directions = frame_views(octave, pool, scene, seed, _FACTOR)

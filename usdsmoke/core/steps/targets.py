@@ -1,5 +1,6 @@
 """What a step works on: a frame's smoke, and the loss of its pictures at every octave."""
 
+import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -55,6 +56,13 @@ class StyleFeatures:
         light = luma(self._pixels)
         return float(light.mean()), float(light.std(correction=0))
 
+    @cached_property
+    def colours(self) -> tuple[Tensor, float]:
+        """Mean [3] and deviation (of all channels together) of the colours, display-encoded."""
+        pixels = self._pixels.reshape(-1, 3).double()
+        mean = pixels.mean(0)
+        return mean, math.sqrt(float((pixels - mean).square().sum(1).mean()))
+
 
 @dataclass(frozen=True, eq=False)
 class StyleTargets:
@@ -89,6 +97,16 @@ class StyleTargets:
         """Mean and deviation of the styles' luminance, display-encoded."""
         mean = sum(share * image.brightness[0] for share, image in self._used)
         return mean, sum(share * image.brightness[1] for share, image in self._used)
+
+    @property
+    def colours(self) -> tuple[Tensor, float]:
+        """Mean [3] and deviation (of all channels together) of the colours, display-encoded."""
+        mean = torch.stack([share * image.colours[0] for share, image in self._used]).sum(0)
+        squares = (
+            share * (image.colours[1] ** 2 + float((image.colours[0] - mean).square().sum()))
+            for share, image in self._used
+        )
+        return mean, math.sqrt(sum(squares))
 
     def at(self, factor: int, grey: bool = False) -> PictureLoss:
         """The loss of pictures 1/factor of full size.

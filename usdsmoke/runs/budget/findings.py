@@ -7,7 +7,6 @@ from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations
 from usdsmoke.planning.plan import VolumePlan
-from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.light_findings import (
     DEEPEST,
@@ -16,6 +15,7 @@ from usdsmoke.runs.budget.light_findings import (
     find_scene,
     of_last_step,
 )
+from usdsmoke.runs.budget.look_findings import colour_remedy, find_look, has_high_rate
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
@@ -35,6 +35,7 @@ HARDLY_FALLEN = 0.5  # of a cold frame's first loss
 UNLIKE = 3.0  # times the neighbour's loss
 LEAST_REACH = 1e-3  # of the smoke's longest side: less changes no picture
 _OUTWEIGH = (  # settings that can keep the shape step from moving anything
+    "shape.reach",
     "optics.gamma_shape",
     "optics.depth_shape",
     "shape.learning_rate",
@@ -42,14 +43,6 @@ _OUTWEIGH = (  # settings that can keep the shape step from moving anything
     "losses.content",
     "losses.style",
     "optimize.strength",
-)
-_TERMS = (  # weights of losses that can keep the colour step from the style
-    "nearest",
-    "content",
-    "histogram",
-    "laplacian",
-    "photorealism",
-    "total_variation",
 )
 _OPTIMISERS = {"shape": SHAPE_OPTIMISER.name, "colour": COLOUR_OPTIMISER.name}
 
@@ -137,6 +130,7 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
     if report.temporal is None:  # a warm frame starts where its neighbour ended
         yield from _find_way(name, report, config)
     yield from find_light(name, report)
+    yield from find_look(name, report, config)
     yield from find_sight(name, report)
     for row in ROWS:
         figure = row.of_frame(report)
@@ -159,7 +153,7 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
         return remedy, f"optics.{name}"
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
         return f"Unset {' and '.join(changed)}", changed[0]
-    if row is COLOUR_OPTIMISER and _has_high_rate(config):
+    if row is COLOUR_OPTIMISER and has_high_rate(config):
         return "Use the default of colour.learning_rate", "colour.learning_rate"
     if row in (SHAPE_OPTIMISER, COLOUR_OPTIMISER):
         setting = _length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
@@ -223,7 +217,7 @@ def _unmoved(name: str, config: Config) -> Finding:
     cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
     remedy, setting = "Look for smoke in places far apart, or leave", "optimize.steps"
     if changed := _changed(config, *_OUTWEIGH):
-        cause += ", or other settings outweigh the style"
+        cause += ", or other settings keep them so"
         remedy, setting = f"Use the default of {', '.join(changed)}, or leave", changed[0]
     if config.stage.mask:
         cause += ", or the mask leaves too little"
@@ -254,11 +248,6 @@ def _has_low_rate(step: str, config: Config) -> bool:
     return rate < usual
 
 
-def _has_high_rate(config: Config) -> bool:
-    """Whether steps are so large that colours jump between black and white."""
-    return config.colour.learning_rate > EXTREME_RATE * Config().colour.learning_rate
-
-
 def _short_way(name: str, step: str, way: float) -> Finding:
     whole = "from black to white" if step == "colour" else "from rest to the largest displacement"
     return Finding(
@@ -284,16 +273,7 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
-    setting = _length_of("colour", config)
-    remedy = f"raise {setting}"
-    usual = Config().losses
-    if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
-        setting = f"losses.{raised[0]}"
-        remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
-    if config.stage.mask:
-        remedy += ", or check the values of the mask"
-    if _has_high_rate(config):
-        setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
+    setting, remedy = colour_remedy(config)
     yield Finding(
         name,
         COLOUR_OPTIMISER.name,

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from usdsmoke.base.frame_report import FrameReport
+from usdsmoke.base.frame_report import DIM, FrameReport
 from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
 from usdsmoke.core.views.scene import MUCH
 from usdsmoke.planning.plan import VolumePlan
@@ -18,7 +18,6 @@ LIKE_ASKED = 10.0  # times the depth that is asked for: frames of a shot are not
 FAR_BELOW = 100.0  # likewise
 BY_SIDE = 4.0  # times: a plume or a puff has less than 2
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more
-DIM = 0.02  # of the pictures' light: less from lamps is not seen
 UNSEEN = 1 / 255  # of white
 DARK = 0.5  # of the style's white
 OUTSHONE = 0.02  # of the pixels with smoke
@@ -190,7 +189,7 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     light = report.light
     if light is None:
         return
-    advice = "Change the brightness of the lights"
+    advice, setting = "Change the brightness of the lights", "optics.exposure"
     if light.advised is not None:
         advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"
     if light.reach == 0:
@@ -200,6 +199,13 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
         share = f"{100 * light.share:.2g}%"
         cause = f"the lights give only {share} of the smoke's brightness, which is not visible"
         advice += ", or leave them out (optics.albedo=0)"
+    elif light.is_tinted:
+        cause = (
+            f"the lights' faintest of red, green and blue is {light.faintest:.1%} of the brightest:"
+            " smoke that only scatters them cannot show a style that needs it"
+        )
+        advice = "Use lights of less saturated colours, or colour.target=both or emission"
+        setting = "colour.target"
     elif light.share > 1 - DIM and light.reach < DARK:
         cause = f"white smoke under the lights is only {light.reach:.0%} as bright as the style"
     elif light.outshone > OUTSHONE:
@@ -210,4 +216,4 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
         advice += ", or lower optics.albedo"
     else:
         return
-    yield Finding(name, "", cause, advice, "optics.exposure")
+    yield Finding(name, "", cause, advice, setting)
