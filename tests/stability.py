@@ -187,7 +187,7 @@ TRANSPORT = _group(
     ("smoke that comes from where there was none", "finite: the frame starts anew, with a warning",
      (FAST + "test_a_frame_whose_smoke_comes_from_nowhere_starts_anew_and_warns",)),
     ("velocity of the wrong sign, axis or unit, also of slow smoke",
-     "finite, and named: the densities agree better against it, without it, or per frame",
+     "finite: a warning says with which velocity the densities agree better",
      (FAST + "test_a_velocity_that_does_not_explain_the_smoke_is_named",
       FAST + "test_a_wrong_velocity_of_slow_smoke_is_named")),
     ("absurd velocity", "named error PlanError: asks for the velocity's unit",

@@ -135,5 +135,5 @@ def test_an_empty_frame_has_none() -> None:
 
 
 def estimating(**sections: Mapping[str, Any]) -> Config:
-    steps = {"shape": {"iterations": [30]}, "colour": {"iterations": [30]}}
+    steps = {"shape": {"iterations": [30]}, "colour": {"iterations": [33]}}
     return quick_config(**{"optimize": {"error_budget": True}, **steps, **sections})

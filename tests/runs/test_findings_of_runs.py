@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
+import numpy as np
+
+from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
 from usdsmoke.base.settings import Config
 from usdsmoke.runs.budget.finding import Finding
@@ -15,7 +17,9 @@ from usdsmoke.runs.budget.findings import find_written
 
 
 def findings_of(config: Config) -> list[Finding]:
-    (frame,) = run_core([frame_of(puff(14))], config, styles=[random_style(32, 32)])
+    patches = np.random.default_rng(0).uniform(0.1, 0.5, (8, 8, 3)).astype(np.float32)
+    style = np.kron(patches, np.ones((4, 4, 1), np.float32))
+    (frame,) = run_core([frame_of(puff(14))], config, styles=[style])
     written = int((frame.density.values > config.grids.prune).sum())
     report = replace(frame.report, voxels_written=written)
     return list(find_written("a.vdb", {"a.vdb": report}, None, config))

@@ -84,7 +84,7 @@ def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.Monke
     told = plan(shot.stage, shot.style, shot.output, {**QUICK, "optimize.start": "network"})
     assert any("trained" in sentence for sentence in told.needed)
     result = run(shot, "out", **both)
-    assert not any("cold" in text or "iterations" in text for text in result.warnings)
+    assert not any("cold" in text or "no iterations" in text for text in result.warnings)
     (found,) = provenance(result.look_layer)
     (network,) = found.record.networks
     file_path = found.place(network.file)

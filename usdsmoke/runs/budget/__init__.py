@@ -1,9 +1,9 @@
 """The error budget and the time of a run, from the reports of its frames.
 
 ``rows`` declares every error once, ``planned`` says why one is absent, ``error_budget`` puts
-figures together. ``finding`` is what deserves a look, ``findings``, ``light_findings`` and
-``sight_findings`` find it, ``watch`` tells it during the run, and ``verdicts`` says what to make of
-each part of a result.
+figures together. ``finding`` is what deserves a look, ``findings``, ``light_findings``,
+``look_findings`` and ``sight_findings`` find it, ``watch`` tells it during the run, and
+``verdicts`` says what to make of each part of a result.
 ``clock`` measures the parts of a run.
 """
 

@@ -9,7 +9,7 @@ from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER
 
 OFF = 0.12  # of the range of colours: runs at the defaults and drafts have up to 0.06
-FLAT = 0.3  # of the style's contrast: they have 0.4 to 0.8
+FLAT = 0.2  # of the style's contrast: they have 0.4 to 0.8
 _TERMS = (  # weights of losses that can keep the colour step from the style
     "nearest",
     "content",
