@@ -8,14 +8,16 @@ first one starts from white noise, which density multiplies in the picture, as t
 Towards the end of an octave hues are blended with those of the voxels beside, because views leave
 each other speckle; the last iterations mend what the style loses by that. A warm frame gets such
 colours from its neighbour, and mixed anew in each frame they would blur: only the hues of the
-change are blended. At the end, voxels that hardly any light of the pictures comes from take the
+change are blended. All along, colours are brought to hues that the style has: pictures hardly hold
+those of dark smoke, nor those that cancel in them. At the end, voxels that hardly any light of the pictures comes from take the
 colours of the smoke around them: what no view sees would keep the noise that it starts with.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 
 import torch
 from torch import Tensor
@@ -29,6 +31,7 @@ from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
+from usdsmoke.core.style.hues import Hues
 from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import opacity
@@ -41,7 +44,18 @@ from usdsmoke.core.views.visibility import EffectMask
 DIM = 0.1
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
+HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
 LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which start near their goal
+
+
+@dataclass(frozen=True)
+class HueRules:
+    """What hues are held to during an octave."""
+
+    #: what is done to all colours [N 3] before the last iterations
+    blended: Callable[[Tensor], Tensor] | None = None
+    #: the hues that colours are brought to again and again
+    style: Hues | None = None
 
 
 def run_colour_step(
@@ -76,6 +90,8 @@ def run_colour_step(
     ends: list[Minimum] = []
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
     limited = bounded(smoke)
+    # what scatters light has the hues of its albedo
+    hues = problem.targets.hues if problem.lighting is None else None
     octaves = octaves_to_do(limited, iterations, scene.pixel_size)
     for number, factor, octave, n_iterations in octaves:
         octave = smoke if octave is limited else octave
@@ -89,8 +105,9 @@ def run_colour_step(
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
         told = partial(watch, number) if watch is not None else None
         blended = partial(_blended, here, _alone(here, scene), begun if warm else None)
+        rules = HueRules(blended, hues)
         loss, background = problem.targets.at(factor), problem.targets.background
-        colours, end = optimize_colours(pool, begun, loss, background, descent, told, blended)
+        colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
         if end is None:
             continue
@@ -98,6 +115,8 @@ def run_colour_step(
         if not warm:
             drawn = pool.drawn(end.iteration + 1)
             colours = _completed(drawn, here, colours, share, scene, factor)
+        if hues is not None:
+            colours = hues.nearest(colours, begun if warm else None)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours), ends
     return _colours_on(painted, before, colours, problem), ends
@@ -110,7 +129,7 @@ def optimize_colours(
     background: Tensor,
     descent: Descent,
     watch: Callable[[Minimum], None] | None = None,
-    blended: Callable[[Tensor], Tensor] | None = None,
+    rules: HueRules | None = None,
 ) -> tuple[Tensor, Minimum | None]:
     """Colours that give the pictures the style, one octave.
 
@@ -122,14 +141,15 @@ def optimize_colours(
             outlier.
         descent: its rate is in display-encoded units.
         watch: called with the optimiser's state after every iteration.
-        blended: what is done to all colours [N 3] before the last iterations.
+        rules: for hues; None leaves them free.
 
     Returns:
         Colours [N 3] and how the optimisation ended, see ``minimize_and_mend``.
     """
     pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
     found = colours.detach().clone(memory_format=torch.contiguous_format)
-    unknown = found[shown].requires_grad_(True)
+    begun, rules, turn = found[shown], rules or HueRules(), count()
+    unknown = begun.clone().requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
 
@@ -138,15 +158,17 @@ def optimize_colours(
 
     def clip() -> None:
         unknown.clamp_(0, 1)
+        if rules.style is not None and next(turn) % HUES_EVERY == 0:
+            unknown.copy_(rules.style.nearest(unknown, begun))
 
     def blend() -> None:
-        assert blended is not None
+        assert rules.blended is not None
         found[shown] = unknown
-        found.copy_(blended(found).clamp(0, 1))
+        found.copy_(rules.blended(found).clamp(0, 1))
         unknown.copy_(found[shown])
 
     state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
-    if blended is None:
+    if rules.blended is None:
         states = minimize(objective, [unknown], descent, clip)
     else:
         states = minimize_and_mend(objective, [unknown], descent, blend, clip)

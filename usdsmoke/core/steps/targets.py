@@ -17,6 +17,7 @@ from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.style.features import build_network
+from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
@@ -44,6 +45,11 @@ class StyleFeatures:
     def mean(self) -> Tensor:
         """Linear mean colour [3], on the CPU."""
         return decode_srgb(self._pixels).mean(dim=(0, 1))
+
+    @cached_property
+    def hues(self) -> Tensor:
+        """See ``hues.count_hues``; on the CPU."""
+        return count_hues(self._pixels)
 
     @cached_property
     def white(self) -> float:
@@ -86,6 +92,11 @@ class StyleTargets:
         """Mean colour of the styles, linear [3]: the background of the smoke in the pictures."""
         means = torch.stack([share * image.mean for share, image in self._used])
         return means.sum(0).to(self.device, torch.float32)
+
+    @cached_property
+    def hues(self) -> Hues:
+        """The hues of the styles, in which colours are looked for."""
+        return Hues(sum((share * image.hues for share, image in self._used), torch.zeros(())))
 
     @property
     def white(self) -> float:

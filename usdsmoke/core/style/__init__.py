@@ -8,6 +8,7 @@
 - ``vgg19``: the VGG-19 network
 - ``safetensors``: files of arrays, read and written
 - ``style_image``: the style image at the scale of a picture
+- ``hues``: the hues of a style, and colours that are brought to them
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``sliced``: the same along random directions, by counting instead of sorting
 - ``nearest``: the way from features to the nearest ones of the style

@@ -1,0 +1,103 @@
+"""The hues of a style at each level of light, and colours that are brought to them.
+
+Views leave voxels hues that cancel in their pictures, and in no others: green beside red, both of
+which a painting of flames has not. Where it is dark hardly anything holds a hue.
+"""
+
+from functools import cached_property
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.smoke.srgb import REC709_WEIGHTS, luma
+
+LEVELS = 16  # steps of luma from 0 to 1
+STEP = 0.04  # of a chroma: red less luma, blue less luma
+REACH = 25  # steps to either side: all colours of [0, 1]
+# chroma as times that of the style: what is seen through other smoke must hold more than is seen
+SATURATIONS = (1.0, 1.25, 1.5, 1.75, 2.0)
+NEAR = 0.03  # distance of chroma up to which a hue is one of the style's
+CHANGED = 1 / 512  # of a colour: less is no change
+SHARE = 0.95  # of a level's pixels, whose hues are the style's: those that are most frequent
+
+
+def count_hues(pixels: Tensor) -> Tensor:
+    """The share of a picture's pixels by luma and chroma, [LEVELS + 1, n, n], blurred by a step.
+
+    Args:
+        pixels: display-encoded [H W 3], in [0, 1].
+    """
+    shape = (LEVELS + 1, 2 * REACH + 1, 2 * REACH + 1)
+    place = _places(pixels.reshape(-1, 3)).round().long()
+    flat = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
+    counts = torch.bincount(flat, minlength=shape[0] * shape[1] * shape[2])
+    shares = (counts.double() / len(place)).view(1, 1, *shape)
+    for axis in range(3):
+        kernel = shares.new_tensor([0.25, 0.5, 0.25]).view(
+            [3 if a == axis else 1 for a in range(3)]
+        )
+        shares = F.conv3d(shares, kernel[None, None], padding=[int(a == axis) for a in range(3)])
+    return shares[0, 0]
+
+
+class Hues:
+    """The hues of one or several styles.
+
+    Args:
+        shares: of pixels by luma and chroma, see ``count_hues``.
+    """
+
+    def __init__(self, shares: Tensor) -> None:
+        self._shares = shares
+
+    def nearest(self, colours: Tensor, before: Tensor | None = None) -> Tensor:
+        """Colours [N 3] with chroma that the styles have at their luma, which stays.
+
+        What is farther than ``NEAR`` from the nearest such chroma is brought up to there. Colours
+        of a luma that the styles have nowhere stay.
+
+        Args:
+            colours: display-encoded, in [0, 1].
+            before: [N 3]; colours that have hardly changed since then stay.
+        """
+        if before is not None:
+            changed = ((colours - before).abs() > CHANGED).any(dim=1)
+            found = colours.clone()
+            found[changed] = self.nearest(colours[changed])
+            return found
+        places = _places(colours)
+        way = sample_linear(self._table.to(colours), places, boundary="nearest")
+        far = way.norm(dim=1, keepdim=True).clamp_min(NEAR)
+        red, blue = (STEP * (places[:, 1:] - REACH) + (1 - NEAR / far) * way).unbind(1)
+        of_red, of_green, of_blue = REC709_WEIGHTS
+        green = -(of_red * red + of_blue * blue) / of_green
+        return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp(0, 1)
+
+    @cached_property
+    def _table(self) -> Tensor:
+        """The way from a luma and a chroma to the nearest one kept, [LEVELS + 1, n, n, 2]."""
+        axis = STEP * torch.arange(-REACH, REACH + 1, dtype=torch.float64)
+        nodes = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), -1).view(-1, 2)
+        return torch.stack([_way(nodes, level.flatten()) for level in self._shares]).view(
+            *self._shares.shape, 2
+        )
+
+
+def _places(colours: Tensor) -> Tensor:
+    """Colours [N 3] as places in the table, [N 3] in steps."""
+    grey = luma(colours)
+    red, blue = (REACH + (colours[:, channel] - grey) / STEP for channel in (0, 2))
+    return torch.stack([LEVELS * grey, red, blue], 1)
+
+
+def _way(nodes: Tensor, shares: Tensor) -> Tensor:
+    """From the chroma [n 2] of one level's nodes to the nearest one that is kept, [n 2]."""
+    total = shares.sum()
+    if not total > 0:
+        return torch.zeros_like(nodes)
+    frequent, order = shares.sort(descending=True, stable=True)
+    kept = nodes[order[(frequent.cumsum(0) - frequent < SHARE * total) & (frequent > 0)]]
+    kept = torch.cat([factor * kept for factor in SATURATIONS])
+    return kept[torch.cdist(nodes, kept).argmin(dim=1)] - nodes
