@@ -5,12 +5,13 @@ the albedo that weighs the light in them (``colour.target``), which is fixed wit
 Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
-Towards the end of an octave hues are blended with those of the voxels beside, because views leave
-each other speckle; the last iterations mend what the style loses by that. A warm frame gets such
-colours from its neighbour, and mixed anew in each frame they would blur: only the hues of the
-change are blended. All along, colours are brought to hues that the style has: pictures hardly hold
-those of dark smoke, nor those that cancel in them. At the end, voxels that hardly any light of the pictures comes from take the
-colours of the smoke around them: what no view sees would keep the noise that it starts with.
+All along, colours are brought to hues that the style has: pictures hardly hold those of dark smoke,
+nor those that cancel in them. Towards the end of an octave hues are blended with those of the
+voxels beside, because views leave each other speckle; the last iterations mend what the style loses
+by that. A warm frame gets such colours from its neighbour, and mixed anew in each frame they would
+blur: only the hues of the change are blended. At the end, voxels that hardly any light of the
+pictures comes from take the colours of the smoke around them: what no view sees would keep the
+noise that it starts with.
 """
 
 import math
