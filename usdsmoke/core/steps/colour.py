@@ -91,8 +91,6 @@ def run_colour_step(
     ends: list[Minimum] = []
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
     limited = bounded(smoke)
-    # what scatters light has the hues of its albedo
-    hues = problem.targets.hues if problem.lighting is None else None
     octaves = octaves_to_do(limited, iterations, scene.pixel_size)
     for number, factor, octave, n_iterations in octaves:
         octave = smoke if octave is limited else octave
@@ -105,8 +103,7 @@ def run_colour_step(
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
         told = partial(watch, number) if watch is not None else None
-        blended = partial(_blended, here, _alone(here, scene), begun if warm else None)
-        rules = HueRules(blended, hues)
+        rules = _hue_rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
@@ -116,8 +113,8 @@ def run_colour_step(
         if not warm:
             drawn = pool.drawn(end.iteration + 1)
             colours = _completed(drawn, here, colours, share, scene, factor)
-        if hues is not None:
-            colours = hues.nearest(colours, begun if warm else None)
+        if rules.style is not None:
+            colours = rules.style.nearest(colours, begun if warm else None)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours), ends
     return _colours_on(painted, before, colours, problem), ends
@@ -279,6 +276,13 @@ def _completed(
     part = None if share is None else share[share > 0]
     seen = _seen(views, painted, part, scene, factor)
     return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
+
+
+def _hue_rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> HueRules:
+    """The rules of an octave; ``begun`` are the colours of a start that is nearly right."""
+    blended = partial(_blended, painted, _alone(painted, problem.scene), begun)
+    # what scatters light has the hues of its albedo
+    return HueRules(blended, problem.targets.hues if problem.lighting is None else None)
 
 
 def _blended(painted: ActiveSmoke, weight: Tensor, begun: Tensor | None, colours: Tensor) -> Tensor:
