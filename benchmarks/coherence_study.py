@@ -130,9 +130,9 @@ PLAN = Study(
     shots=(
         _shot(64, "strokes", 0, 24, MORE),
         _shot(96, "strokes", 0, 16, FEW),
-        _shot(64, "waves", 0, 16, FEW),
-        _shot(64, "strokes", 1, 16, FEW),
-        _shot(64, "petals", 0, 16, FEW),
+        _shot(64, "waves", 0, 12, FEW),
+        _shot(64, "strokes", 1, 12, FEW),
+        _shot(64, "petals", 0, 12, FEW),
     ),
     curve=_curve(64, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
     n_frames=24,

@@ -19,8 +19,8 @@ RISE = 1.2  # power of the place in an overlap
 def tail_weights(n_frames: int) -> list[float]:
     """Weight of the earlier window in each frame of an overlap; the later one has the rest.
 
-    The later one's share rises with a power of the place, slowly at first: its first frames differ
-    most from the earlier window's (decision 009).
+    The later one's share rises with a power of the place, a little more slowly at first: its first
+    frames differ most from the earlier window's (decision 009).
 
     >>> [round(weight, 3) for weight in tail_weights(3)]
     [0.811, 0.565, 0.292]

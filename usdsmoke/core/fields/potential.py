@@ -46,10 +46,6 @@ class Displacement:
         """The displacement at points [N 3] float64 of stage space, [N 3]; 0 beyond the box."""
         return self.lattice.sample(self.values, positions.to(self.values.device), "zero")
 
-    def planar(self) -> "Displacement":
-        """The same, laid out for being sampled often; see ``gather.planar``."""
-        return Displacement(planar(self.values), self.lattice)
-
     def smoothly(self) -> Callable[[Tensor], Tensor]:
         """As ``at``, through a cubic spline: a look-up between voxels keeps what is small.
 
@@ -70,7 +66,7 @@ class Displacement:
 
     def on(self, lattice: Lattice) -> Tensor:
         """The displacement on another box, [I J K 3], along its axes."""
-        moved = self.planar()
+        moved = Displacement(planar(self.values), self.lattice)  # laid out for many look-ups
         return lattice.on_voxels(lambda places: lattice.from_stage(moved.at(places)), self.values)
 
 
