@@ -48,7 +48,6 @@ class Reached:
 class MotionBox:
     """Blocks of an octave's smoke in a dense box, and what a potential can do there."""
 
-    blocks: ActiveSmoke
     lattice: Lattice
     density: Tensor  # [I J K]
     effect: Tensor  # [I J K], share of the motion, see ``move.effect_on``
@@ -71,7 +70,7 @@ class MotionBox:
         density = lattice.fill(blocks)
         share = shares_on(lattice, mask, density)
         effect = effect_on(density, lattice, fade, share)
-        return cls(blocks, lattice, density, effect, share, start(lattice) if start else None)
+        return cls(lattice, density, effect, share, start(lattice) if start else None)
 
     def change(self, potential: Tensor, kind: str) -> Tensor:
         """What a potential [I J K C] adds to the velocity, [I J K 3] along the axes."""
