@@ -161,7 +161,7 @@ def test_what_is_left_in_pieces_is_given_back_before_an_octave_is_optimised(
     calls: list[int] = []
     monkeypatch.setattr(optimize, "give_back_memory", lambda: calls.append(1))
     run_core([frame_of(puff(12))])
-    assert len(calls) == 4  # two octaves of two steps
+    assert len(calls) == 2 + 2 * 2  # two octaves; those of colours are optimised, and mended
 
 
 @pytest.mark.parametrize(
