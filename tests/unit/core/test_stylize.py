@@ -133,7 +133,7 @@ def test_without_a_shape_step_the_density_is_the_source_s_own():
     result = run_core([FRAME], quick_config(**COLOUR))[0]
     assert result.density is FRAME.density
     assert result.report.to_json().keys() == {
-        "voxels", "extinction", "depth", "depth_by_side", "colour"
+        "voxels", "extinction", "depth", "depth_by_side", "colour", "look"
     }  # fmt: skip
 
 
