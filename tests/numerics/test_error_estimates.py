@@ -28,7 +28,7 @@ from usdsmoke.core.sequence.picture_errors import (
     resolution_error,
 )
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Descent, minimize
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
@@ -288,6 +288,21 @@ def test_spread_over_views_is_that_of_the_means_of_many_pools(pool: int, count: 
 
 def test_one_view_has_no_spread() -> None:
     assert math.isnan(spread_of_mean([3.0, 2.0, 1.0], 1))
+
+
+def test_few_views_tell_how_far_apart_two_sets_of_them_are() -> None:
+    """The root mean square of what is told is that of the sets' true differences."""
+    generator, told, true = np.random.default_rng(3), [], []
+    for _ in range(4000):
+        ours, others = generator.normal(2.0, 0.05, 8), generator.normal(2.0, 0.05, 2)
+        apart = generator.normal(0.0, 0.05 * math.sqrt(1 / 8 + 1 / 2))
+        told.append(likely_difference(ours, others + apart))
+        true.append(apart / 2.0)
+    assert np.sqrt(np.mean(np.square(told))) == pytest.approx(np.std(true), rel=0.1)
+    assert np.mean(np.array(told) < 0.2 * np.std(true)) == 0  # no accident tells that there is none
+    assert likely_difference([2.0, 2.0], [2.5]) == pytest.approx(0.125)  # half of it, no scatter
+    assert likely_difference([2.0], [2.5]) == pytest.approx(0.25)
+    assert likely_difference([0.0, 0.0], [1.0]) == 0.0
 
 
 def test_the_order_is_fitted_and_held_in_its_limits() -> None:

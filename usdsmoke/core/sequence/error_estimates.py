@@ -30,7 +30,7 @@ from usdsmoke.core.smoke.schedule import has_one_view, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
-from usdsmoke.core.steps.loss_tail import remaining_decrease, spread_of_mean
+from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
 from usdsmoke.core.views.cameras import View, orbit_view
@@ -192,8 +192,7 @@ def _unseen_views(frame: PaintedFrame) -> float:
     seen = pool[:: max(1, len(pool) // N_SEEN)][:N_SEEN]
     unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
     losses = _losses(frame, [*seen, *unseen])
-    ours, others = (sum(part) / len(part) for part in (losses[: len(seen)], losses[len(seen) :]))
-    return abs(others - ours) / ours if ours > 0 else 0.0
+    return likely_difference(losses[: len(seen)], losses[len(seen) :])
 
 
 def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:

@@ -1,4 +1,4 @@
-"""Estimates from the history of a loss: how far it would still fall, and how much views differ.
+"""Estimates from losses: how far one would still fall, and how much views differ.
 
 Plain numbers, no tensors: a few milliseconds for hundreds of iterations.
 """
@@ -107,6 +107,30 @@ def spread_of_mean(losses: Sequence[float], pool: int, count: int = 1) -> float:
     # an iteration's mean over `count` views varies sqrt(count) times less than a view
     deviation = _detrended(passage) * math.sqrt(min(count, pool))
     return deviation / math.sqrt(views) / abs(float(passage.mean()))
+
+
+def likely_difference(ours: Sequence[float], others: Sequence[float]) -> float:
+    """How far apart the means are of what two sets of losses were drawn from, over the first's.
+
+    The difference d of few numbers has a standard error s, by how much ``ours`` scatter. Before
+    they are known, the sets are taken to differ by 0 with a deviation of s, as losses of other
+    views do; then they differ by d / 2 with a deviation of s / sqrt 2. This is its root mean
+    square, so that it tells s / sqrt 2 where d happens to be 0.
+
+    Args:
+        ours, others: at least one each, of the same kind.
+
+    Returns:
+        >= 0; |d| where ``ours`` is one number, 0 where the mean is 0.
+    """
+    mean = math.fsum(ours) / len(ours)
+    if not mean > 0:
+        return 0.0
+    difference = math.fsum(others) / len(others) - mean
+    if len(ours) == 1:
+        return abs(difference) / mean
+    variance = float(np.var(ours, ddof=1)) * (1 / len(ours) + 1 / len(others))
+    return math.sqrt(difference**2 / 4 + variance / 2) / mean
 
 
 def _detrended(values: np.ndarray) -> float:
