@@ -152,18 +152,23 @@ def main(arguments: list[str] | None = None) -> int:
 def _line(row: Row) -> str:
     done = "/".join(map(str, row.iterations))
     cells = [row.scene, row.style, row.step, row.limit, done, row.ended, f"{row.loss:.3f}"]
-    cells += [f"{100 * row.told:.1f} %", f"{100 * row.true:.1f} %", f"{row.ratio:.2f}"]
+    told, ratio = f"{100 * row.told:.1f} %", f"{row.ratio:.2f}"
+    if np.isnan(row.told):
+        told, ratio = "left out", ""
+    cells += [told, f"{100 * row.true:.1f} %", ratio]
     return "| " + " | ".join(cells) + " |"
 
 
 def _report(rows: Sequence[Row], arguments: Sequence[str]) -> str:
-    within = sum(0.5 <= row.ratio <= 2 for row in rows)
+    told = [row for row in rows if not np.isnan(row.told)]
+    within = sum(0.5 <= row.ratio <= 2 for row in told)
     intro = [
         "# The optimiser's rows of the error budget",
         "",
         "*Told* is what the row says: by how much a run four times as long would end lower,",
         "relative to the final loss. *True* is that run, both ends judged over all views of the",
-        f"pool. Within a factor of 2: {within} of {len(rows)}.",
+        f"pool. Within a factor of 2: {within} of {len(told)}. The row is left out where the last",
+        "octave has too few iterations.",
     ]
     columns = [
         "scene",
