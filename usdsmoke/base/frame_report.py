@@ -192,6 +192,7 @@ class FrameReport(JsonRecord):
     # Optical depth of thick columns in the pictures of the last step; None: not measured.
     depth: float | None = None
     gamma_is_set: bool = False  # for the last step; else the smoke has chosen the extinction
+    gamma_is_own: bool = False  # the frame's gamma is animated, so it is not that of the run
     depth_by_side: tuple[float, float] | None = None  # least and most over the views, about
     shape: StepReport | None = None  # None where the step is not run
     transport: TransportReport | None = None  # None without a shape step

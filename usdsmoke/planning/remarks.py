@@ -25,6 +25,7 @@ EXTREME_RATE = 10.0
 # Pixels of a picture for one voxel from which strokes look smeared: a dragon of 70 voxels is, with
 # 192 pixels, and a plume of 107 is not.
 _COARSE = 2.0
+_HEAVY = 1000.0  # of a loss beside the style's: with as much hardly any strokes are left
 _FEWEST = 16  # voxels: fewer have no shape that strokes could follow
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
@@ -40,6 +41,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_part(volume),
             *_measured_elsewhere(volume),
             *_rate(volume),
+            *_heavy_losses(volume),
             *_coarse(volume),
             *_tiny_style(volume),
             *_unmoved(volume),
@@ -203,6 +205,17 @@ def _tiny_style(volume: VolumePlan) -> list[str]:
         f"{asked} reduces the style to {max(1, round(left))} of the {pixels} pixels of a picture "
         f"of <{volume.source.prim_path}>: its strokes are lost. Set a larger style.size, a smaller "
         "style.tiling, or a larger grids.refine"
+    ]
+
+
+def _heavy_losses(volume: VolumePlan) -> list[str]:
+    """Weights beside which the style's does not count."""
+    losses = volume.config.losses
+    return [
+        f"losses.{name}={getattr(losses, name):g} outweighs the style: its strokes are lost. "
+        "Compare the result with the style"
+        for name in ("total_variation", "histogram", "nearest", "content", "laplacian")
+        if getattr(losses, name) > _HEAVY * losses.style > 0
     ]
 
 

@@ -39,6 +39,12 @@ def test_a_learning_rate_far_above_the_default_is_remarked_on(shot: Shot) -> Non
     assert plan_of(shot, "colour.learning_rate=50", "optimize.steps=[shape]").notes == ()
 
 
+def test_a_loss_that_outweighs_the_style_is_remarked_on(shot: Shot) -> None:
+    (note,) = plan_of(shot, "losses.nearest=1e6").notes
+    assert "losses.nearest=1e+06 outweighs the style" in note
+    assert plan_of(shot, "losses.nearest=10").notes == ()
+
+
 @pytest.mark.parametrize("setting", ["style.size=0.001", "style.tiling=16"])
 def test_a_style_of_a_few_pixels_is_remarked_on(setting: str, shot: Shot) -> None:
     (note,) = plan_of(shot, setting).notes

@@ -321,3 +321,12 @@ def test_a_hundred_frames_with_one_finding_are_one_sentence() -> None:
     findings = [Finding(f"{n}.vdb", "mass", f"{n} voxels are gone", "Look") for n in range(100)]
     (text,) = ErrorBudget((), {}, {}, {}, tuple(findings)).warnings
     assert text == "0.vdb and 99 more: 0 voxels are gone. Look."
+
+
+@pytest.mark.parametrize(("depth", "named"), [(6e-6, True), (4.0, False), (1e3, True)])
+def test_an_animated_gamma_that_does_not_suit_a_frame_is_named(
+    depth: float, named: bool, tmp_path: Path
+) -> None:
+    own = replace(GOOD, depth=depth, gamma_is_set=True, gamma_is_own=True)
+    found = budget_of(tmp_path, [GOOD, own]).findings
+    assert [finding.setting for finding in found] == ["optics.gamma"] * named

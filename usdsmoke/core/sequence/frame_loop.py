@@ -353,10 +353,12 @@ def _connected(
         before.source, frame.source, way, rate, context.config.stage.velocity_unit
     )
     texts = [passage.doubt] if passage.doubt else []
+    seen = " in the camera's picture" if context.config.views.camera else ""
     if passage.is_cut:
         texts.append(
-            f"the smoke jumps: {passage.difference:.0%} of it at timeCode {frame.time_code:g} is "
-            f"not that of {before.time_code:g} carried along. The frame starts anew, as after a cut"
+            f"the smoke{seen} jumps: {passage.difference:.0%} of it at timeCode "
+            f"{frame.time_code:g} is not that of {before.time_code:g} carried along. The frame "
+            "starts anew, as after a cut"
         )
     warnings = (*frame.report.warnings, *(t for t in texts if t not in frame.report.warnings))
     report = replace(frame.report, warnings=warnings)

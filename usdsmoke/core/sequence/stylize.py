@@ -121,6 +121,7 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
     depth = thick_depth(frame)
     report = replace(
         frame.report, errors=frame_errors(frame), depth=depth, gamma_is_set=gamma_is_set(frame),
+        gamma_is_own=frame.paint is not None and frame.frame.controls.gamma is not None,
         depth_by_side=depth_by_side(frame, depth),
     )  # fmt: skip
     return StylizedFrame(

@@ -140,7 +140,11 @@ def find_depth(
         optics: of the Volume.
         is_measured: the frame is known to be one of those that chose the extinction.
     """
-    if report.depth is None or report.gamma_is_set:
+    if report.depth is None:
+        return
+    if report.gamma_is_own:
+        yield from _find_animated(name, report.depth)
+    if report.gamma_is_set:
         return
     if report.depth_by_side is not None:
         yield from _find_sides(name, *report.depth_by_side)
@@ -167,6 +171,22 @@ def find_depth(
         f"{wanted:g}: {what}",
         remedy,
         setting,
+    )
+
+
+def _find_animated(name: str, depth: float) -> Iterator[Finding]:
+    """Whether a frame's own gamma suits it; that of all frames has a finding of the scene."""
+    if UNSEEN / 2 <= depth <= DEEPEST:
+        return
+    what, amount = "it shows in no picture", "larger"
+    if depth > DEEPEST:
+        what, amount = "a picture of it is its front alone", "smaller"
+    yield Finding(
+        name,
+        "",
+        f"the thick columns have an optical depth of {depth:.2g} with this frame's gamma: {what}",
+        f"Author a {amount} gamma at this timeCode",
+        "optics.gamma",
     )
 
 

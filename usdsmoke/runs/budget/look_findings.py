@@ -8,7 +8,7 @@ from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER
 
-OFF = 0.12  # of the range of colours: runs at the defaults and drafts have up to 0.06
+OFF = 0.2  # of the range of colours: runs have up to 0.06, drafts of mixed styles up to 0.17
 FLAT = 0.2  # of the style's contrast: they have 0.4 to 0.8
 _TERMS = (  # weights of losses that can keep the colour step from the style
     "nearest",
@@ -42,6 +42,8 @@ def colour_remedy(config: Config) -> tuple[str, str]:
     if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
         remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
+    if config.style.tiling != Config().style.tiling:
+        setting, remedy = "style.tiling", "use the default of style.tiling"
     if config.stage.mask:
         remedy += ", or check the values of the mask"
     if has_high_rate(config):
