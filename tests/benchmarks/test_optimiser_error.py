@@ -12,7 +12,7 @@ SETTINGS = {
     "views": {"pool": 8, "image_size": 24, "azimuth": 12, "elevation": 6},
     "features": {"layers": ["oriented1", "oriented2", "learned1"]},
     "shape": {"iterations": [30, 32]},
-    "colour": {"iterations": [30, 40]},
+    "colour": {"iterations": [30, 64]},
     "optimize": {"threads": 1},
 }
 WITHIN = 3.0  # times too large or too small; the benchmark's larger scenes stay within 2
@@ -31,4 +31,4 @@ def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str
     assert row.true > 0.02, row
     assert 1 / WITHIN < row.ratio < WITHIN, row
     if limit == "stopped early":
-        assert row.ended == "converged" and row.iterations[-1] <= 2 * 40, row
+        assert row.ended == "converged" and row.iterations[-1] < 2 * 64, row
