@@ -12,6 +12,9 @@ from tests.fixtures.pipeline_fixtures import FakeCore, Shot, copied, run, run_un
 from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
 
+# Of the earlier window, in the two frames of an overlap: 1 less the place to the power 1.2.
+FIRST, SECOND = 1 - (1 / 3) ** 1.2, 1 - (2 / 3) ** 1.2
+
 
 def manifest(shot: Shot, window: int) -> dict[str, object]:
     values: dict[str, object] = json.loads(
@@ -143,7 +146,7 @@ def test_the_plan_lists_the_windows_of_all_volumes_by_number(
 def test_frames_of_an_overlap_are_the_blend_of_both_windows(farm: Shot) -> None:
     result = run(farm, *WINDOWS)
     folder = run_folder(farm)
-    for code, windows, weight in [(4, "01", 8 / 9), (5, "01", 5 / 9), (8, "12", 5 / 9)]:
+    for code, windows, weight in [(4, "01", FIRST), (5, "01", SECOND), (8, "12", SECOND)]:
         name = f"smoke.{code:04d}.vdb"
         for grid in ("density", "emission"):
             tail, head = (values_of(folder / f"parts/000{k}/{name}", grid) for k in windows)
@@ -162,7 +165,7 @@ def test_half_floats_are_rounded_once_after_blending(farm: Shot) -> None:
         values_of(run_folder(farm) / f"parts/000{k}/smoke.0005.vdb", "emission") for k in (0, 1)
     )
     assert not np.array_equal(tail, tail.astype(np.float16))
-    wanted = (head + (tail.astype(float) - head) * 5 / 9).astype(np.float32).astype(np.float16)
+    wanted = (head + (tail.astype(float) - head) * SECOND).astype(np.float32).astype(np.float16)
     np.testing.assert_array_equal(values_of(result.frames[4], "emission"), wanted)
 
 

@@ -92,7 +92,7 @@ def test_a_rule_that_stops_early_is_told_with_what_was_done(tmp_path: Path) -> N
     case = timeless(case_of(make_scene(tmp_path, n_frames=1), *slow))
     tasks = _BY_NAME["iterations_colour"].plan(case).tasks
     notes = {task.label: task.note(task.work(0)) for task in tasks if task.note is not None}
-    assert notes["40 iterations (1x)"] == "24 of 40 done"
+    assert notes["40 iterations (1x)"] == "26 of 40 done"
     assert notes["no rule (optimize.tolerance=0)"] == ""
 
 
