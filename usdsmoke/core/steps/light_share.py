@@ -57,16 +57,12 @@ def _light(
     lighting = problem.lighting
     if lighting is None:
         return None
-    shown = _all_pixels([view.shown(linear) for view in views])
-    lamps, white = shown, torch.ones_like(linear)
-    if not lighting.is_painted:
-        lamps = _all_pixels([view.shown(torch.zeros_like(linear)) for view in views])
-    total, brightness = float(shown.sum()), _brightness(views, here)
+    shown, lit_white = _all_pixels([view.shown(linear) for view in views]), _lit(views, here)
+    lamps = shown if lighting.is_painted else _all_pixels(lit_white)
+    total, brightness = float(shown.sum()), _brightness(views, lit_white)
     if len(brightness) == 0:
         return None
-    channels = lamps.sum(0)
-    if lighting.is_painted:
-        channels = _all_pixels([view.shown(white) for view in views]).sum(0)
+    channels = _all_pixels(lit_white).sum(0)
     brightness = brightness / max(problem.targets.white, 1e-3)
     lit, target = float(brightness.quantile(_LIT)), 1.0 if lighting.is_painted else _ADVISED
     return LightReport(
@@ -114,7 +110,7 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
             continue
         octave = coarsen(bounded(smoke))
         views = _views(octave, scene, config, lighting, None)
-        brightness = _brightness(views, octave)
+        brightness = _brightness(views, _lit(views, octave))
         if len(brightness) and (lit := float(brightness.quantile(_LIT))) > 0:
             found.append(-math.log2(lit))
     stops = float(np.median(found)) if found else 0.0
@@ -134,12 +130,16 @@ def _views(
     return list(made)
 
 
-def _brightness(views: Sequence[ColourView], painted: ActiveSmoke) -> Tensor:
-    """Luminance that lamps give the pixels with smoke, white where colours weigh it, [P]."""
+def _lit(views: Sequence[ColourView], painted: ActiveSmoke) -> list[Tensor]:
+    """What lamps alone give the pictures, on white where colours weigh it, [H W 3] each."""
+    colours = painted.positions.new_zeros(len(painted.ijk), 3).to(views[0].alpha)
+    return [view.shown(colours if view.light is None else colours + 1) for view in views]
+
+
+def _brightness(views: Sequence[ColourView], lit: Sequence[Tensor]) -> Tensor:
+    """Luminance of the pixels with smoke in ``_lit``, over their opacity, [P]."""
     found = []
-    for view in views:
-        colours = painted.positions.new_zeros(len(painted.ijk), 3).to(view.alpha)
-        picture = view.shown(colours if view.light is None else colours + 1)
+    for view, picture in zip(views, lit, strict=True):
         smoke = view.alpha > 0.5 * view.alpha.max()
         light = luminance(picture[smoke].double())
         found.append(light / view.alpha[smoke])

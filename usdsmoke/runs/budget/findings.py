@@ -15,7 +15,7 @@ from usdsmoke.runs.budget.light_findings import (
     find_scene,
     of_last_step,
 )
-from usdsmoke.runs.budget.look_findings import colour_remedy, find_look, has_high_rate
+from usdsmoke.runs.budget.look_findings import colour_remedy, find_look, has_high_rate, length_of
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
@@ -156,7 +156,7 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
     if row is COLOUR_OPTIMISER and has_high_rate(config):
         return "Use the default of colour.learning_rate", "colour.learning_rate"
     if row in (SHAPE_OPTIMISER, COLOUR_OPTIMISER):
-        setting = _length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
+        setting = length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
         return f"Set more {setting}", setting
     return _sentence(row.advice), row.setting
 
@@ -236,11 +236,6 @@ def _find_way(name: str, report: FrameReport, config: Config) -> Iterator[Findin
         yield _small_reach(name, config.shape.reach)
 
 
-def _length_of(step: str, config: Config) -> str:
-    """The setting that makes a step longer."""
-    return f"{step if config.optimize.iterations is None else 'optimize'}.iterations"
-
-
 def _has_low_rate(step: str, config: Config) -> bool:
     """Whether the learning rate of a step is below its default."""
     rate: float = getattr(config, step).learning_rate
@@ -303,7 +298,7 @@ def _find_pair(
         ends = [_end(report, step) for _, report in sides]
         for mine, theirs in ((0, 1), (1, 0)):
             if ends[theirs] > 0 and ends[mine] > UNLIKE * ends[theirs]:
-                setting = _length_of(step, config)
+                setting = length_of(step, config)
                 yield Finding(
                     sides[mine][0],
                     _OPTIMISERS[step],

@@ -37,7 +37,7 @@ def find_look(name: str, report: FrameReport, config: Config) -> Iterator[Findin
 
 def colour_remedy(config: Config) -> tuple[str, str]:
     """The setting that may keep the colour step from the style, and what to do with it."""
-    setting = f"{'colour' if config.optimize.iterations is None else 'optimize'}.iterations"
+    setting = length_of("colour", config)
     remedy, usual = f"raise {setting}", Config().losses
     if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
@@ -49,6 +49,11 @@ def colour_remedy(config: Config) -> tuple[str, str]:
     if has_high_rate(config):
         setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
     return setting, remedy
+
+
+def length_of(step: str, config: Config) -> str:
+    """The setting that makes a step longer."""
+    return f"{step if config.optimize.iterations is None else 'optimize'}.iterations"
 
 
 def has_high_rate(config: Config) -> bool:
