@@ -202,6 +202,7 @@ class FrameReport(JsonRecord):
     errors: FrameErrors = field(default_factory=FrameErrors)
     temporal: TemporalErrors | None = None  # None without a frame before it in the window
     overlap: OverlapReport | None = None  # None for a frame of one window
+    velocity_doubt: str = ""  # why the velocity before it seems wrong, and what to do; "": it fits
     # Between the steps: the density is moved, and results are averaged and compared with those of
     # neighbouring frames. Without the estimate of the error.
     transport_seconds: float = 0.0

@@ -4,7 +4,7 @@
 also be requested by a Volume on the stage, one with ``control`` for each frame.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -206,6 +206,10 @@ class FeaturesConfig(Section):
 
 class LossesConfig(Section):
     """What is minimised."""
+
+    # In the colour step beside the style; too large a weight keeps the step from it.
+    BESIDE_STYLE: ClassVar[tuple[str, ...]] = (
+        "nearest", "content", "histogram", "laplacian", "photorealism", "total_variation")
 
     style: float = setting(
         1.0, "weight of the style; 0 returns the source, whatever the other weights are", ge=0)

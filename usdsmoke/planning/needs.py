@@ -26,7 +26,6 @@ _COLUMN_SUMS = Omission(
     "a grey picture is the opacity, which needs column sums only",
     expected=True,
 )
-_OTHER_LOSSES = ("total_variation", "histogram", "nearest", "content", "laplacian", "photorealism")
 
 
 def list_needed(config: Config, volumes: Volumes) -> tuple[str, ...]:
@@ -227,7 +226,7 @@ def _omitted_losses(config: Config) -> list[Omission]:
         omitted.append(Omission("style loss and features", "losses.style is 0"))
     omitted += [
         Omission(f"{name.replace('_', ' ')} loss", f"losses.{name} is 0", expected=True)
-        for name in _OTHER_LOSSES
+        for name in losses.BESIDE_STYLE
         if getattr(losses, name) == 0
     ]
     if config.features.network == "embedded":

@@ -214,7 +214,7 @@ def _heavy_losses(volume: VolumePlan) -> list[str]:
     return [
         f"losses.{name}={getattr(losses, name):g} outweighs the style: its strokes are lost. "
         "Compare the result with the style"
-        for name in ("total_variation", "histogram", "nearest", "content", "laplacian")
+        for name in losses.BESIDE_STYLE
         if getattr(losses, name) > _HEAVY * losses.style > 0
     ]
 

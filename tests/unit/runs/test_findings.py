@@ -105,6 +105,8 @@ def test_what_went_wrong_is_named_with_its_row_and_its_remedy(
 
 STILL = {"transport": replace(GOOD.transport, largest_displacement=1e-9)}
 FAST = {"colour": StepReport(loss=(9.0, 9.0, 9.0), fallen=0.0)}
+COARSE = {"errors": FrameErrors(resolution=Estimate(2.0), pixel_filter=Estimate(2.0))}
+UNSTEADY = {"temporal": TemporalErrors(0.2, 0.9)}
 SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
 
 
@@ -132,6 +134,9 @@ SLOW = {"colour": StepReport(loss=(9.0, 9.0, 8.9), fallen=0.1, way=0.02)}
         (SLOW, "optimiser, colour", ["colour.learning_rate=0.001"]),
         (FAST, "optimiser, colour", ["colour.learning_rate=1000.0"]),
         (FAST, "optimiser, colour", ["losses.nearest=1000000.0"]),
+        (COARSE, "resolution", ["views.image_size=32"]),
+        (COARSE, "pixel filter", ["views.image_size=32"]),
+        (UNSTEADY, "temporal, colour", ["windows.pattern_speed=4.0"]),
     ],
 )
 def test_the_setting_that_is_named_is_the_one_that_was_changed(
@@ -160,6 +165,22 @@ def test_a_shot_of_which_nothing_is_stylized_says_so(
     assert [finding.setting for finding in budget.findings] == wanted
     assert all(reason in text for text in budget.warnings)
     assert budget_of(tmp_path / "part", [left_out, GOOD], settings=settings).findings == ()
+
+
+def test_a_camera_with_few_pixels_is_told_to_have_more() -> None:
+    config = Config.model_validate({"views": {"camera": "/cam", "camera_width": 8}})
+    found = list(find_frame("a.vdb", replace(GOOD, **COARSE), config))
+    assert {finding.setting for finding in found} == {"views.camera_width"}
+
+
+def test_a_velocity_that_does_not_move_the_smoke_speaks_against_steadiness(tmp_path: Path) -> None:
+    doubt = "the densities agree better against it. Check the direction."
+    warm = replace(GOOD, temporal=TemporalErrors(0.2, 0.1), velocity_doubt=doubt)
+    budget = budget_of(tmp_path, [GOOD, warm, warm])
+    (told,) = budget.warnings
+    assert "agree better against it" in told and told.endswith("Check the direction.")
+    (steady,) = [part for part in budget.verdicts if part.about == "steadiness over time"]
+    assert steady.verdict == "look at it" and "against it" in steady.why
 
 
 def test_smoke_that_no_potential_moves_is_told_once() -> None:

@@ -352,7 +352,7 @@ def _connected(
     passage = judge_passage(
         before.source, frame.source, way, rate, context.config.stage.velocity_unit
     )
-    texts = [passage.doubt] if passage.doubt else []
+    texts = []
     seen = " in the camera's picture" if context.config.views.camera else ""
     if passage.is_cut:
         texts.append(
@@ -361,7 +361,7 @@ def _connected(
             "starts anew, as after a cut"
         )
     warnings = (*frame.report.warnings, *(t for t in texts if t not in frame.report.warnings))
-    report = replace(frame.report, warnings=warnings)
+    report = replace(frame.report, warnings=warnings, velocity_doubt=passage.doubt)
     return (None if passage.is_cut else before), report, passage.is_cut
 
 

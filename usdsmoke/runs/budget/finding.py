@@ -25,16 +25,18 @@ class Finding:
 
 
 def finding_texts(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """The findings as sentences; those of one row and remedy as one, with the first frame's cause.
+    """The findings as sentences; those of one row and remedy as one, with the first place's causes.
 
-    >>> finding_texts([Finding("a.vdb", "mass", "mass is 60%", "Look at it")] * 2)
-    ('a.vdb and 1 more: mass is 60%. Look at it.',)
+    >>> found = [Finding(f"{name}.vdb", "mass", "mass is 60%", "Look at it") for name in "ab"]
+    >>> finding_texts([*found, Finding("a.vdb", "mass", "it is folded", "Look at it")])
+    ('a.vdb and 1 more: mass is 60%, and it is folded. Look at it.',)
     """
-    alike: dict[tuple[str, str], list[Finding]] = {}
+    alike: dict[tuple[str, str], dict[str, list[str]]] = {}  # causes by place
     for finding in findings:
-        alike.setdefault(finding.kind, []).append(finding)
-    return tuple(
-        f"{first.place}{f' and {len(others)} more' if others else ''}: {first.cause}. "
-        f"{first.remedy}."
-        for first, *others in alike.values()
-    )
+        alike.setdefault(finding.kind, {}).setdefault(finding.place, []).append(finding.cause)
+    texts = []
+    for (_, remedy), places in alike.items():
+        (first, causes), *others = places.items()
+        more = f" and {len(others)} more" if others else ""
+        texts.append(f"{first}{more}: {', and '.join(dict.fromkeys(causes))}. {remedy}.")
+    return tuple(texts)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.settings import Config
@@ -21,10 +22,12 @@ from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
     MASS,
     MOTIONLESS,
+    PIXEL_FILTER,
     QUADRATURE,
     RESOLUTION,
     ROWS,
     SHAPE_OPTIMISER,
+    TEMPORAL,
     ErrorRow,
 )
 from usdsmoke.runs.budget.sight_findings import find_sight
@@ -132,6 +135,9 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
     yield from find_light(name, report)
     yield from find_look(name, report, config)
     yield from find_sight(name, report)
+    if report.velocity_doubt:
+        cause, remedy = report.velocity_doubt.removesuffix(".").split(". ", 1)
+        yield Finding(name, TEMPORAL[0].name, cause, remedy)
     for row in ROWS:
         figure = row.of_frame(report)
         if figure is not None and not abs(figure.value) <= row.most:
@@ -151,6 +157,10 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
         name = of_last_step("gamma" if report.gamma_is_set else "depth", report)
         remedy = f"Set a smaller optics.{name}: a voxel of this smoke hides all that is behind it"
         return remedy, f"optics.{name}"
+    if row in (QUADRATURE, RESOLUTION, PIXEL_FILTER) and (small := _small_pictures(config)):
+        return f"Raise {small}", small
+    if row in TEMPORAL and config.windows.pattern_speed not in (0, 1):
+        return "Use the default of windows.pattern_speed", "windows.pattern_speed"
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
         return f"Unset {' and '.join(changed)}", changed[0]
     if row is COLOUR_OPTIMISER and has_high_rate(config):
@@ -159,6 +169,13 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
         setting = length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
         return f"Set more {setting}", setting
     return _sentence(row.advice), row.setting
+
+
+def _small_pictures(config: Config) -> str:
+    """The setting that makes pictures smaller than by default; "" for none."""
+    names = ("views.camera_width",) * bool(config.views.camera) + ("views.image_size",)
+    small = [n for n in _changed(config, *names) if _value(n, config) < _value(n, Config())]
+    return small[0] if small else ""
 
 
 def _vanished(name: str, gone: float, config: Config) -> Finding:
@@ -173,13 +190,12 @@ def _vanished(name: str, gone: float, config: Config) -> Finding:
 
 def _changed(config: Config, *names: str) -> list[str]:
     """Those of these settings that differ from their defaults: others need not be unset."""
-    default = Config()
-    pairs = [(name, name.split(".")) for name in names]
-    return [
-        name
-        for name, (section, key) in pairs
-        if getattr(getattr(config, section), key) != getattr(getattr(default, section), key)
-    ]
+    return [name for name in names if _value(name, config) != _value(name, Config())]
+
+
+def _value(name: str, config: Config) -> Any:
+    section, key = name.split(".")
+    return getattr(getattr(config, section), key)
 
 
 def _no_iterations(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:

@@ -10,14 +10,6 @@ from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER
 
 OFF = 0.2  # of the range of colours: runs have up to 0.06, drafts of mixed styles up to 0.17
 FLAT = 0.2  # of the style's contrast: they have 0.4 to 0.8
-_TERMS = (  # weights of losses that can keep the colour step from the style
-    "nearest",
-    "content",
-    "histogram",
-    "laplacian",
-    "photorealism",
-    "total_variation",
-)
 
 
 def find_look(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
@@ -39,7 +31,7 @@ def colour_remedy(config: Config) -> tuple[str, str]:
     """The setting that may keep the colour step from the style, and what to do with it."""
     setting = length_of("colour", config)
     remedy, usual = f"raise {setting}", Config().losses
-    if raised := [n for n in _TERMS if getattr(config.losses, n) > getattr(usual, n)]:
+    if raised := [n for n in usual.BESIDE_STYLE if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
         remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
     if config.style.tiling != Config().style.tiling:
