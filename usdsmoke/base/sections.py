@@ -75,9 +75,9 @@ class WindowsConfig(Section):
         0.8, "share of the iterations for a frame that starts from its neighbour's result",
         gt=0, le=1)
     steadiness: float = setting(
-        3.0, "weight of the difference between a frame's displacement and the one that it starts "
-        "from: its neighbour's, carried along, or the coarse step's; higher is steadier, and "
-        "farther from the style", ge=0)
+        0.25, "weight of the difference in pixels between a frame's displacement and the one that "
+        "it starts from: its neighbour's, carried along, or the coarse step's; higher is steadier, "
+        "and farther from the style", ge=0)
     shared_octaves: int = setting(
         2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
     pattern_speed: float = setting(
@@ -275,8 +275,8 @@ class ColourConfig(Section):
         [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
-        0.5, "share of the learning rate for a frame that starts from its neighbour's result",
-        gt=0, le=1)
+        0.5, "share of the learning rate for a frame that starts from its neighbour's result or "
+        "from the coarse step", gt=0, le=1)
     smoothing: float = setting(
         0.25, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)
 

@@ -16,7 +16,7 @@ from usdsmoke.core.sequence.coarse import coarse_frames, coarsen_field
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
-from usdsmoke.core.sequence.start import Carried, start_displacement
+from usdsmoke.core.sequence.start import Carried, start_colours, start_displacement
 from usdsmoke.core.sequence.start_files import (
     load_carried,
     load_checkpoint,
@@ -195,6 +195,24 @@ def test_a_windows_first_frame_stays_near_the_coarse_step():
         return float(change.norm() / coarse.norm())
 
     assert departure(1e4) < 0.5 * departure(0.0)
+
+
+def test_the_colours_of_a_windows_first_frame_stay_near_the_coarse_step():
+    def departure(warm_rate: float) -> float:
+        config = quick_config(
+            colour={"iterations": [4, 12], "warm_rate": warm_rate},
+            optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0},
+            windows={"shared_octaves": 1},
+        )
+        scene, style = scene_of(FRAMES, config, "Y"), random_style()
+        (start,) = coarse_frames(FRAMES[2:3], [style], scene, config)
+        job = make_context([style], scene, config, None, 24.0, {2.0: start}.get, 1)
+        (frame,) = run_frames(FRAMES[2:3], job)
+        coarse = start_colours(None, start, None, frame.painted, 0)
+        assert frame.colours is not None and coarse is not None
+        return float((frame.colours - coarse).square().mean().sqrt())
+
+    assert departure(0.1) < 0.8 * departure(1.0)
 
 
 def test_a_start_comes_back_from_its_file_bit_for_bit(tmp_path):

@@ -18,6 +18,7 @@ from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.pyramid import SparsePyramid
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.steps import move, optimize, shape
+from usdsmoke.core.steps.motion import Motion, MotionBox
 from usdsmoke.core.steps.move import displacement_of
 from usdsmoke.core.steps.pictures import ViewPool, grey_view
 from usdsmoke.core.steps.shape import max_displacement, run_shape_step
@@ -192,3 +193,28 @@ def test_smoke_that_is_moved_far_hardly_folds(
         (frame,) = run_core([frame_of(puff(24))], config)
         folded.append(frame.report.transport.folded)
     assert folded[0] < most < least < folded[1]
+
+
+def test_a_departure_from_the_start_counts_in_pixels() -> None:
+    """So that it weighs as much at any resolution, and with any reach."""
+    smoke = smoke_of(puff(12))
+    box = MotionBox.of(smoke, None, move.fade_of(smoke), None)
+    noise = torch.randn(*box.lattice.shape, 3, generator=torch.Generator().manual_seed(0))
+
+    def cost(pixels: float, factor: int = 1, reach: float = 0.04) -> float:
+        config = quick_config(shape={"reach": reach}, losses={"keep": 0.0})
+        scene = scene_of([frame_of(puff(12))], config)
+        scene = replace(scene, pixel_size=pixels * scene.pixel_size)
+        problem = StepProblem(smoke, cast(StyleTargets, Pictures()), scene, config, None)
+        motion = Motion(box, max_displacement(smoke, reach), "stream", 3)
+        potential = 0.1 * motion.pyramid.chosen(noise)
+        steady, free = (
+            shape._Octave(problem, motion, factor, 0, weight, 0.0).loss(potential, 0)
+            for weight in (100.0, 0.0)
+        )
+        return float(steady - free)
+
+    assert cost(1.0) > 0.1
+    assert cost(2.0) == pytest.approx(cost(1.0) / 4, rel=1e-3)
+    assert cost(1.0, factor=2) == pytest.approx(cost(1.0) / 4, rel=1e-3)
+    assert cost(1.0, reach=0.08) == pytest.approx(cost(1.0), rel=1e-3)

@@ -221,7 +221,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         frame.targets.prepare({"colour": iterations})
         watch = context.watch(frame.time_code)("colour", iterations)
         problem = frame.colour_problem()
-        is_warm = paint is not None or context.generator is not None
+        is_warm = start is not None  # also from the coarse step, as in the shape step
         colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         light, look = picture_reports(problem, painted, colours)
         ended = _report("colour", ends, frame, started)

@@ -141,5 +141,5 @@ class Motion:
         return None if self._folding is None else self._folding(u)
 
     def departure(self, change: Tensor) -> Tensor:
-        """Square of the change as a share of the limit, mean over the smoke."""
-        return (change / self.limit).square().sum(1) @ self._shares
+        """Square of a change [N 3], mean over the smoke, in the change's unit squared."""
+        return change.square().sum(1) @ self._shares

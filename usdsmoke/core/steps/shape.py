@@ -65,6 +65,7 @@ class _Octave:
         smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
         self._loss = loss = problem.targets.at(factor, grey=True)
         self._keep, self._weight = config.losses.keep, config.losses.style
+        self._pixel = factor * scene.pixel_size
         self._steadiness, self._folding, self.motion = steadiness, folding, motion
         box, reached = motion.box, motion.reached
         self._density, self._arrivals, self._mass = box.density, reached.arrivals, box.density.sum()
@@ -118,7 +119,8 @@ class _Octave:
         if folding is not None:
             loss = loss + self._weight * self._folding * folding
         if self._steadiness:
-            loss = loss + self._weight * self._steadiness * self.motion.departure(change)
+            departure = self.motion.departure(change / self._pixel)
+            loss = loss + self._weight * self._steadiness * departure
         return loss
 
 
@@ -141,8 +143,8 @@ def run_shape_step(
             from; None starts from rest.
         watch: called with the octave and the optimiser's state after every iteration.
         rate_share: share of the learning rate, in (0, 1].
-        steadiness: weight of the change against the start, as a share of the largest
-            displacement, squared, mean over the smoke; see ``windows.steadiness``.
+        steadiness: weight of the change against the start, in pixels, squared, mean over the
+            smoke; see ``windows.steadiness``.
 
     Returns:
         The velocity of the blocks, before it is clamped and before ``optimize.strength``, and how
