@@ -77,6 +77,10 @@ VOLUME = _group(
      (STYLIZE + "test_a_slab_stays_one_voxel_thick_and_is_seen_from_one_side",)),
     ("negative density", "finite: treated as 0 where smoke is moved",
      (EXTREMES + "test_negative_density_counts_as_none_where_smoke_is_moved",)),
+    ("density in inactive voxels", "finite: in the box of the active ones it counts as smoke; a "
+     "warning tells what is within 8 voxels outside",
+     (EXTREMES + "test_densities_of_inactive_voxels_beside_the_box_are_told",
+      "tests/unit/vdb/test_read.py::test_inactive_voxels_beside_the_box_are_told")),
     ("NaN, infinite density", "named error NonFiniteError: with number, place, file, field and "
      "timeCode; with `--repair nan=...` finite: replaced by that number",
      (READ + "test_nan_and_infinite_voxels_are_counted_and_placed", REFUSED + "[NaN]",
@@ -190,7 +194,11 @@ TRANSPORT = _group(
      "finite: a warning says with which velocity the densities agree better",
      (FAST + "test_a_velocity_that_does_not_explain_the_smoke_is_named",
       FAST + "test_a_wrong_velocity_of_slow_smoke_is_named")),
-    ("absurd velocity", "named error PlanError: asks for the velocity's unit",
+    ("a velocity of a thousand voxels a frame or more, also of one voxel",
+     "finite: the frame starts anew, and a finding names its speed",
+     (FAST + "test_a_velocity_that_is_too_fast_to_be_followed_is_told_with_its_voxels",)),
+    ("absurd velocity passed to the look-up of Python code",
+     "named error PlanError: asks for the velocity's unit",
      (WARM + "test_an_absurd_velocity_is_a_named_error",)),
     ("NaN, infinite velocity", "named error NonFiniteError: grid and timeCode",
      (STYLIZE + "test_velocity_that_is_not_finite_is_refused_by_time_code_and_name",)),

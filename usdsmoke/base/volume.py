@@ -232,6 +232,7 @@ class DenseField:
     grid_class: str = "fog volume"  # "fog volume", "staggered", "unknown"
     half: bool = False  # stored as half float
     metadata: Mapping[str, Any] = field(default_factory=dict)  # the grid's own, without file_* keys
+    beside: float = 0.0  # largest value of inactive voxels near the box; 0 for vectors
 
     def __post_init__(self) -> None:
         if self.values.ndim not in (3, 4) or (self.values.ndim == 4 and self.values.shape[3] != 3):

@@ -241,6 +241,7 @@ def _dense_field(
         background=tuple(background.tolist()) if background.ndim else float(background),
         grid_class=grid.grid_class if grid.grid_class in _KEPT_CLASSES else "unknown",
         half=grid.half,
+        beside=entry.get("beside", 0.0),
         metadata={
             key: value
             for key, value in grid.metadata.items()

@@ -15,7 +15,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from usdsmoke.vdb.boxes import check_dense_size
 
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
+LEAF = 8  # voxels along the side of a leaf node
 _GROWTH = 2**28  # bytes of address space beyond the first answer's that end a worker
 
 
@@ -127,8 +128,31 @@ def _read(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
         if values.size:
             grid.copyToArray(values, ijk=tuple(int(index) for index in ijk_min))
         np.save(folder / f"out{n}.npy", values, allow_pickle=False)
-        grids.append({"ijk_min": [int(i) for i in ijk_min], "background": grid.background})
+        described = {"ijk_min": [int(i) for i in ijk_min], "background": grid.background}
+        if values.size and not is_vector:
+            described["beside"] = _largest_beside(grid, described["ijk_min"], shape)
+        grids.append(described)
     return grids, len(grids)
+
+
+def _largest_beside(grid: Any, ijk_min: Sequence[int], shape: Sequence[int]) -> float:
+    """The largest finite value, without its sign, within a leaf of a box, outside it.
+
+    Active voxels are in the box, so these are inactive ones.
+    """
+    largest = 0.0
+    for axis, length in enumerate(shape):
+        # The axes before reach beyond the box, so edges and corners are in the slabs of one axis.
+        low = [i - LEAF * (a < axis) for a, i in enumerate(ijk_min)]
+        slab = [n + 2 * LEAF * (a < axis) for a, n in enumerate(shape)]
+        slab[axis] = LEAF
+        for start in (ijk_min[axis] - LEAF, ijk_min[axis] + length):
+            low[axis] = start
+            values = np.zeros(slab, np.float32)
+            grid.copyToArray(values, ijk=tuple(low))
+            found = np.abs(values[np.isfinite(values)])
+            largest = max(largest, float(found.max(initial=0.0)))
+    return largest
 
 
 def _write(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:

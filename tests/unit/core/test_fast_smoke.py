@@ -18,6 +18,14 @@ def pair(voxels_a_frame: float) -> list[VolumeFrame]:
     return [frame_of(puff(12), time_code=float(code), velocity=velocity) for code in (1, 2)]
 
 
+def test_a_velocity_that_is_too_fast_to_be_followed_is_told_with_its_voxels():
+    second = run_core(pair(2000.0), CONFIG)[1]
+    assert not second.report.warnings  # nothing is carried, so no share of it can be told
+    doubt = second.report.velocity_doubt
+    assert "2000 voxels" in doubt and "starts anew" in doubt and "unit" in doubt
+    assert second.report.temporal.colour is None
+
+
 @pytest.mark.parametrize("steps", [["shape", "colour"], ["colour"]])
 def test_a_frame_whose_smoke_comes_from_nowhere_starts_anew_and_warns(steps):
     config = quick_config(

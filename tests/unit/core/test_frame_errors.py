@@ -51,7 +51,7 @@ def test_smoke_that_is_long_in_one_direction_has_other_depths_from_its_sides(axi
     assert most / least == pytest.approx(10, rel=0.1)
     assert (least if axis == 0 else most) == pytest.approx(frame.report.depth, rel=0.01)
     (finding,) = find_depth("a.vdb", frame.report, config.optics)
-    assert finding.setting == "optics.gamma"
+    assert finding.setting == "optics.depth"
     puff_report = report_of(budget=False)
     assert puff_report.depth_by_side[1] < 1.3 * puff_report.depth_by_side[0]
     assert not list(find_depth("a.vdb", puff_report, config.optics))

@@ -73,6 +73,16 @@ def test_negative_density_counts_as_none_where_smoke_is_moved():
     assert "negative" in result.report.warnings[0]
 
 
+@pytest.mark.parametrize("beside", [0.5, 1e-4])
+def test_densities_of_inactive_voxels_beside_the_box_are_told(beside: float) -> None:
+    frame = frame_of(DENSITY)
+    density = dataclasses.replace(frame.density, beside=beside)
+    (result,) = run_core([dataclasses.replace(frame, density=density)])
+    assert ["inactive" in text and "0.5" in text for text in result.report.warnings] == (
+        [True] if beside == 0.5 else []
+    )
+
+
 def test_densities_that_are_too_faint_to_count_are_told():
     result = run_core([frame_of(DENSITY * np.float32(1e-39))])[0]
     assert result.report.left_out and "count as empty" in result.report.warnings[0]

@@ -13,6 +13,8 @@ from usdsmoke.base.frame_report import (
     Estimate,
     FrameErrors,
     FrameReport,
+    LightReport,
+    LookReport,
     SightReport,
     StepReport,
     TemporalErrors,
@@ -199,6 +201,30 @@ def test_a_step_with_iterations_that_does_nothing_is_laid_to_its_pictures(
     idle = replace(GOOD, shape=StepReport(), transport=TransportReport(1.0, 0.0, folded=0.0))
     (finding,) = find_frame("a.vdb", idle, Config(views=views))
     assert finding.setting == wanted
+
+
+@pytest.mark.parametrize(
+    ("look", "light", "wanted"),
+    [
+        (LookReport(0.0, 0.1, shown=0.9), None, "colour.iterations"),
+        (LookReport(0.0, 0.1, shown=0.2), None, "style.size"),
+        (LookReport(0.3, 0.5), None, "colour.iterations"),
+        (LookReport(0.3, 0.5), LightReport(0.3, 0.1, 1.2, -2.0), "optics.albedo"),
+        (LookReport(0.3, 0.5), LightReport(0.08, 0.0, 0.1, 4.0), "colour.iterations"),
+    ],
+)
+def test_pictures_unlike_the_style_have_the_remedy_of_their_cause(
+    look: LookReport, light: LightReport | None, wanted: str, tmp_path: Path
+) -> None:
+    unfinished = replace(
+        GOOD, look=look, light=light, colour=StepReport(loss=(9.0, 1.0), remaining=0.4)
+    )
+    (found,) = [f for f in budget_of(tmp_path, [unfinished]).findings if f.row]
+    assert found.setting == wanted
+    if wanted == "colour.iterations":  # a step that is done does not get farther with more
+        done = replace(unfinished, colour=StepReport(loss=(9.0, 1.0), remaining=0.01))
+        (found,) = [f for f in budget_of(tmp_path / "done", [done]).findings if f.row]
+        assert found.setting == "style.size"
 
 
 def test_a_mask_may_be_why_the_loss_hardly_falls() -> None:

@@ -148,6 +148,16 @@ def test_values_background_and_box_are_those_openvdb_holds(tmp_path: Path) -> No
     assert np.allclose(field.index_to_world, rotated(), rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("place", [(5, 1, 1), (-3, -2, 1), (1, 1, 12), (0, -8, 0)])
+def test_inactive_voxels_beside_the_box_are_told(tmp_path: Path, place: tuple[int, int, int]):
+    grid = raw_grid(np.ones((5, 5, 5), np.float32))
+    (inside,) = read_grids(write_raw(tmp_path / "a.vdb", grid), [GridRequest("density")], TIGHT)
+    grid.getAccessor().setValueOff(place, -0.75)
+    (field,) = read_grids(write_raw(tmp_path / "b.vdb", grid), [GridRequest("density")], TIGHT)
+    assert (inside.beside, field.beside) == (0.0, 0.75)
+    assert np.array_equal(field.values, inside.values)
+
+
 def test_active_tile_is_filled_and_background_shows_between(tmp_path: Path) -> None:
     grid = openvdb().FloatGrid(0.5)
     grid.fill((0, 0, 0), (7, 7, 7), 2.0)

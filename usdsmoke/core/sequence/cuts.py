@@ -32,6 +32,7 @@ class Passage:
 
     difference: float  # of the densities, the earlier one carried along; 0 to 1
     doubt: str  # what is wrong with the velocity; "" if nothing is
+    is_measured: bool = True  # False: the velocity is too fast to be followed
 
     @property
     def is_cut(self) -> bool:
@@ -55,13 +56,21 @@ def judge_passage(
         unit: ``stage.velocity_unit``, that the velocity was read in.
     """
     before, smoke = coarsen(bounded(before)), coarsen(bounded(smoke))
-    given = _difference(before, smoke, transit)
+    try:
+        given = _difference(before, smoke, transit)
+    except PlanError as error:
+        how = str(error).partition(";")[0]  # and by how many voxels
+        cure = "Check its unit and for single wrong voxels, or set stage.motion=estimate."
+        return Passage(1.0, f"{how}, too fast to be followed: the frame starts anew. {cure}", False)
     velocity = transit.mover.velocity
     if given < LEAST or velocity is None or velocity.is_empty or transit.seconds == 0:
         return Passage(given, "")
 
     def difference(factor: float) -> float:
-        return _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
+        try:
+            return _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
+        except PlanError:  # too fast to be traced
+            return 1.0
 
     rest = difference(0.0)
     factors = {"against": -1.0}
@@ -87,11 +96,8 @@ def judge_passage(
 
 def _difference(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> float:
     before_some, some = _some(before), _some(smoke)
-    try:
-        carried = _density_at(before, transit.origins(some.positions))
-        arrived = _density_at(smoke, transit.reverse.origins(before_some.positions))
-    except PlanError:  # too fast to be traced
-        return 1.0
+    carried = _density_at(before, transit.origins(some.positions))
+    arrived = _density_at(smoke, transit.reverse.origins(before_some.positions))
     off = total = 0.0
     pairs = ((some, carried, smoke), (before_some, arrived, before))
     for chosen, other, whole in pairs:

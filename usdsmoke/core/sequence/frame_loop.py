@@ -354,7 +354,7 @@ def _connected(
     )
     texts = []
     seen = " in the camera's picture" if context.config.views.camera else ""
-    if passage.is_cut:
+    if passage.is_cut and passage.is_measured:
         texts.append(
             f"the smoke{seen} jumps: {passage.difference:.0%} of it at timeCode "
             f"{frame.time_code:g} is not that of {before.time_code:g} carried along. The frame "

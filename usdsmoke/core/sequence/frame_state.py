@@ -49,6 +49,7 @@ Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
 NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out
 
+_BESIDE = 0.01  # of the largest density: as much in inactive voxels is no rounding
 _NEGATIVE = 0.01  # of the density: less is what simulations leave behind
 
 
@@ -339,6 +340,12 @@ def _density_warnings(density: DenseField, source: ActiveSmoke) -> tuple[str, ..
     if not len(source.ijk) and (values > 0).any():
         found.append(
             f"all densities are below {LEAST_DENSITY:.2g} and count as empty. Scale the density up"
+        )
+    if density.beside > max(_BESIDE * values.max(initial=0.0), np.max(np.abs(density.background))):
+        found.append(
+            f"inactive voxels outside the box of the active ones hold densities up to "
+            f"{density.beside:.3g} and count as empty. Activate them, or set them to 0, in the "
+            "program that writes the file"
         )
     negative = float(-values.clip(max=0).sum(dtype=np.float64))
     if negative > _NEGATIVE * float(np.abs(values).sum(dtype=np.float64)):

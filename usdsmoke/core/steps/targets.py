@@ -32,12 +32,17 @@ class StyleFeatures:
     Args:
         pixels: display-encoded [H W 3] in [0, 1].
         make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
+        scaled: pixels -> those at the size of full pictures.
     """
 
     def __init__(
-        self, pixels: np.ndarray, make_target: Callable[[np.ndarray, int, bool], StyleTarget]
+        self,
+        pixels: np.ndarray,
+        make_target: Callable[[np.ndarray, int, bool], StyleTarget],
+        scaled: Callable[[np.ndarray], Tensor],
     ) -> None:
         self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
+        self._scaled = partial(scaled, pixels)
         #: factor, grey -> what pictures 1/factor of full size are compared with
         self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
 
@@ -65,9 +70,20 @@ class StyleFeatures:
     @cached_property
     def colours(self) -> tuple[Tensor, float]:
         """Mean [3] and deviation (of all channels together) of the colours, display-encoded."""
-        pixels = self._pixels.reshape(-1, 3).double()
-        mean = pixels.mean(0)
-        return mean, math.sqrt(float((pixels - mean).square().sum(1).mean()))
+        return _mean_and_deviation(self._pixels)
+
+    @cached_property
+    def shown(self) -> float:
+        """The share of the colours' deviation that is left at the size of full pictures."""
+        spread = self.colours[1]
+        return _mean_and_deviation(self._scaled())[1] / spread if spread > 0 else 1.0
+
+
+def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
+    """See ``StyleFeatures.colours``."""
+    pixels = pixels.reshape(-1, 3).double()
+    mean = pixels.mean(0)
+    return mean, math.sqrt(float((pixels - mean).square().sum(1).mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +134,11 @@ class StyleTargets:
             for share, image in self._used
         )
         return mean, math.sqrt(sum(squares))
+
+    @property
+    def shown(self) -> float:
+        """See ``StyleFeatures.shown``; the mean over the styles."""
+        return sum(share * image.shown for share, image in self._used)
 
     def at(self, factor: int, grey: bool = False) -> PictureLoss:
         """The loss of pictures 1/factor of full size.
@@ -188,8 +209,11 @@ def make_targets(
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
+    def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
+        return scale_style(pixels, scene.image_size / factor, config.style, like)
+
     def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
-        style = scale_style(pixels, scene.image_size / factor, config.style, like)
+        style = scaled(pixels, factor)
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         nearest = () if grey else nearest_layers(features)
@@ -198,7 +222,7 @@ def make_targets(
         return StyleTarget(style, network(style), layers, config.losses, content, nearest, seed)
 
     images = tuple(
-        StyleFeatures(adjust_tones(pixels, config.style), make_target) for pixels in styles
+        StyleFeatures(adjust_tones(pixels, config.style), make_target, scaled) for pixels in styles
     )
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)

@@ -247,7 +247,7 @@ def _find_way(name: str, report: FrameReport, config: Config) -> Iterator[Findin
         if found.is_short and _has_low_rate(step, config):
             yield _short_way(name, step, found.way or 0.0)
         elif step == "colour" and found.loss and math.isfinite(found.loss[-1]):
-            yield from _hardly_fallen(name, found, config)
+            yield from _hardly_fallen(name, found, config, report)
     if report.shape and report.shape.loss and config.shape.reach < LEAST_REACH:
         yield _small_reach(name, config.shape.reach)
 
@@ -271,7 +271,9 @@ def _short_way(name: str, step: str, way: float) -> Finding:
     )
 
 
-def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Finding]:
+def _hardly_fallen(
+    name: str, found: StepReport, config: Config, report: FrameReport
+) -> Iterator[Finding]:
     """A colour step that ends near the loss of the noise that it starts from.
 
     The shape step's octaves have losses of their own, which tell nothing beside each other.
@@ -284,7 +286,7 @@ def _hardly_fallen(name: str, found: StepReport, config: Config) -> Iterator[Fin
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
         return
-    setting, remedy = colour_remedy(config)
+    setting, remedy = colour_remedy(config, report)
     yield Finding(
         name,
         COLOUR_OPTIMISER.name,

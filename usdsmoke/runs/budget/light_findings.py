@@ -146,10 +146,10 @@ def find_depth(
         yield from _find_animated(name, report.depth)
     if report.gamma_is_set:
         return
-    if report.depth_by_side is not None:
-        yield from _find_sides(name, *report.depth_by_side)
     asked = of_last_step("depth", report)
     wanted = getattr(optics, asked)
+    if report.depth_by_side is not None and wanted == getattr(OpticsConfig(), asked):
+        yield from _find_sides(name, report.depth_by_side, asked, wanted)
     is_deep = report.depth > max(DEEPEST, LIKE_ASKED * wanted)
     if not is_deep and report.depth >= wanted / FAR_BELOW:
         return
@@ -190,17 +190,23 @@ def _find_animated(name: str, depth: float) -> Iterator[Finding]:
     )
 
 
-def _find_sides(name: str, least: float, most: float) -> Iterator[Finding]:
+def _find_sides(
+    name: str, sides: tuple[float, float], asked: str, wanted: float
+) -> Iterator[Finding]:
     """Whether smoke is as opaque from other sides as from the one that extinction is chosen by."""
-    if most > BY_SIDE * least:
+    least, most = sides
+    if most > BY_SIDE * least > 0:
+        # for as much above what is wanted as below, but no picture of the front alone
+        better = min(wanted * wanted / math.sqrt(least * most), DEEPEST)
+        what = "thin sides more" if better > wanted else "thick sides less"
         yield Finding(
             name,
             "",
             f"the thick columns have an optical depth of about {least:.2g} to {most:.2g} by the "
             "side that they are seen from, and the middle view chose the extinction",
-            "Look at the result from several sides; set optics.gamma, or turn the middle view with "
-            "views.centre_azimuth",
-            "optics.gamma",
+            "Look at the result from several sides; set "
+            f"optics.{asked}={better:.2g} to make the {what} opaque",
+            f"optics.{asked}",
         )
 
 

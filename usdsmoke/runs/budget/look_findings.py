@@ -10,6 +10,9 @@ from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER
 
 OFF = 0.2  # of the range of colours: runs have up to 0.06, drafts of mixed styles up to 0.17
 FLAT = 0.2  # of the style's contrast: they have 0.4 to 0.8
+FINE = 0.5  # of the style's contrast at the size of pictures: less is lost whatever is done
+NEAR_END = 0.1  # of the loss, that four times as many iterations take off
+LIT = 0.1  # of the pictures' light, given by lamps: as much changes their colours
 
 
 def find_look(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
@@ -22,15 +25,19 @@ def find_look(name: str, report: FrameReport, config: Config) -> Iterator[Findin
     cause = f"the pictures have {look.contrast:.0%} of the style's contrast"
     if look.colour_off > OFF:
         cause = f"the pictures' mean colour is {look.colour_off:.0%} off the style's"
-    setting, remedy = colour_remedy(config)
+    elif look.shown < FINE:
+        cause += f", and the style itself has {look.shown:.0%} of it at their size"
+    setting, remedy = colour_remedy(config, report)
     text = f"Compare the result with the style; {remedy}"
     yield Finding(name, COLOUR_OPTIMISER.name, cause, text, setting)
 
 
-def colour_remedy(config: Config) -> tuple[str, str]:
+def colour_remedy(config: Config, report: FrameReport) -> tuple[str, str]:
     """The setting that may keep the colour step from the style, and what to do with it."""
-    setting = length_of("colour", config)
-    remedy, usual = f"raise {setting}", Config().losses
+    setting, usual = length_of("colour", config), Config().losses
+    remedy = f"raise {setting}"
+    if _is_done(report):  # more iterations do not help: motifs that fill more pixels may
+        setting, remedy = "style.size", "raise style.size"
     if raised := [n for n in usual.BESIDE_STYLE if getattr(config.losses, n) > getattr(usual, n)]:
         setting = f"losses.{raised[0]}"
         remedy = f"lower {', '.join(f'losses.{name}' for name in raised)}, or {remedy}"
@@ -40,7 +47,21 @@ def colour_remedy(config: Config) -> tuple[str, str]:
         remedy += ", or check the values of the mask"
     if has_high_rate(config):
         setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
+    light = report.light
+    if light is not None and light.share > LIT and config.colour.target == "emission":
+        setting = "optics.albedo"
+        remedy = (
+            f"lower optics.albedo (lights give {light.share:.0%} of the brightness), or {remedy}"
+        )
     return setting, remedy
+
+
+def _is_done(report: FrameReport) -> bool:
+    """Whether the style is too fine for the pictures, or the colour step is near its end."""
+    if report.look is not None and report.look.shown < FINE:
+        return True
+    left = COLOUR_OPTIMISER.of_frame(report)
+    return left is not None and left.value < NEAR_END
 
 
 def length_of(step: str, config: Config) -> str:
