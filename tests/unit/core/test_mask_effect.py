@@ -45,10 +45,10 @@ def assert_close(found: DenseField, wanted: DenseField, error: float) -> None:
 
 
 def test_a_mask_of_one_everywhere_is_no_mask(plain):
-    """Up to the round-off of pictures that are summed in another order."""
+    """Up to voxels that are faint or not by round-off, and what slopes in bfloat16 make of it."""
     result = run_core([masked(np.ones((1, 1, 1)), background=1.0)], SMOOTH)[0]
     assert_close(result.density, plain.density, 1e-5)
-    assert_close(result.emission, plain.emission, 1e-4)
+    assert_close(result.emission, plain.emission, 1e-2)
     assert not result.report.warnings
 
 

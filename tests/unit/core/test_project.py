@@ -287,3 +287,37 @@ def test_sums_over_sorted_runs_are_those_entry_by_entry():
         exact = replace(image, weight=image.weight.double())
         assert torch.allclose(exact.apply(values).view(-1, 2), summed, rtol=1e-12, atol=1e-14)
         assert len(voxel) == int((image.weight != 0).sum())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_faint_voxels_the_picture_lacks_their_light_alone(kind):
+    smoke = smoke_of(puff(12), affine(1))
+    view, share = look_at(smoke, kind), 1e-3
+    image, alpha = colour_map(
+        smoke.positions, smoke.density, smoke.edges, 3.0, view, smoke.voxel_size
+    )
+    white = torch.ones(len(smoke.ijk), 1)
+    before, total = image.apply(white)[..., 0], image.total_weights()
+    weight, pixel, rows = image.weight.clone(), image.pixel.clone(), image.rows.clone()
+    left = image.without_faint(share * alpha)
+    after = left.apply(white)[..., 0]
+    assert 0.1 * len(rows) < len(left.rows) < 0.9 * len(rows)
+    assert (after <= before + 1e-6).all()
+    gone = ~torch.isin(rows, left.rows)
+    light = torch.bincount(
+        pixel[gone].reshape(-1), weight[gone].reshape(-1), minlength=before.numel()
+    )
+    assert torch.allclose(before - after, light.view(before.shape), atol=1e-5)
+    kept = left.total_weights()
+    assert torch.allclose(kept[left.rows], total[left.rows]) and (kept[rows[gone]] == 0).all()
+    brightest = torch.zeros(len(smoke.ijk)).index_copy_(0, rows, weight.amax(1))
+    assert (brightest[rows[gone]] <= 2 * share * alpha.max()).all()
+
+
+def test_no_voxel_is_faint_for_a_threshold_of_nothing():
+    smoke = smoke_of(puff(9))
+    for image in maps_of(smoke, look_at(smoke, "orthographic")):
+        x = random(len(smoke.ijk), 3)
+        whole = image.apply(x)
+        nothing = -torch.ones(image.height, image.width, dtype=torch.float64)
+        assert torch.equal(image.without_faint(nothing).apply(x), whole)

@@ -30,24 +30,54 @@ def share_rows(work: Callable[[slice], None], n: int, size: int, device: torch.d
     run_tasks([partial(work, part) for part in chunks(n, size, device)])
 
 
-def weighted_rows(table: Tensor, index: Tensor, start: Tensor, weight: Tensor) -> Tensor:
+def elementwise(work: Callable[..., Tensor], first: Tensor, *others: Tensor) -> Tensor:
+    """``work(first, *others)`` of tensors of one shape, number by number; threads share them.
+
+    Gradients: none.
+    """
+    flat = [tensor.reshape(-1) for tensor in (first, *others)]
+    found = torch.empty_like(flat[0])
+
+    def compute(part: slice) -> None:
+        found[part] = work(*(tensor[part] for tensor in flat))
+
+    share_rows(compute, len(found), SHARED_ROWS, found.device)
+    return found.view(first.shape)
+
+
+def weighted_rows(
+    table: Tensor,
+    index: Tensor,
+    start: Tensor,
+    weight: Tensor,
+    rows: tuple[Tensor, int] | None = None,
+) -> Tensor:
     """Weighted sums of rows of a table [n C], each over a run of entries, [m C]; no gradients.
 
     Args:
         index: [E], the row that an entry reads.
         start: [m], the first entry of each sum.
         weight: [E].
+        rows: [m], where each sum stands in the result, and the result's length; zero elsewhere.
     """
     table, m = table.contiguous(), len(start)
-    found = table.new_empty(m, table.shape[1])
+    found = (
+        table.new_empty(m, table.shape[1])
+        if rows is None
+        else table.new_zeros(rows[1], table.shape[1])
+    )
 
     def add(part: slice) -> None:
         first = int(start[part.start]) if part.start else 0
         last = int(start[part.stop]) if part.stop < m else len(index)
-        found[part] = F.embedding_bag(
+        sums = F.embedding_bag(
             index[first:last], table, start[part] - first, mode="sum",
             per_sample_weights=weight[first:last],
         )  # fmt: skip
+        if rows is None:
+            found[part] = sums
+        else:
+            found.index_copy_(0, rows[0][part], sums)
 
     share_rows(add, m, SHARED_ROWS, table.device)
     return found
@@ -106,14 +136,14 @@ class _Accumulate(torch.autograd.Function):
             total = total + value
             if found is not None:
                 # not in place: a gradient may be one number, expanded
-                gradient = found if gradient is None else gradient + found
+                gradient = found if gradient is None else elementwise(torch.add, gradient, found)
         ctx.save_for_backward(torch.zeros_like(shared) if gradient is None else gradient)
         return total
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
-        return upstream * gradient, None
+        return elementwise(lambda part: part * upstream, gradient), None
 
 
 def accumulate(shared: Tensor, terms: Iterable[Term]) -> Tensor:

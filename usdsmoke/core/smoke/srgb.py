@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.smoke.memory import share_rows
+from usdsmoke.core.smoke.memory import elementwise, share_rows
 
 REC709_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of red, green and blue
 CHUNK_ELEMENTS = 2**16  # numbers that are decoded at once
@@ -55,7 +55,7 @@ class _Decode(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> Tensor:
         (slope,) = ctx.saved_tensors
-        return upstream * slope.view(upstream.shape)
+        return elementwise(torch.mul, upstream, slope.view(upstream.shape))
 
 
 def luma(encoded: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.memory import LazyList
+from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
@@ -43,6 +43,7 @@ from usdsmoke.core.views.visibility import EffectMask
 # share of a voxel's light in the view that sees most of it, where half of its colour is its
 # neighbourhood's; a mean over views would blur whatever is hidden from the other side
 DIM = 0.1
+FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5 % of its light
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
@@ -154,8 +155,11 @@ def optimize_colours(
     def objective(iteration: int) -> Tensor:
         return pictures_loss(pool, unknown, loss, background, iteration)
 
+    def clip_part(part: slice) -> None:
+        unknown[part].clamp_(0, 1)
+
     def clip() -> None:
-        unknown.clamp_(0, 1)
+        share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
         if rules.style is not None and next(turn) % HUES_EVERY == 0:
             unknown.copy_(rules.style.nearest(unknown, begun))
 
@@ -251,7 +255,7 @@ def _octave_views(
     octave, scene, targets = problem.smoke, problem.scene, problem.targets
     views = frame_views(octave, problem.config.views, scene, seed, factor)
     lighting = problem.lighting
-    plain = prepare_views(octave, views, scene.gamma_w, scene.exposure, share, lighting)
+    plain = prepare_views(octave, views, scene.gamma_w, scene.exposure, share, lighting, FAINT)
     loss = targets.at(factor)
     if not loss.uses_content:
         return plain

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.core.smoke.memory import share_rows
+from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
+from usdsmoke.core.smoke.tasks import run_tasks
 
 BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wrong
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
@@ -269,7 +270,9 @@ def _evaluate(
 
 def _is_finite(values: Tensor) -> bool:
     """Whether no value is NaN or infinite; in one pass that makes no other tensor."""
-    return values.numel() == 0 or all(map(math.isfinite, map(float, values.aminmax())))
+    parts = values.reshape(-1).split(SHARED_ROWS)
+    ends = run_tasks([part.aminmax for part in parts if part.numel()])
+    return all(math.isfinite(end) for pair in ends for end in pair)
 
 
 def _loss(objective: Callable[[int], Tensor], iteration: int) -> float:

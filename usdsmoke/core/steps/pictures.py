@@ -25,6 +25,8 @@ THIN = 0.05  # exposed opacity at which the guidance mask is one half
 BACKDROP = 0.2  # of that, where a pixel of the colour picture is half background: thin smoke that
 # is seen mixed with it takes complementary tints, which cancel it and which the style does not have
 
+DIM = 0.01  # of the most opaque pixel: how opaque all count at least when shares are compared
+
 AnyView = TypeVar("AnyView")
 
 
@@ -167,6 +169,7 @@ def prepare_views(
     exposure: float = 1.0,
     share: Tensor | None = None,
     lighting: Lighting | None = None,
+    faint: float = 0.0,
 ) -> Sequence[ColourView]:
     """The linear maps of all views of one octave, each made when it is first used.
 
@@ -176,6 +179,7 @@ def prepare_views(
         exposure: see ``Scene``.
         share: of the effect mask, see ``project.colour_map``.
         lighting: light that the smoke scatters; it is fixed, and is projected once for each view.
+        faint: voxels with no more than this share of any pixel's opacity are left out; see ``DIM``.
     """
     positions, step = smoke.positions, smoke.voxel_size
     painted = positions if share is None else positions[share > 0]
@@ -185,11 +189,13 @@ def prepare_views(
         image, alpha = colour_map(
             positions, smoke.density, smoke.edges, gamma_w, views[number], step, share
         )
-        if lit is None:
-            return ColourView(image, alpha, THIN / exposure)
-        light = lit.scattered(views[number].forward)
-        if lighting is not None and lighting.is_painted:
-            return ColourView(image, alpha, THIN / exposure, light=light)
-        return ColourView(image, alpha, THIN / exposure, scattered=image.apply(light))
+        light = scattered = None
+        if lit is not None:
+            light = lit.scattered(views[number].forward)
+        if light is not None and lighting is not None and not lighting.is_painted:
+            scattered, light = image.apply(light), None
+        if faint:
+            image = image.without_faint(faint * (alpha + DIM * alpha.max()))
+        return ColourView(image, alpha, THIN / exposure, scattered=scattered, light=light)
 
     return LazyList(len(views), make)

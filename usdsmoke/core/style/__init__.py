@@ -5,6 +5,7 @@
 - ``definition``: the numbers that the embedded network is made of, and their hash
 - ``layers``: the layers of each network, the defaults, the file of VGG-19's weights
 - ``features``: feature maps of a picture; the embedded network
+- ``convolve``: convolutions with fixed filters, whose slopes are fast
 - ``vgg19``: the VGG-19 network
 - ``safetensors``: files of arrays, read and written
 - ``style_image``: the style image at the scale of a picture

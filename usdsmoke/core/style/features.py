@@ -31,6 +31,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.core.style.convolve import Filters
 from usdsmoke.core.style.definition import (
     BINOMIAL,
     COLOUR_FLOOR,
@@ -139,7 +140,7 @@ class OrientedFeatures:
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._mean, self._matrix = colour_whitening(style, COLOUR_FLOOR)
         even, odd = _gabor_bank(torch.Generator().manual_seed(seed))
-        self._bank = torch.cat([even, odd]).to(style)
+        self._bank = Filters(torch.cat([even, odd]).to(style))
 
     def __call__(self, picture: Tensor, requested: frozenset[str]) -> dict[str, Tensor]:
         """[1 C H/2^l W/2^l] maps of a picture [H W 3].
@@ -159,7 +160,7 @@ class OrientedFeatures:
         return maps
 
     def _level(self, image: Tensor) -> Tensor:
-        even, odd = F.conv2d(_padded(image, SIZE // 2), self._bank).chunk(2, dim=1)
+        even, odd = self._bank(_padded(image, SIZE // 2)).chunk(2, dim=1)
         energy = torch.sqrt(even**2 + odd**2 + ENERGY_FLOOR)
         return torch.cat([energy - _blur(energy), image, even], dim=1)
 
@@ -220,7 +221,7 @@ class LearnedFeatures:
     def __init__(self, style: Tensor, seed: int = 0) -> None:
         self._generator = torch.Generator().manual_seed(seed)
         self._mean, self._matrix = colour_whitening(style, LEAST_VARIANCE, relative=COLOUR_RELATIVE)
-        self._layers: list[tuple[Tensor, Tensor]] = []
+        self._layers: list[Filters] = []
         self._style_maps = self._colour(style)  # of the deepest layer learned so far
 
     @torch.no_grad()
@@ -232,14 +233,14 @@ class LearnedFeatures:
             if number:
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
             weight = self._learn(maps, size, N_FILTERS[number], number, self._generator)
-            response = self._respond(maps, weight, None)
+            response = self._respond(maps, Filters(weight))
             deviation = response.std(dim=(0, 2, 3), correction=0)
             # a floor, or filters that the style hardly excites explode on noise
             deviation = torch.sqrt(deviation**2 + (DEVIATION_SHARE * deviation.max()) ** 2)
             deviation = deviation.clamp_min(LEAST_DEVIATION)
             bias = -response.mean(dim=(0, 2, 3)) / deviation
-            self._layers.append((weight / deviation[:, None, None, None], bias))
-            self._style_maps = torch.relu(self._respond(maps, *self._layers[-1]))
+            self._layers.append(Filters(weight / deviation[:, None, None, None], bias))
+            self._style_maps = torch.relu(self._respond(maps, self._layers[-1]))
 
     @staticmethod
     def _learn(
@@ -262,8 +263,8 @@ class LearnedFeatures:
         return filters.view(n_filters, channels, size, size)
 
     @staticmethod
-    def _respond(maps: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-        return F.conv2d(_padded(maps, weight.shape[-1] // 2), weight, bias)
+    def _respond(maps: Tensor, filters: Filters) -> Tensor:
+        return filters(_padded(maps, filters.size // 2))
 
     def _colour(self, picture: Tensor) -> Tensor:
         return ((picture - self._mean) @ self._matrix).permute(2, 0, 1)[None]
@@ -284,7 +285,7 @@ class LearnedFeatures:
         for number in range(1, deepest + 1):
             if number > 1:
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
-            maps = torch.relu(self._respond(maps, *self._layers[number - 1]))
+            maps = torch.relu(self._respond(maps, self._layers[number - 1]))
             if f"learned{number}" in requested:
                 found[f"learned{number}"] = maps
         return found

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.fields.sample import sample_linear
+from usdsmoke.core.smoke.memory import share_rows
 from usdsmoke.core.smoke.srgb import REC709_WEIGHTS, luma
 
 LEVELS = 16  # steps of luma from 0 to 1
@@ -20,6 +21,7 @@ REACH = 25  # steps to either side: all colours of [0, 1]
 SATURATIONS = (1.0, 1.25, 1.5, 1.75, 2.0)
 NEAR = 0.03  # distance of chroma up to which a hue is one of the style's
 CHANGED = 1 / 512  # of a colour: less is no change
+CHUNK_ROWS = 2**17  # colours that are looked up at once
 SHARE = 0.95  # of a level's pixels, whose hues are the style's: those that are most frequent
 
 
@@ -62,18 +64,35 @@ class Hues:
             colours: display-encoded, in [0, 1].
             before: [N 3]; colours that have hardly changed since then stay.
         """
-        if before is not None:
-            changed = ((colours - before).abs() > CHANGED).any(dim=1)
-            found = colours.clone()
-            found[changed] = self.nearest(colours[changed])
-            return found
-        places = _places(colours)
-        way = sample_linear(self._table.to(colours), places, boundary="nearest")
-        far = way.norm(dim=1, keepdim=True).clamp_min(NEAR)
-        red, blue = (STEP * (places[:, 1:] - REACH) + (1 - NEAR / far) * way).unbind(1)
-        of_red, of_green, of_blue = REC709_WEIGHTS
-        green = -(of_red * red + of_blue * blue) / of_green
-        return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp(0, 1)
+        found = colours.clone(memory_format=torch.contiguous_format)
+        table, is_far = self._table.to(colours), self._is_far.to(colours.device)
+
+        def bring(part: slice) -> None:
+            far = _far_of(colours[part], is_far)
+            here = colours[part].index_select(0, far)
+            if before is not None:
+                changed = ((here - before[part].index_select(0, far)).abs() > CHANGED).any(dim=1)
+                far, here = far[changed], here[changed]
+            if len(far):
+                found[part][far] = _brought(here, table)
+
+        share_rows(bring, len(colours), CHUNK_ROWS, colours.device)
+        return found
+
+    @cached_property
+    def _is_far(self) -> Tensor:
+        """Whether colours between half a step and the next ones may be far from a hue, flat.
+
+        A mean of ways that are no longer than ``NEAR`` is no longer either.
+        """
+        shape = self._table.shape[:3]
+        halves = tuple(2 * n - 1 for n in shape)
+        way = F.interpolate(
+            self._table.movedim(-1, 0)[None], size=halves, mode="trilinear", align_corners=True
+        )[0]
+        far = (way.square().sum(0) > NEAR**2).float()[None]
+        ahead = F.pad(far, (0, 1, 0, 1, 0, 1))  # the last nodes are by themselves
+        return F.max_pool3d(ahead, 2, stride=1).flatten() > 0
 
     @cached_property
     def _table(self) -> Tensor:
@@ -90,6 +109,31 @@ def _places(colours: Tensor) -> Tensor:
     grey = luma(colours)
     red, blue = (REACH + (colours[:, channel] - grey) / STEP for channel in (0, 2))
     return torch.stack([LEVELS * grey, red, blue], 1)
+
+
+def _far_of(colours: Tensor, is_far: Tensor) -> Tensor:
+    """The rows of colours [N 3] that may be too far from a hue; see ``Hues._is_far``."""
+    red, green, blue = colours.T.contiguous()
+    of_red, of_green, of_blue = REC709_WEIGHTS
+    grey = (of_red * red).add_(green, alpha=of_green).add_(blue, alpha=of_blue)
+    n, chromas = 4 * REACH + 1, []
+    for channel in (red, blue):
+        chromas.append((channel - grey).mul_(2 / STEP).add_(2 * REACH).to(torch.int32))
+    cell = grey.mul_(2 * LEVELS).to(torch.int32).clamp_(0, 2 * LEVELS)
+    for chroma in chromas:
+        cell = cell.mul_(n).add_(chroma.clamp_(0, n - 1))
+    return is_far[cell].nonzero().squeeze(1)
+
+
+def _brought(colours: Tensor, table: Tensor) -> Tensor:
+    """Colours [N 3] with the nearest chroma that the table knows for them, up to ``NEAR``."""
+    places = _places(colours)
+    way = sample_linear(table, places, boundary="nearest")
+    far = way.square().sum(1, keepdim=True).sqrt().clamp_min(NEAR)
+    red, blue = (STEP * (places[:, 1:] - REACH) + (1 - NEAR / far) * way).unbind(1)
+    of_red, of_green, of_blue = REC709_WEIGHTS
+    green = -(of_red * red + of_blue * blue) / of_green
+    return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp(0, 1)
 
 
 def _way(nodes: Tensor, shares: Tensor) -> Tensor:

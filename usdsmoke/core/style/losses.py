@@ -37,6 +37,7 @@ from usdsmoke.core.style.sliced import sliced_distance
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
+MOST_SAMPLES = 2**14  # of a style's features, evenly spaced, whose quantiles are taken
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -244,7 +245,8 @@ class _LayerTarget:
             seed = self._seed + draw
             n = min(N_DIRECTIONS, MOST_PER_CHANNEL * len(self._style))
             axes = random_directions(len(self._style), n, seed, self._style)
-            table = quantile_table(axes @ self._style)
+            step = -(-self._style.shape[1] // MOST_SAMPLES)
+            table = quantile_table(axes @ self._style[:, ::step])
             self._slices[draw] = axes * self._scale, table
         axes, table = self._slices[draw]
         weights = None if guide is None else _small(guide, maps).square()[0]

@@ -19,6 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.smoke.memory import chunks, weighted_rows
@@ -100,6 +101,29 @@ class SparseImage:
             return total
         return total.new_zeros(self.n_voxels).index_copy_(0, self.rows, total)
 
+    def without_faint(self, least: Tensor) -> "SparseImage":
+        """The map of the voxels with a weight above ``least`` [H W] in some pixel.
+
+        Asked is the pixel above and left of each point, for all four of it. Takes over the memory
+        of this map, which is of no use afterwards.
+        """
+        n_rows, n_points = len(self.pixel), self.pixel.shape[1] // 4
+        rows = self.rows
+        if rows is None:
+            rows = torch.arange(n_rows, device=least.device)
+        least, end = least.reshape(-1), 0
+        for part in chunks(n_rows, CHUNK_ROWS, least.device):
+            first = self.pixel[part].view(-1, n_points, 4)[..., 0]
+            most = self.weight[part].view(-1, n_points, 4).amax(2)
+            enough = least.index_select(0, first.reshape(-1)).view_as(most)
+            chosen = (most > enough).any(1).nonzero().squeeze(1)
+            some = slice(end, end + len(chosen))
+            for values in (self.pixel, self.weight, rows):
+                values[some] = values[part].index_select(0, chosen)
+            end = some.stop
+        pixel, weight, rows = (values[:end] for values in (self.pixel, self.weight, rows))
+        return SparseImage(self.height, self.width, pixel, weight, rows, self.n_voxels or n_rows)
+
     @cached_property
     def runs(self) -> tuple[Tensor, Tensor, Tensor]:
         """The entries with a weight, sorted by pixel: row, weight, first entry of each pixel.
@@ -127,10 +151,8 @@ class SparseImage:
         flat = picture.reshape(self.height * self.width, -1)
         n_entries, step = self.pixel.numel(), self.pixel.shape[1]
         start = torch.arange(0, n_entries, step, dtype=torch.int32, device=flat.device)
-        found = weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1))
-        if self.rows is None:
-            return found
-        return found.new_zeros(self.n_voxels, found.shape[1]).index_copy_(0, self.rows, found)
+        rows = None if self.rows is None else (self.rows, self.n_voxels)
+        return weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1), rows)
 
 
 @dataclass(frozen=True)
@@ -347,7 +369,7 @@ def _shown(
     rows, end = [], 0
     for part in chunks(n_voxels, CHUNK_ROWS, light.device):
         here = light[:, part]
-        here = torch.where(here > least, here, 0)
+        here = F.threshold(here, least, 0)  # ten times as fast as ``where`` on mixed values
         seen = here.amax(0) > 0
         if share is not None:
             here *= share[part].to(here)
