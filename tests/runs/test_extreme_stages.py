@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run, shown_files, values_of
+from tests.fixtures.smoke_fixtures import puff
 from tests.fixtures.usd_fixtures import density_prim, samples, volume_prim, world, write_vdb
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.resolve import resolve_config
@@ -37,6 +39,27 @@ def test_the_stage_s_unit_is_kept_and_changes_no_bit_of_the_smoke(shot: Shot) ->
     for one, other in zip(*found, strict=True):
         assert np.isfinite(one).all() and one.any()
         assert np.array_equal(one, other)
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_the_pattern_rides_on_one_file_in_a_volume_that_travels_and_turns(shot: Shot) -> None:
+    """Later frames keep what they start from: all show the file's voxels with the same colours."""
+    write_raw(shot.stage.parent / "cache/one.vdb", raw_grid(puff(12)))
+    files = samples(dict.fromkeys((1, 2, 3), "@./cache/one.vdb@"))
+    ride = f"""
+        double3 xformOp:translate.timeSamples = {samples({1: "(0, 0, 0)", 3: "(40, -8, 3)"})}
+        float xformOp:rotateZ.timeSamples = {samples({1: "0", 3: "50"})}
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]"""
+    shot.stage.write_text(
+        world(volume_prim(density_prim(f"asset filePath.timeSamples = {files}") + ride))
+    )
+    still = [
+        f"{step}.{end}" for step in ("shape", "colour") for end in ("warm_rate=1e-9", "smoothing=0")
+    ]
+    found = [values_of(file, "emission") for file in run(shot, *QUICK, *still).frames]
+    assert len(found) == 3 and found[0].std() > 0.05 * found[0].max()
+    for other in found[1:]:
+        assert np.abs(other - found[0]).max() < 0.05 * found[0].max()
 
 
 @pytest.mark.usefixtures("core")
