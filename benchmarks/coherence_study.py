@@ -129,7 +129,7 @@ MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
     shots=(
         _shot(64, "strokes", 0, 24, MORE),
-        _shot(96, "strokes", 0, 16, FEW),
+        _shot(96, "strokes", 0, 13, FEW),
         _shot(64, "waves", 0, 12, FEW),
         _shot(64, "strokes", 1, 12, FEW),
         _shot(64, "petals", 0, 12, FEW),
