@@ -25,6 +25,7 @@ from usdsmoke.core.smoke.noise import white_noise
 
 SLOPE = 0.1  # of the rectifier below 0
 THIN = 0.03  # optical depth of a voxel beside which thinner ones hardly count
+FAINT = 0.2  # of a usual spread: first weights of the colours
 SEED_STEP = 0x9E3779B9  # between the seeds of neighbouring octaves' noise
 
 
@@ -48,6 +49,8 @@ class Generator:
             n_in = N_NEIGHBOURS * shape[1] if len(shape) == 3 else shape[0]
             spread = 0.0 if len(shape) == 1 else (2.0 / n_in) ** 0.5
             parameters[name] = torch.randn(shape, generator=source) * spread
+        # Else sigmoids start at their ends: in dense smoke they stay there for 200 iterations.
+        parameters["colour.weight"] *= FAINT
         inside = mean.cpu().clamp(0.02, 0.98)
         parameters["colour.bias"] = torch.log(inside / (1 - inside))
         return cls({name: values.to(mean) for name, values in parameters.items()})
