@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import random_style
-from usdsmoke.core.smoke.srgb import luma
+from usdsmoke.core.smoke.srgb import BRIGHTEST, luma
 from usdsmoke.core.style.hues import NEAR, Hues, count_hues
 
 RED, BLUE = (0.6, 0.1, 0.1), (0.1, 0.15, 0.9)  # of about one luma
@@ -64,9 +64,17 @@ def test_rare_hues_stay_and_single_pixels_do_not(n_blue, stays):
 
 
 def test_where_the_style_has_no_such_luma_colours_stay():
-    bright = torch.tensor([[0.2, 0.95, 0.9], [0.9, 0.8, 1.0]])
-    dark = flames() * 0.3
-    assert torch.allclose(hues(dark).nearest(bright), bright, atol=1e-5)
+    between = torch.tensor([[0.2, 0.65, 0.6], [0.6, 0.5, 0.7]])
+    ends = torch.cat([flames() * 0.3, torch.ones(100, 100, 3)])
+    assert torch.allclose(hues(ends).nearest(between), between, atol=1e-5)
+
+
+def test_what_is_brighter_than_the_style_takes_the_hues_of_its_brightest_colours():
+    cyan = torch.tensor([[0.2, 0.95, 0.9], [0.5, BRIGHTEST, BRIGHTEST]])
+    dull = flames() * 0.6  # yellow of luma 0.56 at the most
+    found = hues(dull).nearest(cyan)
+    assert torch.allclose(luma(found), luma(cyan), atol=0.03)
+    assert (found[:, 0] > found[:, 2] + 0.2).all()
 
 
 def test_hues_of_two_styles_are_both_there():

@@ -37,6 +37,7 @@ from usdsmoke.core.fields.sparse_map import (
 )
 from usdsmoke.core.smoke.levels import ranked
 
+DENSE = 0.8  # of the voxels with smoke: denser ones are thick smoke (decision 045)
 MIXED_SHARE = 0.5  # of the compressible part in a mixed displacement
 
 
@@ -155,8 +156,9 @@ def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
     """Where there is smoke, [I J K] in [0, 1], blurred: 1 inside, 0 a few sigma outside.
 
-    Before the blur the mask is 1 from ``share`` of the median density on. It does not depend on the
-    density's unit, nor on how dense the denser half of the voxels is.
+    Before the blur the mask is 1 from ``share`` of the density on that a fifth of the voxels exceed:
+    a veil around thick smoke is not its border (decision 045). It does not depend on the density's
+    unit, nor on how dense that fifth is.
 
     Args:
         density: [I J K]; negative values are taken as 0.
@@ -176,7 +178,7 @@ def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 
             "the density given to the mask holds NaN or infinity. Pass finite numbers."
         )
     positive = density.detach().clamp(min=0)
-    level = share * ranked(positive[positive > 0], 0.5)
+    level = share * ranked(positive[positive > 0], DENSE)
     if not level > 0:
         return torch.zeros_like(positive)
     return smooth((positive / level).clamp(max=1.0), sigma).clamp(0.0, 1.0)

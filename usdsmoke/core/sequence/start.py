@@ -100,7 +100,9 @@ def start_colours(
     painted: ActiveSmoke,
     seed: int,
 ) -> Tensor | None:
-    """The display-encoded colours to start from, [N 3]; None where there is nothing.
+    """The display-encoded colours to start from, [N 3] >= 0; None where there is nothing.
+
+    The colour step cuts them off above.
 
     Args:
         before: the neighbour's painted smoke and its colours.
@@ -123,7 +125,7 @@ def start_colours(
     if shared is None:
         return carried
     missing = _coarse_difference(*shared, painted, carried)
-    return (carried + PULL * missing).clamp(0, 1)
+    return (carried + PULL * missing).clamp_min(0)
 
 
 def _block_means(fine: Displacement, coarse: Lattice) -> Tensor:

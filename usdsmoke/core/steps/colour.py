@@ -1,7 +1,7 @@
 r"""The colour step: RGB on fixed density. [Christen2020, eq. 6 and section 3.1]
 
-Unknowns are the display-encoded colours of the active voxels, clipped to [0, 1]: what they emit, or
-the albedo that weighs the light in them (``colour.target``), which is fixed with the density.
+Unknowns are the display-encoded colours of the active voxels: what they emit, in [0, BRIGHTEST], or
+the albedo that weighs the light in them (``colour.target``), in [0, 1]. The density is fixed.
 Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
@@ -28,7 +28,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
-from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
+from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -51,13 +51,21 @@ LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which sta
 
 
 @dataclass(frozen=True)
-class HueRules:
-    """What hues are held to during an octave."""
+class ColourRules:
+    """What colours are held to during an octave."""
 
+    #: the largest display-encoded value
+    limit: float = 1.0
     #: what is done to all colours [N 3] before the last iterations
     blended: Callable[[Tensor], Tensor] | None = None
     #: the hues that colours are brought to again and again
     style: Hues | None = None
+
+    def in_style(self, colours: Tensor, begun: Tensor | None) -> Tensor:
+        """Colours [N 3] with hues of the style; see ``Hues.nearest``."""
+        if self.style is None:
+            return colours
+        return self.style.nearest(colours, begun).clamp(0, self.limit)
 
 
 def run_colour_step(
@@ -81,13 +89,15 @@ def run_colour_step(
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
 
     Returns:
-        Display-encoded colours [N 3] in [0, 1] of the painted voxels, in the smoke's order, and how
-        each octave ended.
+        Display-encoded colours [N 3] of the painted voxels, in [0, ``limit_of``], in the smoke's
+        order, and how each octave ended.
     """
     smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
     painted = painted_part(problem)
     epsilon = WARM_EPSILON if warm else Adam.epsilon
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
+    limit = limit_of(problem)
+    start = None if start is None else start.clamp(0, limit)
     colours, before = start, painted
     ends: list[Minimum] = []
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
@@ -104,7 +114,7 @@ def run_colour_step(
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
         told = partial(watch, number) if watch is not None else None
-        rules = _hue_rules(problem, here, begun if warm else None)
+        rules = _rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
@@ -114,10 +124,10 @@ def run_colour_step(
         if not warm:
             drawn = pool.drawn(end.iteration + 1)
             colours = _completed(drawn, here, colours, share, scene, factor)
-        if rules.style is not None:
-            colours = rules.style.nearest(colours, begun if warm else None)
+        colours = rules.in_style(colours, begun if warm else None)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
-        return _changed(painted, start, before, colours), ends
+        changed = _changed(painted, start, before, colours)
+        return changed.clamp(0, limit), ends
     return _colours_on(painted, before, colours, problem), ends
 
 
@@ -128,26 +138,26 @@ def optimize_colours(
     background: Tensor,
     descent: Descent,
     watch: Callable[[Minimum], None] | None = None,
-    rules: HueRules | None = None,
+    rules: ColourRules | None = None,
 ) -> tuple[Tensor, Minimum | None]:
     """Colours that give the pictures the style, one octave.
 
     Args:
         pool: the views.
-        colours: start, [N 3], display-encoded, in [0, 1].
+        colours: start, [N 3], display-encoded.
         loss: of every picture.
         background: linear colour [3] behind the smoke, the style's mean, so that the border is no
             outlier.
         descent: its rate is in display-encoded units.
         watch: called with the optimiser's state after every iteration.
-        rules: for hues; None leaves them free.
+        rules: None leaves hues free, and keeps to [0, 1].
 
     Returns:
         Colours [N 3] and how the optimisation ended, see ``minimize_and_mend``.
     """
     pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
     found = colours.detach().clone(memory_format=torch.contiguous_format)
-    begun, rules, turn = found[shown], rules or HueRules(), count()
+    begun, rules, turn = found[shown], rules or ColourRules(), count()
     unknown = begun.clone().requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
@@ -156,17 +166,17 @@ def optimize_colours(
         return pictures_loss(pool, unknown, loss, background, iteration)
 
     def clip_part(part: slice) -> None:
-        unknown[part].clamp_(0, 1)
+        unknown[part].clamp_(0, rules.limit)
 
     def clip() -> None:
         share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
-        if rules.style is not None and next(turn) % HUES_EVERY == 0:
-            unknown.copy_(rules.style.nearest(unknown, begun))
+        if next(turn) % HUES_EVERY == 0:
+            unknown.copy_(rules.in_style(unknown, begun))
 
     def blend() -> None:
         assert rules.blended is not None
         found[shown] = unknown
-        found.copy_(rules.blended(found).clamp(0, 1))
+        found.copy_(rules.blended(found).clamp(0, rules.limit))
         unknown.copy_(found[shown])
 
     state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
@@ -282,11 +292,17 @@ def _completed(
     return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
 
 
-def _hue_rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> HueRules:
+def limit_of(problem: StepProblem) -> float:
+    """The largest display-encoded value of a colour: ``BRIGHTEST``, or 1 for an albedo."""
+    return 1.0 if problem.config.colour.target == "albedo" else BRIGHTEST
+
+
+def _rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> ColourRules:
     """The rules of an octave; ``begun`` are the colours of a start that is nearly right."""
     blended = partial(_blended, painted, _alone(painted, problem.scene), begun)
     # what scatters light has the hues of its albedo
-    return HueRules(blended, problem.targets.hues if problem.lighting is None else None)
+    hues = problem.targets.hues if problem.lighting is None else None
+    return ColourRules(limit_of(problem), blended, hues)
 
 
 def _blended(painted: ActiveSmoke, weight: Tensor, begun: Tensor | None, colours: Tensor) -> Tensor:
@@ -343,7 +359,7 @@ def _content_picture(
 def _changed(painted: ActiveSmoke, start: Tensor, blocks: ActiveSmoke, colours: Tensor) -> Tensor:
     """The start's colours with the change that blocks of voxels have; what is finer stays."""
     change = colours - sample_colours(painted, start, blocks.positions)[0]
-    return (start + sample_colours(blocks, change, painted.positions)[0]).clamp(0, 1)
+    return start + sample_colours(blocks, change, painted.positions)[0]
 
 
 def _colours_on(

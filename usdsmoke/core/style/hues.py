@@ -22,6 +22,7 @@ SATURATIONS = (1.0, 1.25, 1.5, 1.75, 2.0)
 NEAR = 0.03  # distance of chroma up to which a hue is one of the style's
 CHANGED = 1 / 512  # of a colour: less is no change
 CHUNK_ROWS = 2**17  # colours that are looked up at once
+RARE = 1e-4  # share of all pixels: fewer are no level of light that a style has
 SHARE = 0.95  # of a level's pixels, whose hues are the style's: those that are most frequent
 
 
@@ -58,10 +59,11 @@ class Hues:
         """Colours [N 3] with chroma that the styles have at their luma, which stays.
 
         What is farther than ``NEAR`` from the nearest such chroma is brought up to there. Colours
-        of a luma that the styles have nowhere stay.
+        brighter than all of the styles take the hues of their brightest ones; colours of a luma in
+        between that the styles have nowhere stay.
 
         Args:
-            colours: display-encoded, in [0, 1].
+            colours: display-encoded, >= 0; one channel may get brighter.
             before: [N 3]; colours that have hardly changed since then stay.
         """
         found = colours.clone(memory_format=torch.contiguous_format)
@@ -99,9 +101,10 @@ class Hues:
         """The way from a luma and a chroma to the nearest one kept, [LEVELS + 1, n, n, 2]."""
         axis = STEP * torch.arange(-REACH, REACH + 1, dtype=torch.float64)
         nodes = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), -1).view(-1, 2)
-        return torch.stack([_way(nodes, level.flatten()) for level in self._shares]).view(
-            *self._shares.shape, 2
-        )
+        brightest = int((self._shares.sum((1, 2)) > RARE).nonzero().max())
+        ways = [_way(nodes, level.flatten()) for level in self._shares[: brightest + 1]]
+        ways += [ways[-1]] * (len(self._shares) - len(ways))
+        return torch.stack(ways).view(*self._shares.shape, 2)
 
 
 def _places(colours: Tensor) -> Tensor:
@@ -133,7 +136,7 @@ def _brought(colours: Tensor, table: Tensor) -> Tensor:
     red, blue = (STEP * (places[:, 1:] - REACH) + (1 - NEAR / far) * way).unbind(1)
     of_red, of_green, of_blue = REC709_WEIGHTS
     green = -(of_red * red + of_blue * blue) / of_green
-    return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp(0, 1)
+    return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp_min(0)
 
 
 def _way(nodes: Tensor, shares: Tensor) -> Tensor:
