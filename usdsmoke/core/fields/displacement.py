@@ -156,9 +156,9 @@ def clamp_displacement(displacement: Tensor, cap: float, share: Tensor | None = 
 def smooth_mask(density: Tensor, sigma: float | Sequence[float], share: float = 0.25) -> Tensor:
     """Where there is smoke, [I J K] in [0, 1], blurred: 1 inside, 0 a few sigma outside.
 
-    Before the blur the mask is 1 from ``share`` of the density on that a fifth of the voxels exceed:
-    a veil around thick smoke is not its border (decision 045). It does not depend on the density's
-    unit, nor on how dense that fifth is.
+    Before the blur the mask is 1 from ``share`` of the density on that a fifth of the voxels
+    exceed: the veil around thick smoke is not its border (decision 045). It does not depend on the
+    density's unit, nor on how dense that fifth is.
 
     Args:
         density: [I J K]; negative values are taken as 0.
