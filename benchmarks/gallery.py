@@ -1,13 +1,15 @@
 """Rebuilds the gallery: docs/gallery.md and its pictures, six painted styles on each scene.
 
-    python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--threads 1]
+    python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--reuse]
 
 Every style is painted by code and stylizes a 3-D frame of the example plume, a 2-D slab and, where
 its file is, the real plume at half its resolution, all with default settings. The page tells CPU
-seconds and scores on views that the optimiser never had.
+seconds and scores on views that the optimiser never had. Every cell is kept in the folder --work,
+and taken from there with --reuse, so that a run that was stopped goes on.
 """
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -32,7 +34,7 @@ from usdsmoke.base.sections import StyleConfig
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.style.style_image import scale_style
 
-__all__ = ["Cell", "main", "make_cell", "write_page"]
+__all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
 
 HEIGHT = 288  # pixels of a picture in the gallery
 GAP = 6
@@ -61,6 +63,22 @@ def make_cell(studio: Studio, kind: str, style: str) -> Cell:
     seconds = time.process_time() - begin
     pictures = [_picture(look, azimuth) for azimuth in TURNS[kind]]
     return Cell(kind, pictures, seconds, _scores(look, studio.styles[style], kind))
+
+
+def keep_cell(cell: Cell, file_path: Path) -> None:
+    """Write a cell into an npz file, from which ``kept_cell`` reads it."""
+    file_path.parent.mkdir(parents=True, exist_ok=True)
+    told = json.dumps({"kind": cell.kind, "cpu_s": cell.cpu_s, "scores": cell.scores})
+    with open(file_path, "wb") as file:
+        np.savez(file, *cell.pictures, told=np.array(told))
+
+
+def kept_cell(file_path: Path) -> Cell:
+    """The cell in a file."""
+    with np.load(file_path) as kept:
+        told = json.loads(str(kept["told"]))
+        pictures = [kept[f"arr_{number}"] for number in range(len(kept.files) - 1)]
+    return Cell(pictures=pictures, **told)
 
 
 def _picture(look: Look, azimuth: float) -> np.ndarray:
@@ -146,6 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--work", type=Path, default=Path("out/bench/controls"))
     parser.add_argument("--threads", type=int, default=1, help="CPU threads; 0 means all")
+    parser.add_argument("--reuse", action="store_true", help="cells that are there already")
     options = parser.parse_args(arguments)
     try:
         frames: dict[str, VolumeFrame] = dict(simulate_once(options.work, reuse=True))
@@ -158,7 +177,13 @@ def main(arguments: list[str] | None = None) -> int:
         rows: dict[str, list[Cell]] = {}
         words = arguments if arguments is not None else sys.argv[1:]
         for style in options.only:
-            rows[style] = [make_cell(studio, kind, style) for kind in kinds]
+            rows[style] = []
+            for kind in kinds:
+                kept = options.work / "gallery" / f"{style}_{kind}.npz"
+                if not (options.reuse and kept.is_file()):
+                    keep_cell(make_cell(studio, kind, style), kept)
+                rows[style].append(cell := kept_cell(kept))
+                print(f"{style}, {NAMES[kind]}: {cell.cpu_s:.0f} CPU s", file=sys.stderr)
             write_page(
                 options.page, rows, styles, " ".join(["python -m benchmarks.gallery", *words])
             )

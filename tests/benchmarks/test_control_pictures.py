@@ -10,6 +10,7 @@ from benchmarks import control_pictures, control_studio
 from benchmarks.control_pictures import GRIDS, KINDS
 from benchmarks.control_scenes import fading_mask, frame_of
 from benchmarks.control_studio import Studio, draw_grid, save_grid
+from benchmarks.gallery import Cell, keep_cell, kept_cell
 from tests.fixtures.smoke_fixtures import puff, random_style
 from usdsmoke.core.style.losses import StyleTarget
 
@@ -63,3 +64,13 @@ def test_the_mask_field_falls_from_one_to_zero_across_the_smoke():
     assert across[0] == 1.0 and across[-1] == 0.0
     assert (np.diff(across) <= 0).all()
     assert across[11:13].mean() == pytest.approx(0.5)
+
+
+def test_a_cell_of_the_gallery_is_kept_and_found_again(tmp_path):
+    pictures = [np.full((3, 2, 3), value, np.float32) for value in (0.25, 0.5)]
+    cell = Cell("real", pictures, 12.5, {"patch": 0.75, "outliers": 0.0})
+    keep_cell(cell, tmp_path / "cells" / "dabs_real.npz")
+    found = kept_cell(tmp_path / "cells" / "dabs_real.npz")
+    assert (found.kind, found.cpu_s, found.scores) == (cell.kind, cell.cpu_s, cell.scores)
+    assert len(found.pictures) == 2
+    assert all(map(np.array_equal, found.pictures, pictures))

@@ -7,7 +7,13 @@ import pytest
 
 from tests.fixtures.counters import Elements
 from tests.fixtures.smoke_fixtures import affine, frame_of, puff
-from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.stylize_fixtures import (
+    MOST_LIGHT,
+    by_voxel,
+    quick_config,
+    run_core,
+    scene_of,
+)
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress
 from usdsmoke.base.resolve import resolve_config
@@ -145,7 +151,7 @@ def test_emission_is_colour_times_extinction_and_zero_where_no_smoke_is(stylized
     assert np.array_equal(emission.index_to_world, density.index_to_world)
     assert not emission.values[density.values <= 0].any()
     assert (emission.values >= 0).all()
-    most = scene.gamma_w * density.values[..., None] * (1 + 1e-5)
+    most = MOST_LIGHT * scene.gamma_w * density.values[..., None] * (1 + 1e-5)
     assert (emission.values <= most).all() and emission.values.any()
 
 
