@@ -126,8 +126,7 @@ def run_colour_step(
             colours = _completed(drawn, here, colours, share, scene, factor)
         colours = rules.in_style(colours, begun if warm else None)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
-        changed = _changed(painted, start, before, colours)
-        return changed.clamp(0, limit), ends
+        return _changed(painted, start, before, colours).clamp(0, limit), ends
     return _colours_on(painted, before, colours, problem), ends
 
 
