@@ -28,8 +28,8 @@ def test_a_hue_that_the_style_has_not_becomes_one_of_its():
     found = hues(flames()).nearest(green)
     assert torch.allclose(luma(found), luma(green), atol=0.03)
     assert (found[:, 0] > found[:, 1] + 0.1).all()
-    again = hues(flames()).nearest(found)
-    assert (again - found).abs().max() < NEAR
+    again = hues(flames()).nearest(found)  # where the first way was cut at the ends of the range
+    assert (hues(flames()).nearest(again) - again).abs().max() < NEAR
 
 
 def test_colours_of_the_style_stay():
@@ -63,10 +63,13 @@ def test_rare_hues_stay_and_single_pixels_do_not(n_blue, stays):
     assert (found[0, 2] > 0.8).item() is stays
 
 
-def test_where_the_style_has_no_such_luma_colours_stay():
-    between = torch.tensor([[0.2, 0.65, 0.6], [0.6, 0.5, 0.7]])
+def test_where_the_style_has_no_such_luma_colours_take_the_hues_of_the_nearest():
+    between = torch.tensor([[0.3, 0.4, 0.5], [0.7, 0.85, 0.9]])
     ends = torch.cat([flames() * 0.3, torch.ones(100, 100, 3)])
-    assert torch.allclose(hues(ends).nearest(between), between, atol=1e-5)
+    found = hues(ends).nearest(between)
+    assert torch.allclose(luma(found), luma(between), atol=0.03)
+    assert found[0, 0] > found[0, 2] + 0.1  # yellow
+    assert (found[1] - luma(found)[1]).abs().max() < NEAR  # white
 
 
 def test_what_is_brighter_than_the_style_takes_the_hues_of_its_brightest_colours():
@@ -75,6 +78,14 @@ def test_what_is_brighter_than_the_style_takes_the_hues_of_its_brightest_colours
     found = hues(dull).nearest(cyan)
     assert torch.allclose(luma(found), luma(cyan), atol=0.03)
     assert (found[:, 0] > found[:, 2] + 0.2).all()
+
+
+@pytest.mark.parametrize("levels", [(0.0, 1.0), (0.2, 0.5, 0.6)])
+def test_a_grey_style_has_no_hues_at_any_luma(levels: tuple[float, ...]) -> None:
+    pixels = torch.tensor(levels).repeat_interleave(50)[:, None].expand(-1, 3).reshape(-1, 10, 3)
+    tinted = torch.tensor([[0.5, 0.3, 0.4], [0.1, 0.2, 0.1], [0.9, 0.6, 1.0]])
+    found = hues(pixels).nearest(tinted)
+    assert (found - luma(found)[:, None]).abs().max() < NEAR
 
 
 def test_hues_of_two_styles_are_both_there():

@@ -29,6 +29,8 @@ SHARE = 0.95  # of a level's pixels, whose hues are the style's: those that are 
 def count_hues(pixels: Tensor) -> Tensor:
     """The share of a picture's pixels by luma and chroma, [LEVELS + 1, n, n], blurred by a step.
 
+    A chroma that no pixel of a neighbouring luma has keeps 0: what is grey stays grey.
+
     Args:
         pixels: display-encoded [H W 3], in [0, 1].
     """
@@ -37,12 +39,14 @@ def count_hues(pixels: Tensor) -> Tensor:
     flat = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
     counts = torch.bincount(flat, minlength=shape[0] * shape[1] * shape[2])
     shares = (counts.double() / len(place)).view(1, 1, *shape)
+    had = shares
     for axis in range(3):
         kernel = shares.new_tensor([0.25, 0.5, 0.25]).view(
             [3 if a == axis else 1 for a in range(3)]
         )
         shares = F.conv3d(shares, kernel[None, None], padding=[int(a == axis) for a in range(3)])
-    return shares[0, 0]
+        had = shares if axis == 0 else had
+    return torch.where(had > 0, shares, 0.0)[0, 0]
 
 
 class Hues:
@@ -58,9 +62,9 @@ class Hues:
     def nearest(self, colours: Tensor, before: Tensor | None = None) -> Tensor:
         """Colours [N 3] with chroma that the styles have at their luma, which stays.
 
-        What is farther than ``NEAR`` from the nearest such chroma is brought up to there. Colours
-        brighter than all of the styles take the hues of their brightest ones; colours of a luma in
-        between that the styles have nowhere stay.
+        What is farther than ``NEAR`` from the nearest such chroma is brought up to there. A luma
+        that the styles have nowhere, such as one brighter than all of them, takes the chroma of the
+        nearest one that they have.
 
         Args:
             colours: display-encoded, >= 0; one channel may get brighter.
@@ -101,10 +105,10 @@ class Hues:
         """The way from a luma and a chroma to the nearest one kept, [LEVELS + 1, n, n, 2]."""
         axis = STEP * torch.arange(-REACH, REACH + 1, dtype=torch.float64)
         nodes = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), -1).view(-1, 2)
-        brightest = int((self._shares.sum((1, 2)) > RARE).nonzero().max())
-        ways = [_way(nodes, level.flatten()) for level in self._shares[: brightest + 1]]
-        ways += [ways[-1]] * (len(self._shares) - len(ways))
-        return torch.stack(ways).view(*self._shares.shape, 2)
+        had = (self._shares.sum((1, 2)) > RARE).nonzero()[:, 0].tolist()
+        ways = {n: _way(nodes, self._shares[n].flatten()) for n in had}
+        levels = [min(had, key=lambda near: abs(near - n)) for n in range(len(self._shares))]
+        return torch.stack([ways[n] for n in levels]).view(*self._shares.shape, 2)
 
 
 def _places(colours: Tensor) -> Tensor:
@@ -142,8 +146,6 @@ def _brought(colours: Tensor, table: Tensor) -> Tensor:
 def _way(nodes: Tensor, shares: Tensor) -> Tensor:
     """From the chroma [n 2] of one level's nodes to the nearest one that is kept, [n 2]."""
     total = shares.sum()
-    if not total > 0:
-        return torch.zeros_like(nodes)
     frequent, order = shares.sort(descending=True, stable=True)
     kept = nodes[order[(frequent.cumsum(0) - frequent < SHARE * total) & (frequent > 0)]]
     kept = torch.cat([factor * kept for factor in SATURATIONS])
