@@ -13,6 +13,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 
 LARGEST_HALF = 65504.0  # largest finite 16-bit float
+BRIGHTEST = 2.54  # times white, of what a voxel emits: ``core.smoke.srgb.BRIGHTEST``, linear
 
 
 def round_to_half(values: np.ndarray) -> np.ndarray:
@@ -71,8 +72,8 @@ def clip_to_smoke(field: DenseField, density: DenseField) -> DenseField:
 def check_half(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
     """Refuse 16-bit floats that cannot hold what a frame will have.
 
-    Colours are at most 1, so no emission is above gamma_w times the largest density, divided by the
-    exposure.
+    No voxel emits more than ``BRIGHTEST`` times white, so no emission is above gamma_w times the
+    largest density times that, divided by the exposure.
 
     Args:
         density: of the frame.
@@ -89,7 +90,7 @@ def check_half(density: DenseField, time_code: float, gamma_w: float, config: Co
     bounds = {"density": largest}
     if "colour" in config.optimize.steps:
         exposure = 2.0 ** (config.optics.exposure or 0.0)
-        bounds["emission"] = gamma_w * largest * config.optimize.strength / exposure
+        bounds["emission"] = BRIGHTEST * gamma_w * largest * config.optimize.strength / exposure
     for name, bound in bounds.items():
         if bound > LARGEST_HALF:
             raise ConfigError(

@@ -228,7 +228,7 @@ def test_the_faintest_smoke_that_float32_holds_keeps_its_mass(amount):
 
 @pytest.mark.parametrize(("level", "name"), [(1e6, "density"), (3e4, "emission")])
 def test_what_16_bit_floats_cannot_hold_is_refused_before_anything_is_optimised(level, name):
-    """The emission of a voxel is at most its extinction."""
+    """The emission of a voxel is at most 2.54 times its extinction."""
     frame, seen = frame_of(spoiled(level)), []
     config = quick_config(grids={"half": True}, optics={"gamma": 4.0})
     with pytest.raises(ConfigError, match=rf"{name} at timeCode 1 .*grids\.half"):
