@@ -125,7 +125,7 @@ def test_lights_cost_nothing_where_smoke_scatters_none_and_little_where_it_does(
     assert plain == work([lit], optics={"albedo": 0.0}).made
     assert plain == work([dark], optics={"albedo": 0.9}).made
     once = work([lit]).made
-    assert plain < once < 1.1 * plain
+    assert 0.99 * plain < once < 1.1 * plain  # colours decide a little of what is faint
     dome = replace(dark, lights=(LightSource("/sky", (1.0, 1.0, 1.0)),))
     assert once < work([dome]).made < 1.1 * plain
     assert work([replace(dark, lights=(*lit.lights, *dome.lights))]).made < 1.1 * plain

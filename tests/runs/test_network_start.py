@@ -160,6 +160,7 @@ def test_windows_share_a_coarse_step_only_where_the_network_does_not_suit_the_sm
     assert not list(shot.folder.glob("out/vdb/*/coarse/*.npz"))
     assert verify(suits.look_layer) == []
     monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 1)
+    monkeypatch.setattr("usdsmoke.core.generator.network.FAINT", 10.0)  # black and white patches
     cold = run(shot, "cold", **several)
     assert any("start cold" in text for text in cold.warnings)
     assert list(shot.folder.glob("cold/vdb/*/coarse/*.npz"))

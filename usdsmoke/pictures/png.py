@@ -20,6 +20,7 @@ from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
 
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
+SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _MOST_WHITE = 0.5  # of a linear image's values
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
@@ -37,6 +38,7 @@ class StyleImage:
     pixels: np.ndarray  # [H W 3] float32, display-encoded sRGB in [0, 1], row 0 at the top
     sha256: str  # of the file's bytes, 64 hexadecimal digits
     file_path: str = ""  # absolute
+    note: str = ""  # what of the file is not read, a sentence; "" for nothing
 
 
 def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
@@ -66,7 +68,11 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
             f"cannot read the style image {where}: {error.strerror or error}. Check the path and "
             "its permissions."
         ) from None
-    pixels, alpha = _read_exr(where) if is_exr else _read_pillow(where)
+    note = ""
+    if is_exr:
+        pixels, alpha = _read_exr(where)
+    else:
+        pixels, alpha, note = _read_pillow(where)
     if alpha is not None:
         if alpha.max() <= 0.0:
             raise ImageError(
@@ -76,7 +82,7 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
     pixels = np.ascontiguousarray(pixels, np.float32)
-    return StyleImage(where.name, pixels, sha256, str(where.absolute()))
+    return StyleImage(where.name, pixels, sha256, str(where.absolute()), note)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -112,7 +118,7 @@ def write_png(file_path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     )
 
 
-def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None, str]:
     Image.init()
     formats = [name for name in _FORMATS if name in Image.OPEN]
     try:
@@ -121,7 +127,8 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(where, formats=formats) as image:
                 check_size(where, image.width, image.height, _MAX_PIXELS)
-                return _pillow_pixels(where, ImageOps.exif_transpose(image))
+                note = _unread(where, image)
+                return *_pillow_pixels(where, ImageOps.exif_transpose(image)), note
     except UnidentifiedImageError:
         raise ImageError(
             f"the style image {where} is not a supported image (EXR, {', '.join(formats)}). "
@@ -133,6 +140,19 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
         raise ImageError(
             f"the style image {where} cannot be decoded: {error}. Save it again, as PNG."
         ) from None
+
+
+def _unread(where: Path, image: Image.Image) -> str:
+    """What an opened image has that its pixels do not tell; see ``StyleImage.note``."""
+    if (n_frames := getattr(image, "n_frames", 1)) > 1:
+        return f"the style image {where.name} has {n_frames} frames; only the first is used"
+    gamma = image.info.get("gamma", SRGB_GAMMA)
+    if "srgb" not in image.info and abs(gamma - SRGB_GAMMA) > 0.05:
+        return (
+            f"the style image {where.name} states a gamma of {gamma:.3g} and is read as sRGB "
+            f"({SRGB_GAMMA:.3g}). Convert it if it looks too dark or too bright"
+        )
+    return ""
 
 
 def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:

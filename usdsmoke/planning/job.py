@@ -166,6 +166,9 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         check_asset(stage)
     # The plan, and the files of its result.
     plan = _plan(source, config, resolved, earlier)
+    plan = dataclasses.replace(
+        plan, notes=(*plan.notes, *(style.note for style in styles if style.note))
+    )
     targets = look_files(source, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]

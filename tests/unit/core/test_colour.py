@@ -189,7 +189,6 @@ def test_total_variation_smooths_the_picture(smoke, views):
     [
         ({}, 60, None),
         ({"total_variation": 1e4}, 60, "losses.total_variation"),
-        ({}, 1, "colour.iterations"),
     ],
 )
 def test_pictures_without_the_style_s_colour_or_contrast_are_named(losses, iterations, setting):

@@ -11,6 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from usdsmoke.base.errors import ImageError
 from usdsmoke.pictures import encode_srgb, exr_channels, read_style_image
@@ -53,6 +54,18 @@ def test_eight_bit_pixels_keep_their_levels(tmp_path: Path, suffix: str) -> None
     assert style.pixels.flags.c_contiguous
     assert np.array_equal(np.rint(style.pixels * 255), LEVELS)
     assert style.sha256 == hashlib.sha256(file_path.read_bytes()).hexdigest()
+
+
+def test_what_a_style_image_has_beside_its_pixels_is_noted(tmp_path: Path) -> None:
+    grey = [Image.new("L", (4, 4), level) for level in (10, 200)]
+    grey[0].save(tmp_path / "one.png")
+    grey[0].save(tmp_path / "two.gif", save_all=True, append_images=grey[1:])
+    assert read_style_image(tmp_path / "one.png").note == ""
+    assert "2 frames" in read_style_image(tmp_path / "two.gif").note
+    chunks = PngInfo()
+    chunks.add(b"gAMA", (100000).to_bytes(4, "big"))
+    grey[0].save(tmp_path / "linear.png", pnginfo=chunks)
+    assert "gamma of 1" in read_style_image(tmp_path / "linear.png").note
 
 
 def test_jpeg_is_read(tmp_path: Path) -> None:

@@ -350,6 +350,17 @@ def test_light_that_leaves_no_albedo_or_no_emission_is_named(
     assert budget_of(tmp_path / "glow", [GOOD], settings=[sky]).findings == ()
 
 
+@pytest.mark.parametrize(
+    ("outshone", "setting"), [(0.9, "optics.exposure"), (0.0, "colour.target")]
+)
+def test_a_red_light_that_outshines_the_style_is_too_bright_before_it_is_too_red(
+    outshone: float, setting: str
+) -> None:
+    red = LightReport(share=1.0, outshone=outshone, reach=1.0, advised=-13.0, faintest=0.0)
+    (finding,) = find_frame("a.vdb", replace(GOOD, light=red), Config())
+    assert finding.setting == setting
+
+
 def test_an_extinction_of_a_step_that_is_not_run_does_not_matter(tmp_path: Path) -> None:
     scene = SCENE | {"gamma_w_shape": 1e-30}
     assert budget_of(tmp_path, [GOOD], scene, ["optimize.steps=[colour]"]).findings == ()

@@ -225,6 +225,12 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
         share = f"{100 * light.share:.2g}%"
         cause = f"the lights give only {share} of the smoke's brightness, which is not visible"
         advice += ", or leave them out (optics.albedo=0)"
+    elif light.outshone > OUTSHONE:
+        cause = (
+            f"the lights alone make {light.outshone:.0%} of the smoke brighter than the style's "
+            "white, and emission cannot darken it"
+        )
+        advice += ", or lower optics.albedo"
     elif light.is_tinted:
         cause = (
             f"the lights' faintest of red, green and blue is {light.faintest:.1%} of the brightest:"
@@ -234,12 +240,6 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
         setting = "colour.target"
     elif light.share > 1 - DIM and light.reach < DARK:
         cause = f"white smoke under the lights is only {light.reach:.0%} as bright as the style"
-    elif light.outshone > OUTSHONE:
-        cause = (
-            f"the lights alone make {light.outshone:.0%} of the smoke brighter than the style's "
-            "white, and emission cannot darken it"
-        )
-        advice += ", or lower optics.albedo"
     else:
         return
     yield Finding(name, "", cause, advice, setting)
