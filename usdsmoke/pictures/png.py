@@ -20,7 +20,7 @@ from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
 
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
-SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
+_SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _MOST_WHITE = 0.5  # of a linear image's values
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
@@ -146,11 +146,11 @@ def _unread(where: Path, image: Image.Image) -> str:
     """What an opened image has that its pixels do not tell; see ``StyleImage.note``."""
     if (n_frames := getattr(image, "n_frames", 1)) > 1:
         return f"the style image {where.name} has {n_frames} frames; only the first is used"
-    gamma = image.info.get("gamma", SRGB_GAMMA)
-    if "srgb" not in image.info and abs(gamma - SRGB_GAMMA) > 0.05:
+    gamma = image.info.get("gamma", _SRGB_GAMMA)
+    if "srgb" not in image.info and abs(gamma - _SRGB_GAMMA) > 0.05:
         return (
             f"the style image {where.name} states a gamma of {gamma:.3g} and is read as sRGB "
-            f"({SRGB_GAMMA:.3g}). Convert it if it looks too dark or too bright"
+            f"({_SRGB_GAMMA:.3g}). Convert it if it looks too dark or too bright"
         )
     return ""
 

@@ -169,7 +169,7 @@ def optimize_colours(
 
     def clip() -> None:
         share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
-        if next(turn) % HUES_EVERY == 0:
+        if rules.style is not None and next(turn) % HUES_EVERY == 0:
             unknown.copy_(rules.in_style(unknown, begun))
 
     def blend() -> None:

@@ -39,14 +39,14 @@ def count_hues(pixels: Tensor) -> Tensor:
     flat = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
     counts = torch.bincount(flat, minlength=shape[0] * shape[1] * shape[2])
     shares = (counts.double() / len(place)).view(1, 1, *shape)
-    had = shares
-    for axis in range(3):
-        kernel = shares.new_tensor([0.25, 0.5, 0.25]).view(
-            [3 if a == axis else 1 for a in range(3)]
-        )
-        shares = F.conv3d(shares, kernel[None, None], padding=[int(a == axis) for a in range(3)])
-        had = shares if axis == 0 else had
-    return torch.where(had > 0, shares, 0.0)[0, 0]
+    by_luma = _blurred(shares, 0)
+    return torch.where(by_luma > 0, _blurred(_blurred(by_luma, 1), 2), 0.0)[0, 0]
+
+
+def _blurred(shares: Tensor, axis: int) -> Tensor:
+    """Shares [1 1 L n n] blurred by a step along luma (0), red less luma (1) or blue less luma."""
+    kernel = shares.new_tensor([0.25, 0.5, 0.25]).view([3 if a == axis else 1 for a in range(3)])
+    return F.conv3d(shares, kernel[None, None], padding=[int(a == axis) for a in range(3)])
 
 
 class Hues:
