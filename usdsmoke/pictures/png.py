@@ -22,6 +22,7 @@ from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
 _SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_ONE_COLOUR = 1.5 / 255  # less than two levels between the least and the greatest value
 _MOST_WHITE = 0.5  # of a linear image's values
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
@@ -38,7 +39,7 @@ class StyleImage:
     pixels: np.ndarray  # [H W 3] float32, display-encoded sRGB in [0, 1], row 0 at the top
     sha256: str  # of the file's bytes, 64 hexadecimal digits
     file_path: str = ""  # absolute
-    note: str = ""  # what of the file is not read, a sentence; "" for nothing
+    note: str = ""  # what of the file is not read or of no use, a sentence; "" for nothing
 
 
 def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
@@ -82,6 +83,9 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
     pixels = np.ascontiguousarray(pixels, np.float32)
+    if np.ptp(pixels, axis=(0, 1)).max() < _ONE_COLOUR:
+        plain = f"the style image {where.name} has one colour: there are no strokes to paint"
+        note = f"{note}; {plain}" if note else plain
     return StyleImage(where.name, pixels, sha256, str(where.absolute()), note)
 
 

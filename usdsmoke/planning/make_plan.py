@@ -208,8 +208,10 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
     """
     needed = plan.estimate.memory_gib
     limit, reason = plan.config.optimize.memory_limit_gib, "optimize.memory_limit_gib"
+    remedy = "raise the limit"
     if limit is None:
         limit, reason = available_memory_gib(), "free memory of this machine"
+        remedy = "set optimize.memory_limit_gib if more will be free"
     if needed > limit:
         frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
         volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
@@ -217,11 +219,21 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
             f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; only "
             f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
-            "grids.refine, or raise the limit."
+            f"grids.refine, or {remedy}.{_dense_hint(frame.size)}"
         )
     if output is None:
         return
     check_disk(output, plan.estimate.bytes_written)
+
+
+def _dense_hint(size: FrameSize) -> str:
+    """What to look for where the whole box is active, as in files that are written densely."""
+    if size.active_voxels < math.prod(size.box):
+        return ""
+    return (
+        " All voxels of its box are active: if many hold no smoke, make them inactive and prune "
+        "the grid."
+    )
 
 
 def check_disk(output: Path, n_bytes: int, is_started: bool = False) -> None:

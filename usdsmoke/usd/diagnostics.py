@@ -92,10 +92,7 @@ def open_quietly(file_path: str) -> Usd.Stage:
 
 def short_reason(error: Tf.ErrorException) -> str:
     """What OpenUSD said first, without the places in its own source."""
-    for item in error.args:
-        if text := _text(item).strip():
-            return " ".join(text.split())
-    return "no reason given"
+    return next(_reasons(error), "no reason given")
 
 
 def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> str:
@@ -160,9 +157,17 @@ def decoded_text(get: Callable[[], str]) -> str:
         return error.object.decode("utf-8", "replace")
 
 
+def _reasons(error: Tf.ErrorException) -> Iterator[str]:
+    """What OpenUSD said, error by error, each in one line."""
+    texts = (" ".join(_text(item).split()) for item in error.args)
+    return (text for text in texts if text)
+
+
 def _line(error: Tf.ErrorException | None) -> str:
     """The line that OpenUSD names, with its reason; the names of its grammar's rules left out."""
-    reason = short_reason(error) if error is not None else ""
+    reasons = _reasons(error) if error is not None else iter(())
+    # Values that are not allowed are told twice: first without their line.
+    reason = next((text for text in reasons if _LINE.search(text)), "")
     found = _LINE.search(reason)
     if found is None:
         return ""

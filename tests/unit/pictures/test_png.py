@@ -57,7 +57,7 @@ def test_eight_bit_pixels_keep_their_levels(tmp_path: Path, suffix: str) -> None
 
 
 def test_what_a_style_image_has_beside_its_pixels_is_noted(tmp_path: Path) -> None:
-    grey = [Image.new("L", (4, 4), level) for level in (10, 200)]
+    grey = [Image.linear_gradient("L").point(lambda level, k=k: level // k) for k in (1, 2)]
     grey[0].save(tmp_path / "one.png")
     grey[0].save(tmp_path / "two.gif", save_all=True, append_images=grey[1:])
     assert read_style_image(tmp_path / "one.png").note == ""
@@ -66,6 +66,18 @@ def test_what_a_style_image_has_beside_its_pixels_is_noted(tmp_path: Path) -> No
     chunks.add(b"gAMA", (100000).to_bytes(4, "big"))
     grey[0].save(tmp_path / "linear.png", pnginfo=chunks)
     assert "gamma of 1" in read_style_image(tmp_path / "linear.png").note
+
+
+@pytest.mark.parametrize(
+    ("levels", "is_plain"), [((0, 0), True), ((9, 10), True), ((9, 11), False)]
+)
+def test_a_style_of_one_colour_is_noted(
+    tmp_path: Path, levels: tuple[int, int], is_plain: bool
+) -> None:
+    pixels = np.full((4, 4, 3), levels[0], np.uint8)
+    pixels[1, 2] = levels[1]
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    assert ("one colour" in read_style_image(tmp_path / "a.png").note) is is_plain
 
 
 def test_jpeg_is_read(tmp_path: Path) -> None:

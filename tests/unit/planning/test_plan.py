@@ -200,8 +200,11 @@ def test_a_damaged_frame_is_named_with_its_time_code(tmp_path: Path) -> None:
 def test_too_little_memory_is_refused_with_both_numbers(shot: Shot) -> None:
     plan = plan_of(shot.stage, "optimize.memory_limit_gib=0.1")
     needed = f"{plan.estimate.memory_gib:.1f}"
-    with pytest.raises(PlanError, match=rf"about {needed} GiB.*24 voxels.*0\.1 GiB.*views\.pool"):
+    with pytest.raises(
+        PlanError, match=rf"about {needed} GiB.*24 voxels.*0\.1 GiB.*views\.pool"
+    ) as told:
         check_plan(plan)
+    assert "All voxels of its box are active" in str(told.value)  # 2 x 3 x 4
 
 
 def test_the_machines_memory_counts_when_no_limit_is_set(

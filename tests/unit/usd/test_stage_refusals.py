@@ -44,6 +44,11 @@ def refuse(folder, body, error, reason, header=HEADER, **settings):
             '#usda 1.0\ndef Xform "a" {',
             r"bad\.usda.* valid \.usda file \(line [23]\b.*\)",
         ),
+        (
+            "bad.usda",
+            "#usda 1.0\n(\n    framesPerSecond = nan\n)\n",
+            r"bad\.usda.* valid \.usda file \(line 3: .*framesPerSecond",
+        ),
         ("bad.usdc", "PXR-USDC nonsense", r"bad\.usdc.*too small.* damaged"),
         ("notes.txt", "hello", r"notes\.txt.* not a USD file.*\.usda"),
     ],
