@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
+from itertools import count
 from typing import Any
 
 import pytest
@@ -219,16 +220,27 @@ def test_the_last_step_is_looked_at_when_there_were_rollbacks_before():
 
 
 def test_the_best_remembered_state_comes_back_when_the_end_is_clearly_worse():
-    """The bowl moves away near the end: what fitted before is worth more than what is left."""
-    x = start()
+    """What holds the parameters pulls them away near the end."""
+    x, steps = start(), count()
 
-    def objective(iteration: int) -> Tensor:
-        return bowl(x) if iteration < 60 else bowl(x) + 0.5 * (x**2).sum() + 3.0
+    def pull() -> None:
+        if next(steps) >= 60:
+            x.mul_(0.9)
 
-    end = list(minimize(objective, [x], Descent(0.1, 64)))[-1]
+    end = list(minimize(lambda _: bowl(x) + 1, [x], Descent(0.1, 64), pull))[-1]
     assert end.restored
     assert bowl(x).item() < 0.2
     assert not run(start(), 64)[-1].restored
+
+
+@pytest.mark.parametrize("n", [4, 64])
+def test_an_easy_first_view_is_no_better_state(n: int):
+    """Its loss is the least of all, whatever is done."""
+    x = start()
+    end = list(minimize(lambda t: bowl(x) + 1000 * (t > 0), [x], Descent(0.1, n)))[-1]
+    assert end.smoothed > 2 * bowl(start()).item()  # the losses alone would tell to go back
+    assert not end.restored
+    assert bowl(x).item() < 0.9 * bowl(start()).item()
 
 
 def test_an_objective_without_the_parameters_leaves_them_alone():

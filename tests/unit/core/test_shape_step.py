@@ -31,7 +31,8 @@ KEPT = 8  # the iteration whose state is the result: see Pictures
 
 
 class Pictures:
-    """Stands for the style: a loss that is linear in the picture, and falls until it rises.
+    """Stands for the style: a loss that is linear in the picture, and falls until pictures are not
+    that of iteration 8.
 
     The optimiser remembers its state in iterations 0, 8, ... and goes back to the best of them when
     it ends much worse. So the picture seen in iteration 8 belongs to the result.
@@ -46,10 +47,12 @@ class Pictures:
         return self
 
     def __call__(self, picture: Tensor, guide: Tensor, content: Any, iteration: int) -> Tensor:
-        self.seen[iteration] = picture.detach().clone()
+        self.seen.setdefault(iteration, picture.detach().clone())
         ramp = torch.linspace(-1, 1, picture.shape[1])[:, None]
         slope = (picture * ramp).mean()
-        value = 1 - iteration / 20 if iteration <= KEPT else 5.0
+        value = 1 - min(iteration, KEPT) / 20
+        if iteration > KEPT and not torch.equal(picture, self.seen[KEPT]):
+            value = 5.0
         return value + slope - slope.detach()
 
 

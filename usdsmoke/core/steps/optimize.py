@@ -27,7 +27,8 @@ MENDING, MENDING_RATE = (
     0.07,
     0.3,
 )  # share of the iterations after a change, and their share of the rate
-WORSE = 1.05  # a last state this much above the best one is replaced by it; views differ by less
+WORSE = 1.05  # a last state this much above the best one, by the same views, is replaced by it
+LOOKS = 8  # iterations whose losses tell, at most
 
 
 @dataclass
@@ -72,7 +73,7 @@ class Adam:
 
     def copy(self) -> "Adam":
         """The same state in tensors of its own."""
-        copied = Adam(self.betas, self.epsilon)
+        copied = replace(self)
         copied.restore(self)
         return copied
 
@@ -136,7 +137,7 @@ def minimize(
     A loss or gradient that is not finite, or a loss ten times the recent best, rolls the parameters
     and moments back to the last good state and halves the rate; but not where that state has such a
     loss in this iteration too: views differ, the more so the nearer a loss is to 0. At the end the
-    best remembered state is restored if the last one is clearly worse.
+    best remembered state is restored if the last one is clearly worse in the same iterations.
 
     Args:
         objective: iteration -> scalar loss; its random draws depend on that number.
@@ -174,7 +175,7 @@ def minimize(
         if iteration < n_iterations - 1:
             yield latest
     if n_iterations > 0:
-        end = state.settle(latest, partial(_loss, objective, n_iterations))
+        end = state.settle(latest, partial(_loss, objective), n_iterations)
         yield replace(end, losses=tuple(losses), rates=tuple(rates))
 
 
@@ -347,10 +348,14 @@ class _State:
         self._best = max(self._best, before)
         return True
 
-    def settle(self, latest: Minimum | None, last_loss: Callable[[], float]) -> Minimum:
+    def settle(self, latest: Minimum | None, loss: Callable[[int], float], n: int) -> Minimum:
         """The end: the last state, or the best remembered one where that is clearly better.
 
         After a rollback the last step is not trusted before its loss has been looked at.
+
+        Args:
+            loss: of an iteration, with the parameters as they are then.
+            n: number of iterations.
         """
         if latest is None:
             raise NonFiniteError(
@@ -358,8 +363,8 @@ class _State:
                 "Check for extreme values in the smoke and in the settings of losses, optics and "
                 "learning rates."
             )
-        worse = self.rollbacks > 0 and not self._is_sound(last_loss())
-        restored = worse or self.smoothed > WORSE * self._kept_loss
+        worse = self.rollbacks > 0 and not self._is_sound(loss(n))
+        restored = worse or self._is_worse(loss, latest.iteration + 1)
         if restored:
             self._put(self._kept)
         return replace(
@@ -369,6 +374,17 @@ class _State:
             reason=latest.reason or "iterations",
             restored=restored,
         )
+
+    def _is_worse(self, loss: Callable[[int], float], n: int) -> bool:
+        """Whether the last state is clearly worse than the best one, not only its iterations."""
+        if self.smoothed <= WORSE * self._kept_loss:
+            return False
+        shown, here = range(max(n - LOOKS, 0), n), [p.detach().clone() for p in self.parameters]
+        last = math.fsum(map(loss, shown))
+        self._put(self._kept)
+        best = math.fsum(map(loss, shown))
+        self._put(here)
+        return not last <= WORSE * best  # NaN too
 
     def _is_sound(self, value: float) -> bool:
         if not math.isfinite(value):
