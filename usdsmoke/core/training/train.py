@@ -25,8 +25,9 @@ from usdsmoke.core.training.canvas import (
     judge,
     misfit_text,
 )
+from usdsmoke.core.training.orthogonal import Orthogonal
 
-RATE = 3e-3  # of Adam, in units of parameters
+RATE = 3e-3  # of Adam, in units of parameters; of convolutions see ``Orthogonal``
 MEAN_SHARE = 0.995  # of the mean of the parameters that an iteration keeps; less at the start
 N_CROPS = 4  # of a frame that is too large
 CHECK_EVERY = 50  # iterations between two looks at the held-out frame
@@ -94,7 +95,7 @@ def train_generator(
 
     best, best_at, kept = float("inf"), 0, mean.copy()
     state = None
-    for state in minimize(objective, leaves, Descent(RATE, n_iterations)):
+    for state in minimize(objective, leaves, Descent(RATE, n_iterations), adam=Orthogonal()):
         done = state.iteration + 1
         _add_to_mean(mean, generator, state.iteration)
         if done % CHECK_EVERY == 0 or state.reason:  # the last has a reason
