@@ -23,6 +23,7 @@ OPTIMIZE = "tests/unit/core/test_optimize.py::"
 OPTICS = "tests/unit/core/test_optics.py::"
 FEATURES = "tests/unit/core/test_features.py::"
 IMAGES = "tests/unit/pictures/test_png.py::"
+PROFILES = "tests/unit/pictures/test_profiles.py::"
 READ = "tests/unit/vdb/test_read.py::"
 VELOCITY = "tests/unit/vdb/test_velocity.py::"
 REFUSED = (
@@ -194,6 +195,12 @@ TRANSPORT = _group(
      "finite: a warning says with which velocity the densities agree better",
      (FAST + "test_a_velocity_that_does_not_explain_the_smoke_is_named",
       FAST + "test_a_wrong_velocity_of_slow_smoke_is_named")),
+    ("velocity that is 0 in a part of the smoke that moves on, as after pruning",
+     "finite: a finding names the part and the remedy",
+     (FAST + "test_a_velocity_that_ends_within_the_smoke_is_named",)),
+    ("velocity whose time samples stand elsewhere than the density's",
+     "finite: the plan names the timeCode whose velocity USD shows",
+     ("tests/unit/usd/test_stage.py::test_a_velocity_with_other_samples_is_held",)),
     ("a velocity of a thousand voxels a frame or more, also of one voxel",
      "finite: the frame starts anew, and a finding names its speed",
      (FAST + "test_a_velocity_that_is_too_fast_to_be_followed_is_told_with_its_voxels",)),
@@ -202,6 +209,8 @@ TRANSPORT = _group(
      (WARM + "test_an_absurd_velocity_is_a_named_error",)),
     ("NaN, infinite velocity", "named error NonFiniteError: grid and timeCode",
      (STYLIZE + "test_velocity_that_is_not_finite_is_refused_by_time_code_and_name",)),
+    ("a Volume that grows and turns between frames", "finite: its pattern is no unsteadiness",
+     ("tests/unit/core/test_steadiness.py::test_vectors_turn_and_grow_with_their_volume",)),
     ("velocity missing on some frames", "finite: colours stay in place there",
      (EXTREMES + "test_velocity_on_some_frames_only",
       WARM + "test_without_velocity_colours_stay_in_place")),
@@ -272,6 +281,11 @@ STYLE_IMAGE = _group(
      "ImageError: if fully transparent",
      (IMAGES + "test_transparent_pixels_take_the_mean_of_the_visible_ones",
       IMAGES + "test_fully_transparent_image_is_refused")),
+    ("one colour", "finite: the plan says that there are no strokes",
+     (IMAGES + "test_a_style_of_one_colour_is_noted",)),
+    ("embedded colour profile", "finite: converted to sRGB; a note if it is damaged",
+     (PROFILES + "test_a_profile_with_other_primaries_turns_the_colours",
+      PROFILES + "test_a_damaged_profile_is_noted")),
     ("16-bit", "finite: scaled, not clipped",
      (IMAGES + "test_sixteen_bit_grey_keeps_its_precision",
       IMAGES + "test_sixteen_bit_colour_is_scaled_not_cut_off")),

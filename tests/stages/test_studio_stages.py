@@ -159,6 +159,16 @@ def test_a_range_that_starts_below_0_is_read(
     assert volume["time_codes"] == [-2, -1, 0]
 
 
+def test_an_offset_that_openusd_refuses_is_told(tmp_path: Path) -> None:
+    shot = shot_of(tmp_path, smoke("smoke"))
+    root = write_text(
+        tmp_path / "in/reversed.usda",
+        f"#usda 1.0\n(\nsubLayers = [@./{shot.stage.name}@ (scale = -1)]\n)\n",
+    )
+    (problem,) = inspect(root)["problems"]
+    assert "offset" in problem and shot.stage.name in problem
+
+
 @pytest.mark.parametrize("arc", ["payload", "references", "subLayers"])
 @pytest.mark.parametrize("text", [None, '#usda 1.0\ndef Xform "a" ('])
 def test_a_layer_that_cannot_be_opened_is_named_beside_a_good_volume(

@@ -180,7 +180,7 @@ class StageSource:
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
     missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
     # Layers that cannot be opened, whatever they hold; a sentence each without a full stop.
-    unopened: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
     lights: tuple[str, ...] = ()  # prim paths, used or not
     # Lights that would light smoke and cannot be used: why, by path.
     unused_lights: Mapping[str, str] = field(default_factory=dict)

@@ -1,6 +1,7 @@
 """Images in and out.
 
 - `png`: style images, PNG files, sRGB
+- `profiles`: embedded colour profiles
 - `exr`, `animations`: OpenEXR files; WebP, GIF and MP4
 - `exr_channels`: the channels of an OpenEXR style image, decoded in a process with limits
 - `contact_sheet`: pictures in rows, with labels and style images

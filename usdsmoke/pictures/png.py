@@ -2,7 +2,7 @@
 
 Style images are pictures made for display, so their pixels are display-encoded (sRGB). OpenEXR
 files are scene-linear; they are clipped to [0, 1] and encoded, so that the network sees them as a
-screen would show them. Embedded colour profiles are not applied: sRGB is taken for granted.
+screen would show them. Embedded colour profiles are applied; images without one are sRGB.
 """
 
 import os
@@ -17,6 +17,7 @@ from usdsmoke.base.errors import ImageError, WriteFailed, count_text
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import hash_stream
 from usdsmoke.pictures.exr_channels import check_size, read_exr_channels
+from usdsmoke.pictures.profiles import to_srgb
 
 # Pillow's readers that are tried: common ones, and none that starts another program (as EPS does).
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
@@ -132,7 +133,10 @@ def _read_pillow(where: Path) -> tuple[np.ndarray, np.ndarray | None, str]:
             with Image.open(where, formats=formats) as image:
                 check_size(where, image.width, image.height, _MAX_PIXELS)
                 note = _unread(where, image)
-                return *_pillow_pixels(where, ImageOps.exif_transpose(image)), note
+                upright, unapplied = to_srgb(ImageOps.exif_transpose(image))
+                if unapplied:
+                    note = f"the style image {where.name}: {unapplied}"
+                return *_pillow_pixels(where, upright), note
     except UnidentifiedImageError:
         raise ImageError(
             f"the style image {where} is not a supported image (EXR, {', '.join(formats)}). "
@@ -151,7 +155,7 @@ def _unread(where: Path, image: Image.Image) -> str:
     if (n_frames := getattr(image, "n_frames", 1)) > 1:
         return f"the style image {where.name} has {n_frames} frames; only the first is used"
     gamma = image.info.get("gamma", _SRGB_GAMMA)
-    if "srgb" not in image.info and abs(gamma - _SRGB_GAMMA) > 0.05:
+    if not {"srgb", "icc_profile"} & image.info.keys() and abs(gamma - _SRGB_GAMMA) > 0.05:
         return (
             f"the style image {where.name} states a gamma of {gamma:.3g} and is read as sRGB "
             f"({_SRGB_GAMMA:.3g}). Convert it if it looks too dark or too bright"

@@ -52,7 +52,7 @@ def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
         smoke.notes[f"<{path}> is not drawn: {reason}"] = None
     notes = [*selected.missing, *problems]
     smoke.notes |= {f"left out: {sentence}": None for sentence in notes}
-    smoke.notes |= dict.fromkeys(selected.unopened)
+    smoke.notes |= dict.fromkeys(selected.dropped)
     smoke.notes |= {note: None for volume in selected.volumes for note in volume.notes}
     return smoke
 

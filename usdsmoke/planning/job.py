@@ -218,7 +218,7 @@ def _plan(
 ) -> Plan:
     plan = make_plan(source, config, resolved.volumes)
     left_out = [Omission("earlier look", note) for note in earlier.notes]
-    notes = [*source.unopened, *(note for volume in source.volumes for note in volume.notes)]
+    notes = [*source.dropped, *(note for volume in source.volumes for note in volume.notes)]
     return dataclasses.replace(
         plan, omitted=(*plan.omitted, *left_out), notes=(*plan.notes, *notes)
     )

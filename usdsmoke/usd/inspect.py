@@ -62,7 +62,7 @@ def inspect(
         "notes": [*_notes(lit), *_beside_notes(source, headers)],
         "omitted": [{"what": path, "reason": why} for path, why in source.omitted.items()],
         "problems": [
-            *(f"{sentence}." for sentence in source.unopened),
+            *(f"{sentence}." for sentence in source.dropped),
             *problems,
             *_problems(source, headers),
             *_camera_problems(stage, source, requests),

@@ -111,6 +111,26 @@ def test_a_velocity_that_does_not_explain_the_smoke_is_named(factor: float, cure
     assert bool(doubt) == bool(cure) and cure in doubt
 
 
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_velocity_that_ends_within_the_smoke_is_named(goes_on: bool) -> None:
+    """Without a velocity in its lower part, the smoke moves on, or rests there."""
+    frames = []
+    wide = np.pad(plume(1, 1).density.values, ((4, 4), (0, 0), (0, 0)))
+    for number in (1, 2):
+        speed = np.zeros((*wide.shape, 3), np.float32)
+        speed[:, 10:, :, 0] = 2 * 24.0
+        density = np.roll(wide, 2 * number, axis=0)
+        if not goes_on:
+            density[:, :10] = wide[:, :10]
+        field = DenseField("vel", speed, (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0))
+        frame = frame_of(density, time_code=float(number))
+        frames.append(dataclasses.replace(frame, velocity=field, velocity_to_stage=np.eye(4)))
+    doubt = run_core(frames, CONFIG)[1].report.velocity_doubt
+    assert bool(doubt) == goes_on
+    if goes_on:
+        assert "velocity is 0 in" in doubt and "stage.motion=estimate" in doubt
+
+
 def creeping(number: int, velocity: tuple[float, float, float]) -> VolumeFrame:
     """Smoke that moves by a third of a voxel a frame along i, with a velocity of its own.
 

@@ -148,6 +148,21 @@ def test_frames_without_smoke_in_common_are_not_compared() -> None:
     assert measure.compare(far, values, STEP) == {}
 
 
+def test_vectors_turn_and_grow_with_their_volume() -> None:
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0, 5, 0], [-5, 0, 0], [0, 0, 5]]  # by 90 degrees, five times as large
+    grown = activate(BALL.density, matrix, torch.device("cpu"))
+    ride = Transit(frame_of(np.zeros((2, 2, 2))), 0.0, matrix)
+    vectors = torch.rand(len(SMOKE.ijk), 3, generator=torch.Generator().manual_seed(0)) - 0.5
+    moved = vectors @ torch.as_tensor(matrix[:3, :3], dtype=torch.float32)
+    measure = Steadiness(is_vector=True)
+    measure.compare(SMOKE, vectors, None)
+    assert measure.compare(grown, moved, ride)[1] < 1e-3
+    measure.restart()
+    measure.compare(SMOKE, vectors, None)
+    assert measure.compare(grown, vectors, ride)[1] > 0.5  # they stay behind
+
+
 def test_a_slab_is_measured_in_its_plane() -> None:
     slab = SMOKE.take(SMOKE.ijk[:, 2] == N // 2)
     still = Transit(frame_of(np.zeros((2, 2, 2))), 0.1)

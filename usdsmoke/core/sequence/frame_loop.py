@@ -268,7 +268,8 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
     share, before = context.config.colour.smoothing, None
     if network_alone(context.config):
         share = 0.0
-    moves, colours = (Steadiness(context.config.optimize.seed) for _ in range(2))
+    seed = context.config.optimize.seed
+    moves, colours = Steadiness(seed, is_vector=True), Steadiness(seed)
     for frame, later in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint
         if later is not None and later.is_cold:
@@ -309,9 +310,7 @@ def _temporal_errors(
     moved, coloured = dict[int, float](), dict[int, float]()
     if frame.displacement is not None:
         source = selected(frame.source, frame.mask)
-        values = frame.displacement.at(source.positions)
-        along = frame.displacement.lattice.from_stage(values)  # which turn with the Volume
-        moved = dict(moves.compare(source, along, transit))
+        moved = dict(moves.compare(source, frame.displacement.at(source.positions), transit))
     if frame.paint is not None:
         coloured = dict(colours.compare(*frame.paint, transit))
     else:

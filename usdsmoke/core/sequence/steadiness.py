@@ -69,10 +69,12 @@ class Steadiness:
 
     Args:
         seed: of the points' places within their voxels.
+        is_vector: True if the pattern's values are vectors of stage space, which turn and grow with
+            their Volume.
     """
 
-    def __init__(self, seed: int = 0) -> None:
-        self._seed = seed
+    def __init__(self, seed: int = 0, is_vector: bool = False) -> None:
+        self._seed, self._is_vector = seed, is_vector
         self.clouds: tuple[Clouds, ...] = ()
 
     def restart(self) -> None:
@@ -96,7 +98,8 @@ class Steadiness:
             self.restart()
         else:
             trace = transit.reverse.tracer(smoke.ijk.device)
-            self.clouds = tuple(_carried(clouds, trace) for clouds in self.clouds)
+            turn = transit.turn if self._is_vector else None
+            self.clouds = tuple(_carried(clouds, trace, turn) for clouds in self.clouds)
         found = {}
         for clouds in self.clouds:
             if clouds.age in LAGS and (error := _error(clouds, smoke, values)) is not None:
@@ -121,10 +124,13 @@ def _start(smoke: ActiveSmoke, values: Tensor, seed: int) -> Clouds:
     return replace(here, floor=_floor(smoke, values, index[few], part))
 
 
-def _carried(clouds: Clouds, trace: Callable[[Tensor], Tensor]) -> Clouds:
-    """The clouds a frame later."""
+def _carried(
+    clouds: Clouds, trace: Callable[[Tensor], Tensor], turn: Callable[[Tensor], Tensor] | None
+) -> Clouds:
+    """The clouds a frame later, and their vectors as their Volume's motion leaves them."""
     moved = trace(clouds.positions.view(-1, 3)).view(clouds.positions.shape)
-    return replace(clouds, positions=moved, age=clouds.age + 1)
+    values = clouds.values if turn is None else turn(clouds.values)
+    return replace(clouds, positions=moved, values=values, age=clouds.age + 1)
 
 
 def _error(clouds: Clouds, smoke: ActiveSmoke, values: Tensor) -> float | None:

@@ -5,7 +5,7 @@
 - `choice`: which Volumes are taken
 - `volumes`: the Volumes to stylize, at which timeCodes
 - `places`: what programs disagree on about a Volume's place
-- `unopened`: the layers that cannot be opened
+- `dropped`: what a stage names and OpenUSD leaves out
 - `fields`: a Volume's field prims, and the file and grid of each at a timeCode
 - `cameras`: the cameras of a shot
 - `lights`: the lights that light a Volume

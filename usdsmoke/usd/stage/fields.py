@@ -12,7 +12,13 @@ from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES, FieldSource
-from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets, target_prim
+from usdsmoke.usd.field_samples import (
+    FIELD_PREFIX,
+    FieldSamples,
+    field_targets,
+    held_time_code,
+    target_prim,
+)
 from usdsmoke.usd.request_values import MASK
 from usdsmoke.usd.values import value_at, vdb_problem
 
@@ -210,6 +216,26 @@ def field_source(
         code_stretch=code_stretch,
         time_stretch=time_stretch,
     )
+
+
+def late_velocity(fields: VolumeFields, selected: Sequence[float]) -> tuple[str, ...]:
+    """A velocity without time samples where the density has some: USD holds another frame's grid.
+
+    Returns:
+        a sentence without a full stop, or nothing.
+    """
+    ours = set(FieldSamples(fields.prims[fields.density]).changes())
+    for name in fields.velocity:
+        codes = FieldSamples(fields.prims[name]).changes()
+        missing = [code for code in selected if code in ours and code not in codes]
+        if len(codes) > 1 and missing:
+            return (
+                f"the velocity <{fields.prims[name].GetPath()}> has no time sample at "
+                f"{name_time_codes(missing)}, where the density has one: at {missing[-1]:g} USD "
+                f"shows its grid of timeCode {held_time_code(codes, missing[-1]):.10g}. Author "
+                "both at the same timeCodes",
+            )
+    return ()
 
 
 def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:

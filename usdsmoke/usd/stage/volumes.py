@@ -39,15 +39,16 @@ from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.materials import find_materials
 from usdsmoke.usd.stage.choice import choose_volumes
+from usdsmoke.usd.stage.dropped import dropped_opinions
 from usdsmoke.usd.stage.fields import (
     VolumeFields,
     check_assets,
     check_places,
     field_source,
     find_fields,
+    late_velocity,
 )
 from usdsmoke.usd.stage.places import find_instancers, place_notes
-from usdsmoke.usd.stage.unopened import unopened_layers
 from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
@@ -213,7 +214,7 @@ def _describe_stage(
         volumes=volumes,
         omitted=omitted,
         missing=missing,
-        unopened=unopened_layers(stage),
+        dropped=dropped_opinions(stage),
     )
 
 
@@ -359,7 +360,10 @@ def _read_volume(
         request=request,
         materials=find_materials(outline.prim),
         variants=selected_variants(outline.prim, VARIANT_SET),
-        notes=place_notes(outline.prim, every, find_instancers(outline.prim.GetStage())),
+        notes=(
+            *place_notes(outline.prim, every, find_instancers(outline.prim.GetStage())),
+            *late_velocity(outline.fields, selected),
+        ),
     )
 
 
