@@ -72,7 +72,7 @@ class WindowsConfig(Section):
         4, "frames that neighbouring windows share, at most size; their two results are blended",
         ge=0, unit="frames", request="windowOverlap")
     warm_iterations: float = setting(
-        0.8, "share of the iterations for a frame that starts from its neighbour's result",
+        1.0, "share of the iterations for a frame that starts from its neighbour's result",
         gt=0, le=1)
     steadiness: float = setting(
         0.25, "weight of the difference in pixels between a frame's displacement and the one that "
@@ -251,7 +251,7 @@ class ShapeConfig(Section):
     mass_correction: bool = setting(True, "scale the moved density to the source's mass")
     learning_rate: float = setting(0.06, "Adam's step for the potential", gt=0)
     iterations: Iterations = setting(
-        [60, 50, 40], "iterations per octave, coarse to fine; 0 skips an octave",
+        [40, 20, 30], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
     warm_rate: float = setting(
         0.5, "share of the learning rate for a frame that starts from its neighbour's result "
@@ -272,7 +272,7 @@ class ColourConfig(Section):
         request="colourInit")
     learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
-        [120, 120, 120], "iterations per octave, coarse to fine; 0 skips an octave",
+        [80, 80, 80], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
         0.5, "share of the learning rate for a frame that starts from its neighbour's result or "

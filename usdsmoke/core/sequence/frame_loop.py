@@ -383,6 +383,7 @@ def _report(step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: flo
     """How the octaves of a step ended."""
     views = frame.config.views
     pool = pool_size(views, frame.source.thin_axis is not None)
+    drawn = views.count * ends[-1].n_joined if ends else 1
     return StepReport(
         seconds=time.perf_counter() - started,
         loss=tuple(end.smoothed for end in ends),
@@ -390,5 +391,5 @@ def _report(step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: flo
         rollbacks=sum(end.rollbacks for end in ends),
         restored=sum(end.restored for end in ends),
         ended=tuple(end.reason for end in ends),
-        **tail_figures(step, ends, pool, views.count),
+        **tail_figures(step, ends, pool, drawn),
     )

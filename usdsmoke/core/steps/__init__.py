@@ -7,6 +7,7 @@
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
 - ``light_share``: what finished pictures show of lamps and of the style
+- ``joined``: iterations of the last octave that are one step, of two views
 - ``optimize``: Adam with rollbacks, for any objective
 - ``loss_tail``: by how much a loss would still fall, from its history
 """

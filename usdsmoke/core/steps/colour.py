@@ -29,6 +29,7 @@ from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb, luma
+from usdsmoke.core.steps.joined import counted, join, tell
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -109,21 +110,21 @@ def run_colour_step(
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        octave_rate = rate * (LATER_RATE if number else 1.0)
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
+        octave_rate = rate * (LATER_RATE if number else 1.0)
         descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
-        told = partial(watch, number) if watch is not None else None
+        pool, descent, n_joined = join(pool, descent, warm or number < octaves[-1][0])
+        told = None if watch is None else partial(tell, watch, number, n_joined, n_iterations)
         rules = _rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
         if end is None:
             continue
-        ends.append(end)
+        ends.append(counted(end, n_joined, n_iterations))
         if not warm:
-            drawn = pool.drawn(end.iteration + 1)
-            colours = _completed(drawn, here, colours, share, scene, factor)
+            colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
         colours = rules.in_style(colours, begun if warm else None)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit), ends

@@ -1,7 +1,9 @@
 """Density moved by a displacement: with which voxels, how accurately, and with what mass."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
 from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.levels import dense_level
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.visibility import EffectMask
 
 FADE = 0.02  # of the smoke's extent: sigma of the fade towards the border
@@ -131,8 +134,12 @@ def move_density(
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
     moved = _moved(box, u, level, scheme)
-    linear, estimate = _scheme_errors(box, u, moved, scheme)
-    evenness = measure_evenness(u, box)
+    measures: list[Callable[[], Any]] = [
+        partial(_scheme_errors, box, u, moved, scheme),
+        partial(_motionless, source, box, lattice, shape, mask),
+        partial(measure_evenness, u, box),
+    ]
+    (linear, estimate), motionless, evenness = run_tasks(measures)
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
@@ -152,7 +159,7 @@ def move_density(
         folded=evenness.folded,
         unread=evenness.unread,
         read_twice=evenness.read_twice,
-        motionless=_motionless(source, box, lattice, shape, mask),
+        motionless=motionless,
     )
     return field_from_box(density, values, low), report
 

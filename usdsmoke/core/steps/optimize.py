@@ -115,6 +115,7 @@ class Minimum:
     rate: float  # of the step just taken
     reason: str  # "" while running, then "iterations" or "converged"
     restored: bool = False  # the result is an earlier state, because the last one was worse
+    n_joined: int = 1  # iterations that a step is, where several are one: see ``joined``
     losses: tuple[float, ...] = ()  # of every good iteration; the last item alone has these two
     rates: tuple[float, ...] = ()
 

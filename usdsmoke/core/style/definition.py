@@ -25,6 +25,7 @@ PATCH_SIZES = (5, 3, 3, 3)
 N_PATCHES = (20000, 8000, 8000, 8000)
 N_CLUSTERINGS = (12, 10, 10, 10)  # iterations of k-means
 N_AXES = 64  # principal axes of patches that are clustered
+N_FOR_AXES = 4000  # patches that these are taken of, evenly spaced
 WHITENING_FLOOR = 0.02  # of the largest eigenvalue
 DEVIATION_SHARE = 0.1  # of the largest deviation: a floor for that of a filter's response
 COLOUR_RELATIVE = 0.1  # of the largest eigenvalue of the colours

@@ -46,6 +46,7 @@ from usdsmoke.core.style.definition import (
     N_AXES,
     N_CLUSTERINGS,
     N_FILTERS,
+    N_FOR_AXES,
     N_ORIENTATIONS,
     N_PATCHES,
     PATCH_SIZES,
@@ -199,7 +200,8 @@ def _cluster_directions(
 
 def _principal_axes(points: Tensor, n: int) -> Tensor:
     """[n D] whitening rows of the leading principal axes, with a floor against near-empty ones."""
-    centred = (points - points.mean(0)).double()
+    points = points[:: -(-len(points) // N_FOR_AXES)]
+    centred = points - points.mean(0)
     values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
     n = min(n, len(values))
     values, vectors = values[-n:], vectors[:, -n:]

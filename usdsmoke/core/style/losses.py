@@ -37,7 +37,7 @@ from usdsmoke.core.style.sliced import sliced_distance
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
-MOST_SAMPLES = 2**14  # of a style's features, evenly spaced, whose quantiles are taken
+MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -245,8 +245,7 @@ class _LayerTarget:
             seed = self._seed + draw
             n = min(N_DIRECTIONS, MOST_PER_CHANNEL * len(self._style))
             axes = random_directions(len(self._style), n, seed, self._style)
-            step = -(-self._style.shape[1] // MOST_SAMPLES)
-            table = quantile_table(axes @ self._style[:, ::step])
+            table = quantile_table(axes @ _some(self._style, MOST_SAMPLES, seed))
             self._slices[draw] = axes * self._scale, table
         axes, table = self._slices[draw]
         weights = None if guide is None else _small(guide, maps).square()[0]
@@ -311,6 +310,16 @@ def total_variation(picture: Tensor) -> Tensor:
     across = (picture[:, 1:] - picture[:, :-1]).abs()
     down = (picture[1:] - picture[:-1]).abs()
     return (across.sum() + down.sum()) / max(across.numel() + down.numel(), 1)
+
+
+def _some(features: Tensor, most: int, seed: int) -> Tensor:
+    """At most so many of features [C P], drawn at random: even steps would meet the same columns of
+    an image again and again."""
+    n = features.shape[1]
+    if n <= most:
+        return features
+    chosen = torch.randperm(n, generator=torch.Generator().manual_seed(seed))[:most]
+    return features.index_select(1, chosen.to(features.device))
 
 
 def _flat(maps: Tensor) -> Tensor:
