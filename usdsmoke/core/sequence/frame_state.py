@@ -388,5 +388,5 @@ def _mask_warnings(frame: VolumeFrame, mask: EffectMask | None) -> tuple[str, ..
     name = frame.mask.name if frame.mask is not None else ""
     return (
         f'{mask.n_clamped} values of the mask "{name}" at timeCode {frame.time_code:g} are not '
-        "between 0 and 1 and were clamped",
+        "between 0 and 1 and were clamped. Scale the mask to 0 to 1, or check stage.mask",
     )
