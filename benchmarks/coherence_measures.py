@@ -18,7 +18,7 @@ from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import view_ranges
-from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
+from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb
 from usdsmoke.core.steps.pictures import grey_view, prepare_views
 from usdsmoke.core.steps.targets import StyleTargets, make_targets
 from usdsmoke.core.views.cameras import View, orbit_view
@@ -113,7 +113,7 @@ def painted_colours(outcome: Outcome, gamma_w: float) -> tuple[ActiveSmoke, Tens
     smoke = _activate(outcome, outcome.density)
     index = smoke.ijk.numpy() - np.asarray(outcome.emission.ijk_min)
     light = torch.from_numpy(outcome.emission.values[tuple(index.T)])
-    return smoke, encode_srgb(light / (gamma_w * smoke.density)[:, None]).clamp(0, 1)
+    return smoke, encode_srgb(light / (gamma_w * smoke.density)[:, None]).clamp(0, BRIGHTEST)
 
 
 def style_distances(shot: Shot, run: Run, n_views: int = 4) -> Distances:

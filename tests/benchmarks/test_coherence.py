@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks import coherence_study
-from benchmarks.coherence_measures import border_ratio, temporal_errors
+from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, _joined
 from benchmarks.coherence_study import WINDOWS, Case, Kept, Study, keep_runs
 from benchmarks.long_shot import fit_line
@@ -52,6 +52,11 @@ def test_what_stays_has_no_temporal_error_and_what_is_drawn_anew_has_one() -> No
         assert {lag: list(steps) for lag, steps in by_lag.items()} == {1: [1, 2, 3, 4], 4: [4]}
         assert by_lag[1][1] == 0 and by_lag[4][4] == 0
         np.testing.assert_allclose([by_lag[1][code] for code in (2, 3, 4)], 1, atol=0.35)
+
+
+def test_colours_brighter_than_white_are_measured_as_they_are() -> None:
+    _, colours = painted_colours(make_outcome(1, 1.4, 0), GAMMA_W)
+    np.testing.assert_allclose(colours, 1.4, rtol=1e-5)
 
 
 def test_frames_are_compared_over_those_that_a_run_has_left_out() -> None:
