@@ -126,7 +126,7 @@ def write_page(
     for style, cells in rows.items():
         file_name = f"{style}.webp"
         _strip([styles[style], *(p for cell in cells for p in cell.pictures)]).save(
-            folder / file_name, quality=88, method=6
+            folder / file_name, quality=85, method=6
         )
         lines += [f"## {style}", "", f"![{style}](pictures/gallery/{file_name})", ""]
         lines += [f"| scene | CPU s | {' | '.join(MEASURES.values())} | outliers |"]
