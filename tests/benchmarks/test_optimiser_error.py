@@ -31,4 +31,4 @@ def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str
     assert row.true > 0.02, row
     assert 1 / WITHIN < row.ratio < WITHIN, row
     if limit == "stopped early":
-        assert row.ended == "converged" and row.iterations[-1] < 2 * 64, row
+        assert row.ended == "converged", row

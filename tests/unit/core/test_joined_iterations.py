@@ -1,5 +1,7 @@
 """Iterations of the colour step's last octave that are one step."""
 
+import math
+
 import pytest
 
 from tests.fixtures.smoke_fixtures import puff, smoke_of
@@ -7,6 +9,7 @@ from tests.unit.core.test_colour import config_of, problem_of
 from usdsmoke.core.steps import colour, joined
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.joined import joined_iterations
+from usdsmoke.core.steps.loss_tail import remaining_decrease
 
 
 @pytest.mark.parametrize(
@@ -40,3 +43,9 @@ def test_the_last_octave_alone_has_half_of_the_steps_at_twice_the_rate(monkeypat
     assert [end.n_joined for end in ends] == [1, 2]
     assert [end.iteration + 1 for end in ends] == [4, 5]  # what the settings ask for
     assert told == [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 3), (1, 4)]
+
+
+def test_what_is_left_is_told_from_as_few_joined_iterations_as_from_single_ones():
+    losses, rates = [1 + 1 / (1 + n) for n in range(16)], [0.1] * 16
+    assert math.isnan(remaining_decrease(losses, rates, 0.4))
+    assert 0 < remaining_decrease(losses, rates, 0.4, n_joined=2) < 0.1
