@@ -355,7 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         *closures,
         "",
         "CPU seconds of a frame, colour step of 60 iterations with its estimates, least of three",
-        "runs in turn, and over those without a light. A step has 360 iterations by default.",
+        "runs in turn, and over those without a light. A step had 360 iterations by default.",
         "",
         "| lights | CPU seconds | relative |",
         "| --- | --- | --- |",
