@@ -121,20 +121,20 @@ def _shot(
 
 def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple[Case, ...]:
     window = tuple(range(5, 13))
-    return tuple(Case(resolution, style, seed, way, window) for way in ways)
+    alone = Case(resolution, style, seed, ALONE, FEW)
+    return (alone, *(Case(resolution, style, seed, way, window) for way in ways))
 
 
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
 MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
-    shots=(
-        _shot(64, "strokes", 0, 24, MORE),
-        _shot(96, "strokes", 0, 13, FEW),
-        _shot(64, "waves", 0, 12, FEW),
-        _shot(64, "strokes", 1, 12, FEW),
-        _shot(64, "petals", 0, 12, FEW),
+    shots=(_shot(64, "strokes", 0, 24, MORE), _shot(96, "strokes", 0, 13, FEW)),
+    curve=(
+        *_curve(40, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
+        *_curve(40, "strokes", 1, ("one window",)),
+        *_curve(40, "waves", 0, ("one window",)),
+        *_curve(40, "petals", 0, ("one window",)),
     ),
-    curve=_curve(64, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
     n_frames=24,
     settings=("optimize.error_budget=false",),
 )
