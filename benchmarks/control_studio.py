@@ -26,7 +26,7 @@ SIDE = 256  # pixels of a panel's longer side
 GAP, MARGIN = 10, 14
 LINE = 16  # pixels of a line of text
 PAPER, INK, DIM = (24, 24, 26), (226, 226, 222), (160, 160, 156)
-COLOURS = 256  # of the saved palette: a third of the file's size, and nobody sees it
+COLOURS = 224  # of the saved palette: a third of the file's size, and nobody sees it
 
 
 @dataclass(frozen=True)
