@@ -11,6 +11,7 @@ and taken from there with --reuse, so that a run that was stopped goes on.
 import argparse
 import json
 import sys
+import textwrap
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -44,6 +45,12 @@ TURNS = {"3-D": (0.0, 90.0), "2-D": (0.0,), "real": (0.0, 90.0)}  # degrees of a
 NAMES = {"3-D": "example plume", "2-D": "2-D slab", "real": "real plume"}
 MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "edges": "edges"}
 N_VIEWS = 6
+
+ABOUT = (
+    "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the style, "
+    "then each scene from the front; volumes are also shown from the side. [Quality and "
+    "cost](../README.md#quality-and-cost) explains the scores, which are from all sides."
+)
 
 
 @dataclass(frozen=True)
@@ -118,9 +125,7 @@ def write_page(
     lines = [
         "# Gallery",
         "",
-        "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the",
-        "style, then each scene from the front; volumes are also shown from the side. [Quality and",
-        "cost](../README.md#quality-and-cost) explains the scores, which are from all sides.",
+        *textwrap.wrap(ABOUT, 100),
         "",
     ]
     for style, cells in rows.items():
