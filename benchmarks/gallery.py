@@ -47,8 +47,8 @@ MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "ed
 N_VIEWS = 6
 
 ABOUT = (
-    "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the style, "
-    "then each scene from the front; volumes are also shown from the side. [Quality and "
+    "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the "
+    "style, then each scene from the front; volumes are also shown from the side. [Quality and "
     "cost](../README.md#quality-and-cost) explains the scores, which are from all sides."
 )
 
