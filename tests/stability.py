@@ -211,6 +211,8 @@ TRANSPORT = _group(
      (STYLIZE + "test_velocity_that_is_not_finite_is_refused_by_time_code_and_name",)),
     ("a Volume that grows and turns between frames", "finite: its pattern is no unsteadiness",
      ("tests/unit/core/test_steadiness.py::test_vectors_turn_and_grow_with_their_volume",)),
+    ("density that blinks by a factor", "finite: the frame starts anew, and a warning tells by how "
+     "many times", (FAST + "test_a_density_that_blinks_is_told_from_a_jump",)),
     ("velocity missing on some frames", "finite: colours stay in place there",
      (EXTREMES + "test_velocity_on_some_frames_only",
       WARM + "test_without_velocity_colours_stay_in_place")),
@@ -283,6 +285,7 @@ STYLE_IMAGE = _group(
       IMAGES + "test_fully_transparent_image_is_refused")),
     ("one colour", "finite: the plan says that there are no strokes",
      (IMAGES + "test_a_style_of_one_colour_is_noted",)),
+    ("nearly black", "finite: the plan says so", (IMAGES + "test_a_nearly_black_style_is_noted",)),
     ("embedded colour profile", "finite: converted to sRGB; a note if it is damaged",
      (PROFILES + "test_a_profile_with_other_primaries_turns_the_colours",
       PROFILES + "test_a_damaged_profile_is_noted")),

@@ -24,6 +24,7 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000
 _SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _ONE_COLOUR = 1.5 / 255  # less than two levels between the least and the greatest value
+_DARK = 0.1  # display-encoded; a hundredth of white's light
 _MOST_WHITE = 0.5  # of a linear image's values
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
@@ -84,9 +85,8 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
     pixels = np.ascontiguousarray(pixels, np.float32)
-    if np.ptp(pixels, axis=(0, 1)).max() < _ONE_COLOUR:
-        plain = f"the style image {where.name} has one colour: there are no strokes to paint"
-        note = f"{note}; {plain}" if note else plain
+    for remark in _without_strokes(where, pixels):
+        note = f"{note}; {remark}" if note else remark
     return StyleImage(where.name, pixels, sha256, str(where.absolute()), note)
 
 
@@ -161,6 +161,18 @@ def _unread(where: Path, image: Image.Image) -> str:
             f"({_SRGB_GAMMA:.3g}). Convert it if it looks too dark or too bright"
         )
     return ""
+
+
+def _without_strokes(where: Path, pixels: np.ndarray) -> list[str]:
+    """That there is nothing in the pixels that could be painted."""
+    if np.ptp(pixels, axis=(0, 1)).max() < _ONE_COLOUR:
+        return [f"the style image {where.name} has one colour: there are no strokes to paint"]
+    if (brightest := float(np.quantile(pixels.max(axis=2), 0.99))) < _DARK:
+        return [
+            f"the style image {where.name} is nearly black (brightest values {brightest:.2g} of "
+            "1): its strokes are hardly seen, and errors relative to it are large. Brighten it"
+        ]
+    return []
 
 
 def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:

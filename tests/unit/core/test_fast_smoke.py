@@ -111,6 +111,14 @@ def test_a_velocity_that_does_not_explain_the_smoke_is_named(factor: float, cure
     assert bool(doubt) == bool(cure) and cure in doubt
 
 
+def test_a_density_that_blinks_is_told_from_a_jump() -> None:
+    dim, bright = drifting(1), drifting(2)
+    density = dataclasses.replace(dim.density, values=dim.density.values / 12)
+    second = run_core([dataclasses.replace(dim, density=density), bright], CONFIG)[1]
+    (warning,) = second.report.warnings
+    assert "jumps" in warning and "12 times that density" in warning
+
+
 @pytest.mark.parametrize("goes_on", [True, False])
 def test_a_velocity_that_ends_within_the_smoke_is_named(goes_on: bool) -> None:
     """Without a velocity in its lower part, the smoke moves on, or rests there."""

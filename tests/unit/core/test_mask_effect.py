@@ -147,6 +147,14 @@ def test_values_beyond_the_range_are_clamped_with_a_warning():
     assert_close(result.emission, plain.emission, 5e-4 * plain.emission.values.max())
 
 
+def test_a_mask_of_hardly_any_smoke_is_told():
+    values = np.zeros(DENSITY.shape)
+    values[4, 4, 4] = 1.0
+    (result,) = run_core([masked(values, FRAME)], quick_config(**COLOUR))
+    (warning,) = result.report.warnings
+    assert "selects" in warning and "place" in warning
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_mask_that_is_not_finite_is_refused_by_time_code_and_name(bad):
     values = np.ones(DENSITY.shape)

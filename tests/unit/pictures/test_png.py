@@ -80,6 +80,13 @@ def test_a_style_of_one_colour_is_noted(
     assert ("one colour" in read_style_image(tmp_path / "a.png").note) is is_plain
 
 
+@pytest.mark.parametrize(("brightest", "is_dark"), [(6, True), (60, False)])
+def test_a_nearly_black_style_is_noted(tmp_path: Path, brightest: int, is_dark: bool) -> None:
+    levels = np.linspace(0, brightest, 16).round().astype(np.uint8)
+    Image.fromarray(np.tile(levels[:, None, None], (1, 16, 3))).save(tmp_path / "a.png")
+    assert ("nearly black" in read_style_image(tmp_path / "a.png").note) is is_dark
+
+
 def test_jpeg_is_read(tmp_path: Path) -> None:
     Image.new("RGB", (16, 8), (200, 100, 50)).save(tmp_path / "a.jpg", quality=95)
     pixels = read_style_image(tmp_path / "a.jpg").pixels

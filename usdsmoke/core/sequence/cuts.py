@@ -16,6 +16,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
+ALIKE = 0.5  # of a cut's difference: less is left with another scale of the density
 LEAST = 0.005  # below this difference no other velocity is tried
 DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
 HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
@@ -37,6 +38,7 @@ class Passage:
     difference: float  # of the densities, the earlier one carried along; 0 to 1
     doubt: str  # what is wrong with the velocity; "" if nothing is
     is_measured: bool = True  # False: the velocity is too fast to be followed
+    remark: str = ""  # on a cut that another scale of the density explains; begins with a semicolon
 
     @property
     def is_cut(self) -> bool:
@@ -67,6 +69,8 @@ def judge_passage(
         cure = "Check its unit and for single wrong voxels, or set stage.motion=estimate."
         return Passage(1.0, f"{how}, too fast to be followed: the frame starts anew. {cure}", False)
     velocity = transit.mover.velocity
+    if given >= UNLIKE and (remark := _other_scale(before, smoke, transit, given)):
+        return Passage(given, "", remark=remark)
     if given < LEAST or velocity is None or velocity.is_empty or transit.seconds == 0:
         return Passage(given, "")
     if doubt := _doubt_rest(before, smoke, transit):
@@ -98,6 +102,18 @@ def judge_passage(
         cure += f", stage.velocity_unit={best.removeprefix('per ')}"
     text = f"the densities do not move by the velocity: they agree better {cure}."
     return Passage(given, text)
+
+
+def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, given: float) -> str:
+    """What to say of frames that differ by a factor of their density alone; "" of others."""
+    times = float(smoke.density.double().sum() / before.density.double().sum())
+    scaled = replace(before, density=before.density * times)
+    if not _difference(scaled, smoke, transit) < ALIKE * given:
+        return ""
+    return (
+        f"; it agrees with {times:.2g} times that density. If its brightness should not blink, "
+        "write all frames with one scale of the density"
+    )
 
 
 def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> str:

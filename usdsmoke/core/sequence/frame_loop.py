@@ -357,7 +357,7 @@ def _connected(
         texts.append(
             f"the smoke{seen} jumps: {passage.difference:.0%} of it at timeCode "
             f"{frame.time_code:g} is not that of {before.time_code:g} carried along. The frame "
-            "starts anew, as after a cut"
+            f"starts anew, as after a cut{passage.remark}"
         )
     warnings = (*frame.report.warnings, *(t for t in texts if t not in frame.report.warnings))
     report = replace(frame.report, warnings=warnings, velocity_doubt=passage.doubt)

@@ -42,6 +42,7 @@ from usdsmoke.core.views.visibility import (
     Visibility,
     effect_mask,
     frame_visibility,
+    mask_warnings,
     sight_of,
 )
 
@@ -315,7 +316,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
-    warnings = (*_density_warnings(density, source), *_mask_warnings(frame, mask))
+    warnings = (*_density_warnings(density, source), *mask_warnings(frame, source))
     sight = None
     if frame.camera is not None and len(source.ijk):
         sight = sight_of(source, frame.camera, scene.gamma_w)
@@ -380,13 +381,3 @@ def _check_finite(frame: VolumeFrame) -> None:
                 f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
                 "infinite. Set grids.repair_nan to the value that replaces them."
             )
-
-
-def _mask_warnings(frame: VolumeFrame, mask: EffectMask | None) -> tuple[str, ...]:
-    if mask is None or not mask.n_clamped:
-        return ()
-    name = frame.mask.name if frame.mask is not None else ""
-    return (
-        f'{mask.n_clamped} values of the mask "{name}" at timeCode {frame.time_code:g} are not '
-        "between 0 and 1 and were clamped. Scale the mask to 0 to 1, or check stage.mask",
-    )

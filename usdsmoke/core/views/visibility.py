@@ -16,6 +16,7 @@ VISIBLE_PADDING = 3  # voxels of still smoke around the visible part: splines an
 _NO_BORDER = 1e-9
 _CLOSE = 8.0  # voxels across the picture: fewer show no strokes
 _RAYS, _SAMPLES = (16, 12), 64  # across and up the film; along a ray
+_FEW = 0.05  # of the smoke's voxels: so small a mask may be one in another place or unit
 STEEPEST_SHARE = 1.125  # at the fraction t of the border the share is at most this times t
 
 
@@ -175,3 +176,23 @@ def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> Eff
     if frame.mask is None and visibility is None:
         return None
     return EffectMask(frame, visibility)
+
+
+def mask_warnings(frame: VolumeFrame, smoke: ActiveSmoke) -> tuple[str, ...]:
+    """What of the user's mask may be wrong: values out of range, and hardly any smoke in it."""
+    if frame.mask is None:
+        return ()
+    mask, found = EffectMask(frame), list[str]()
+    what = f'the mask "{frame.mask.name}" at timeCode {frame.time_code:g}'
+    if mask.n_clamped:
+        found.append(
+            f"{mask.n_clamped} values of {what} are not between 0 and 1 and were clamped. Scale "
+            "the mask to 0 to 1, or check stage.mask"
+        )
+    share = float(mask.at(smoke.positions).mean()) if len(smoke.ijk) else 0.0
+    if 0 < share < _FEW:
+        found.append(
+            f"{what} selects {share:.2g} of the smoke's voxels. If it should be more, check the "
+            "mask's place, its scale and its values"
+        )
+    return tuple(found)

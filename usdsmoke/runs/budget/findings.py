@@ -231,7 +231,8 @@ def _is_motionless(report: FrameReport) -> bool:
 
 def _unmoved(name: str, config: Config) -> Finding:
     cause = "the shape step moved nothing: its pictures hardly depend on the displacement"
-    remedy, setting = "Look for smoke in places far apart, or leave", "optimize.steps"
+    remedy = "Look for smoke in places far apart or far denser than the rest, or leave"
+    setting = "optimize.steps"
     if changed := _changed(config, *_OUTWEIGH):
         cause += ", or other settings keep them so"
         remedy, setting = f"Use the default of {', '.join(changed)}, or leave", changed[0]
