@@ -12,8 +12,8 @@ from tests.fixtures.pipeline_fixtures import FakeCore, Shot, copied, run, run_un
 from usdsmoke.pipeline import assemble
 from usdsmoke.ui.cli.main import main
 
-# Of the earlier window, in the two frames of an overlap: 1 less the place to the power 1.2.
-FIRST, SECOND = 1 - (1 / 3) ** 1.2, 1 - (2 / 3) ** 1.2
+# Weights of the earlier window in the two frames of an overlap: a smooth step down.
+FIRST, SECOND = (1 - 3 * s**2 + 2 * s**3 for s in ((1 / 3) ** 1.2, (2 / 3) ** 1.2))
 
 
 def manifest(shot: Shot, window: int) -> dict[str, object]:

@@ -261,6 +261,7 @@ def test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began(s
     rate = {"shape": 6.0, "colour": 5.0}[step]
     config = quick_config(
         optimize={"steps": [step], "threads": 1, "tolerance": 0.0},
+        views={"pool": 1},  # whose losses can be compared
         **{step: {"learning_rate": rate, "iterations": [25]}},
     )
     told: list[Any] = []
