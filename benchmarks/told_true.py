@@ -186,7 +186,7 @@ def _views(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[R
         "unseen views",
         told["unseen views"],
         float(unseen),
-        "told: 4 views of the pool against 2 others",
+        "told: 8 views of the pool against 2 others",
     )
 
 

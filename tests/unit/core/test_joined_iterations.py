@@ -8,7 +8,7 @@ from tests.fixtures.smoke_fixtures import puff, smoke_of
 from tests.unit.core.test_colour import config_of, problem_of
 from usdsmoke.core.steps import colour, joined
 from usdsmoke.core.steps.colour import run_colour_step
-from usdsmoke.core.steps.joined import joined_iterations
+from usdsmoke.core.steps.joined import FEWEST, joined_iterations
 from usdsmoke.core.steps.loss_tail import remaining_decrease
 
 
@@ -17,11 +17,11 @@ from usdsmoke.core.steps.loss_tail import remaining_decrease
     [(1, 16, False, 2), (1, 16, True, 1), (2, 16, False, 1), (9, 36, False, 1), (1, 1, False, 1)],
 )
 def test_two_views_are_one_step_unless_there_are_as_many_already(n_drawn, n_pool, apart, n_joined):
-    assert joined_iterations(60, n_drawn, n_pool, apart) == n_joined
+    assert joined_iterations(FEWEST, n_drawn, n_pool, apart) == n_joined
 
 
 def test_few_iterations_are_steps_of_their_own():
-    assert joined_iterations(59, 1, 16, False) == 1
+    assert joined_iterations(FEWEST - 1, 1, 16, False) == 1
 
 
 def test_the_last_octave_alone_has_half_of_the_steps_at_twice_the_rate(monkeypatch):

@@ -9,7 +9,7 @@ N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle
 
 N_ITERATIONS = 1200  # of a training, at most
 N_VIEWS = 2  # of an iteration
-MOST_VOXELS = 24_000  # of a crop, which keeps an iteration cheap whatever the frame
+MOST_VOXELS = 60_000  # of a crop, which keeps an iteration cheap; it cuts smoke off
 
 
 def parameter_shapes() -> dict[str, tuple[int, ...]]:
