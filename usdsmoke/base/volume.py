@@ -179,7 +179,7 @@ class StageSource:
     volumes: tuple[VolumeSource, ...] = ()
     omitted: Mapping[str, str] = field(default_factory=dict)  # Volume path: why it is left out
     missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
-    # Layers that cannot be opened, whatever they hold; a sentence each without a full stop.
+    # Layers, prims and offsets that composition drops; a sentence each without a full stop.
     dropped: tuple[str, ...] = ()
     lights: tuple[str, ...] = ()  # prim paths, used or not
     # Lights that would light smoke and cannot be used: why, by path.

@@ -85,9 +85,8 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
     pixels = np.ascontiguousarray(pixels, np.float32)
-    for remark in _without_strokes(where, pixels):
-        note = f"{note}; {remark}" if note else remark
-    return StyleImage(where.name, pixels, sha256, str(where.absolute()), note)
+    notes = "; ".join(filter(None, (note, _without_strokes(where, pixels))))
+    return StyleImage(where.name, pixels, sha256, str(where.absolute()), notes)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -163,16 +162,16 @@ def _unread(where: Path, image: Image.Image) -> str:
     return ""
 
 
-def _without_strokes(where: Path, pixels: np.ndarray) -> list[str]:
-    """That there is nothing in the pixels that could be painted."""
+def _without_strokes(where: Path, pixels: np.ndarray) -> str:
+    """That there is nothing in the pixels that could be painted; "" where there is."""
     if np.ptp(pixels, axis=(0, 1)).max() < _ONE_COLOUR:
-        return [f"the style image {where.name} has one colour: there are no strokes to paint"]
+        return f"the style image {where.name} has one colour: there are no strokes to paint"
     if (brightest := float(np.quantile(pixels.max(axis=2), 0.99))) < _DARK:
-        return [
+        return (
             f"the style image {where.name} is nearly black (brightest values {brightest:.2g} of "
             "1): its strokes are hardly seen, and errors relative to it are large. Brighten it"
-        ]
-    return []
+        )
+    return ""
 
 
 def _pillow_pixels(where: Path, image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:

@@ -316,7 +316,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
-    warnings = (*_density_warnings(density, source), *mask_warnings(frame, source))
+    warnings = (*_density_warnings(density, source), *mask_warnings(frame, mask, source))
     sight = None
     if frame.camera is not None and len(source.ijk):
         sight = sight_of(source, frame.camera, scene.gamma_w)

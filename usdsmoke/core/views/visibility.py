@@ -153,11 +153,12 @@ class EffectMask:
             positions: [N 3] float64, stage space.
         """
         if self._visibility is None:
-            return self._field_at(positions)
+            return self.field_at(positions)
         visible = self._visibility.at(positions)
-        return visible * self._field_at(positions) if self._has_field else visible
+        return visible * self.field_at(positions) if self._has_field else visible
 
-    def _field_at(self, positions: Tensor) -> Tensor:
+    def field_at(self, positions: Tensor) -> Tensor:
+        """The mask alone at points, as ``at``; only where the frame has a mask."""
         if self._values.numel() == 0:
             return torch.full((len(positions),), self._outside, device=positions.device)
         matrix = torch.as_tensor(self._stage_to_index, device=positions.device)
@@ -178,18 +179,24 @@ def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> Eff
     return EffectMask(frame, visibility)
 
 
-def mask_warnings(frame: VolumeFrame, smoke: ActiveSmoke) -> tuple[str, ...]:
-    """What of the user's mask may be wrong: values out of range, and hardly any smoke in it."""
-    if frame.mask is None:
+def mask_warnings(
+    frame: VolumeFrame, mask: EffectMask | None, smoke: ActiveSmoke
+) -> tuple[str, ...]:
+    """What of the user's mask may be wrong: values out of range, and hardly any smoke in it.
+
+    Args:
+        mask: of the frame.
+    """
+    if frame.mask is None or mask is None:
         return ()
-    mask, found = EffectMask(frame), list[str]()
+    found = list[str]()
     what = f'the mask "{frame.mask.name}" at timeCode {frame.time_code:g}'
     if mask.n_clamped:
         found.append(
             f"{mask.n_clamped} values of {what} are not between 0 and 1 and were clamped. Scale "
             "the mask to 0 to 1, or check stage.mask"
         )
-    share = float(mask.at(smoke.positions).mean()) if len(smoke.ijk) else 0.0
+    share = float(mask.field_at(smoke.positions).mean()) if len(smoke.ijk) else 0.0
     if 0 < share < _FEW:
         found.append(
             f"{what} selects {share:.2g} of the smoke's voxels. If it should be more, check the "

@@ -17,10 +17,17 @@ _ERROR = re.compile(
     re.DOTALL,
 )
 _LONGEST_REASON = 300  # characters: it may quote the line
-_LAYERS = ("InvalidAssetPath", "InvalidSublayerPath")
+
+
+def _kinds(*names: str) -> tuple[Pcp.ErrorType, ...]:
+    """Those of Pcp's types that this version of OpenUSD has."""
+    return tuple(getattr(Pcp, kind) for n in names if hasattr(Pcp, kind := f"ErrorType_{n}"))
+
+
+_LAYERS = _kinds("InvalidAssetPath", "InvalidSublayerPath")
 # Other errors of composition that may lose smoke or change its timing. Muted layers are not meant,
 # nor what is told of targets, permissions and variants, which many sound stages have.
-_OTHERS = (
+_OTHERS = _kinds(
     "ArcCycle",
     "InvalidPrimPath",
     "InvalidReferenceOffset",
@@ -42,21 +49,14 @@ def dropped_opinions(stage: Usd.Stage) -> tuple[str, ...]:
     found: dict[str, str] = {}
     for error in stage.GetCompositionErrors():
         text = " ".join(str(error).split())
-        if error.errorType in _kinds(_LAYERS):
+        if error.errorType in _LAYERS:
             match = _ERROR.fullmatch(str(error))
-            found.setdefault(
-                match["file"] if match else text, _sentence(match, root) if match else text
-            )
-        elif error.errorType in _kinds(_OTHERS):
+            name = match["file"] if match else text
+            found.setdefault(name, _sentence(match, root) if match else text)
+        elif error.errorType in _OTHERS:
             told = text.removesuffix(".")[:_LONGEST_REASON]
             found.setdefault(text, f"OpenUSD leaves out a part of the stage: {told}. Correct it")
     return tuple(found.values())
-
-
-def _kinds(names: tuple[str, ...]) -> list[Pcp.ErrorType]:
-    """Those of Pcp's types that this version of OpenUSD has."""
-    kinds = (getattr(Pcp, f"ErrorType_{name}", None) for name in names)
-    return [kind for kind in kinds if kind is not None]
 
 
 def _sentence(match: re.Match[str], root: str) -> str:

@@ -221,13 +221,15 @@ def field_source(
 def late_velocity(fields: VolumeFields, selected: Sequence[float]) -> tuple[str, ...]:
     """A velocity without time samples where the density has some: USD holds another frame's grid.
 
+    Args:
+        selected: timeCodes of the density's samples.
+
     Returns:
         a sentence without a full stop, or nothing.
     """
-    ours = set(FieldSamples(fields.prims[fields.density]).changes())
     for name in fields.velocity:
         codes = FieldSamples(fields.prims[name]).changes()
-        missing = [code for code in selected if code in ours and code not in codes]
+        missing = sorted(set(selected).difference(codes))
         if len(codes) > 1 and missing:
             return (
                 f"the velocity <{fields.prims[name].GetPath()}> has no time sample at "

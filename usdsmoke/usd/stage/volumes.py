@@ -362,7 +362,7 @@ def _read_volume(
         variants=selected_variants(outline.prim, VARIANT_SET),
         notes=(
             *place_notes(outline.prim, every, find_instancers(outline.prim.GetStage())),
-            *late_velocity(outline.fields, selected),
+            *(late_velocity(outline.fields, selected) if outline.animated else ()),
         ),
     )
 
