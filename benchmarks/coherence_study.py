@@ -47,9 +47,9 @@ WAYS: Mapping[str, Sequence[str]] = {
     ALONE: ("windows.size=1",),
     WINDOWS: (),
     "one window": (),
-    "crisper": ("windows.steadiness=0.08", "colour.warm_rate=1"),
-    "steadier": ("windows.steadiness=0.8", "colour.warm_rate=0.35"),
-    "much steadier": ("windows.steadiness=2.5", "colour.warm_rate=0.25"),
+    "crisper": ("windows.steadiness=0.08", "colour.warm_rate=0.7"),
+    "steadier": ("windows.steadiness=0.8", "colour.warm_rate=0.25"),
+    "much steadier": ("windows.steadiness=2.5", "colour.warm_rate=0.175"),
 }
 
 

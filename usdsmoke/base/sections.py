@@ -275,7 +275,7 @@ class ColourConfig(Section):
         [80, 80, 80], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
-        0.5, "share of the learning rate for a frame that starts from its neighbour's result or "
+        0.35, "share of the learning rate for a frame that starts from its neighbour's result or "
         "from the coarse step", gt=0, le=1)
     smoothing: float = setting(
         0.25, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)

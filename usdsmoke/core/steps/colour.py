@@ -48,7 +48,6 @@ FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
-LATER_RATE = 0.7  # of the learning rate, for octaves after the first, which start near their goal
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,7 @@ def run_colour_step(
             continue
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
-        octave_rate = rate * (LATER_RATE if number else 1.0)
-        descent = Descent(octave_rate, n_iterations, config.optimize.tolerance, epsilon)
+        descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
         pool, descent, n_joined = join(pool, descent, warm or number < octaves[-1][0])
         told = None if watch is None else partial(tell, watch, number, n_joined, n_iterations)
         rules = _rules(problem, here, begun if warm else None)
