@@ -39,7 +39,7 @@ def test_the_last_octave_alone_has_half_of_the_steps_at_twice_the_rate(monkeypat
     _, ends = run_colour_step(
         problem, [4, 5], watch=lambda octave, state: told.append((octave, state.iteration))
     )
-    assert seen == [(1, 4, 0.1), (2, 3, pytest.approx(0.14))]
+    assert seen == [(1, 4, 0.1), (2, 3, pytest.approx(0.2))]
     assert [end.n_joined for end in ends] == [1, 2]
     assert [end.iteration + 1 for end in ends] == [4, 5]  # what the settings ask for
     assert told == [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 3), (1, 4)]

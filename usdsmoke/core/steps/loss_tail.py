@@ -14,7 +14,7 @@ _HALVINGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # a, as shares of the whole
 _DECAYS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # T, as shares of the fitted part's way
 _BOWL = 0.03  # weight of an exponential beside a tail of the other kind
 _GAINS, _N_GAINS = (1e-5, 1.0), 60  # of the loss: what is looked for
-_SPREAD = 0.7  # of the logarithm of what other runs had left
+_SPREAD = 0.5  # of the logarithm of what other runs had left
 _MOST_USUAL = 0.5  # of the loss
 _SHORTEST = 8  # iterations that separate a spread from a slope
 
